@@ -1,0 +1,37 @@
+# Everything a stranger needs: `make demo`, `make test`. Both make their own environment in .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+NATIVE := $(shell find csrc -type f)
+
+.PHONY: help install demo test test-slow lint clean
+
+help:
+	@echo "make demo       synthetic capture -> trained 4D scene -> video, in demo/"
+	@echo "make test       the test suite"
+	@echo "make test-slow  the tests that take longer than a few seconds each"
+	@echo "make lint       ruff and mypy"
+	@echo "make clean      remove the environment and everything built"
+
+$(STAMP): pyproject.toml constraints.txt $(NATIVE)
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet -c constraints.txt torch scikit-build-core nanobind cmake ninja
+	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
+	touch $@
+
+install: $(STAMP)
+
+test: install
+	$(BIN)/python -m pytest -m "not slow"
+
+test-slow: install
+	$(BIN)/python -m pytest -m slow
+
+lint: install
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache

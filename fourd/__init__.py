@@ -1,0 +1,7 @@
+"""fourd: multi-view video of a moving scene in, a 4D point scene out.
+
+Importing this package loads nothing native and no torch; each room loads what
+it needs when it is imported itself.
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,147 @@
+"""One camera type, OpenCV's convention: x right, y down, z forward; pixels for intrinsics.
+
+``x_camera = R_camera_world @ x_world + T`` and the centre of pixel (row i, column j) lies
+at ``(j + 0.5, i + 0.5)``. Everything here is NumPy in float64, so that a scene can be
+opened and rendered without torch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera with optional lens distortion.
+
+    Attributes:
+        intrinsics: (3, 3) matrix K in pixels; K[2] must be (0, 0, 1).
+        rotation: (3, 3) R_camera_world, orthonormal with determinant +1.
+        translation: (3,) T_camera_world, in world units.
+        width: image width in pixels, at least 1.
+        height: image height in pixels, at least 1.
+        distortion: OpenCV coefficients (k1, k2, p1, p2, k3, ...; 4, 5, 8, 12 or 14 of them), or None
+            for an ideal pinhole. The renderers take pinholes alone: undistort images first.
+
+    Raises:
+        ValueError: naming the field, when a shape is wrong, a value is not finite, or the
+            rotation is no rotation (to 1e-3).
+    """
+
+    intrinsics: Array
+    rotation: Array
+    translation: Array
+    width: int
+    height: int
+    distortion: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "intrinsics", _checked("intrinsics", self.intrinsics, (3, 3)))
+        object.__setattr__(self, "rotation", _checked("rotation", self.rotation, (3, 3)))
+        object.__setattr__(self, "translation", _checked("translation", self.translation, (3,)))
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"width and height: expected at least 1 pixel, got {self.width} x {self.height}")
+        error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
+        if error > 1e-3 or np.linalg.det(self.rotation) < 0:
+            raise ValueError(
+                f"rotation: expected an orthonormal matrix of determinant +1, got one that is off by "
+                f"{error:.3g} with determinant {np.linalg.det(self.rotation):.3g}"
+            )
+        if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:
+            raise ValueError(
+                f"intrinsics: expected positive focal lengths, got "
+                f"{self.intrinsics[0, 0]:g} and {self.intrinsics[1, 1]:g}"
+            )
+        if self.distortion is not None:
+            distortion = np.asarray(self.distortion, dtype=np.float64).ravel()
+            if distortion.size not in (4, 5, 8, 12, 14) or not np.isfinite(distortion).all():
+                raise ValueError(
+                    f"distortion: expected 4, 5, 8, 12 or 14 finite coefficients, got {distortion.tolist()}"
+                )
+            object.__setattr__(self, "distortion", distortion if distortion.any() else None)
+
+    @property
+    def centre(self) -> Array:
+        """(3,) position of the camera in the world."""
+        return -self.rotation.T @ self.translation
+
+    @property
+    def forward(self) -> Array:
+        """(3,) unit viewing direction in the world."""
+        return self.rotation[2]
+
+    def project(self, xyz: NDArray[np.floating]) -> tuple[Array, Array]:
+        """Project world points (N, 3) as an ideal pinhole (distortion is not applied).
+
+        Returns:
+            pixels (N, 2) as (x, y), and camera depth z (N,) in world units. Points with
+            z <= 0 get pixels that mean nothing; test z first.
+        """
+        xyz_camera = np.asarray(xyz, dtype=np.float64) @ self.rotation.T + self.translation
+        depth = xyz_camera[:, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pixels = (xyz_camera @ self.intrinsics.T)[:, :2] / depth[:, None]
+        return pixels, depth
+
+    def scaled(self, scale: float) -> Camera:
+        """The same view at ``scale`` times the size (rounded to whole pixels, K follows exactly)."""
+        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same view sampled at ``width`` x ``height`` pixels."""
+        zoom = np.diag([width / self.width, height / self.height, 1.0])
+        return replace(self, intrinsics=zoom @ self.intrinsics, width=width, height=height)
+
+    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The view of the pixel rectangle that begins at (``left``, ``top``)."""
+        intrinsics = self.intrinsics.copy()
+        intrinsics[0, 2] -= left
+        intrinsics[1, 2] -= top
+        return replace(self, intrinsics=intrinsics, width=width, height=height)
+
+
+def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: int, height: int) -> Camera:
+    """A camera at ``centre`` that looks at ``target``, with the world's ``up`` towards the image's top.
+
+    All points are (3,) in world units. Raises ValueError when ``up`` is parallel to the view.
+    """
+    forward = np.asarray(target, dtype=np.float64) - centre
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, up)
+    length = float(np.linalg.norm(right))
+    if length < 1e-9:
+        raise ValueError("up: expected a direction that is not parallel to the viewing direction")
+    right = right / length
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return Camera(intrinsics, rotation, -rotation @ centre, width, height)
+
+
+def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Array) -> list[int]:
+    """Indices of the ``count`` source cameras that see ``focus`` from the angles nearest to ``camera``.
+
+    ``focus`` is a (3,) world point, usually the scene's centre. The angle between the rays
+    from ``focus`` to the camera centres is what matters: it is the choice of views that
+    4K4D (sec. 3.2) ties to the viewing direction. Ties go to the lower index.
+    """
+    direction = _unit(camera.centre - focus)
+    cosines = np.array([float(_unit(source.centre - focus) @ direction) for source in sources])
+    return [int(i) for i in np.argsort(-cosines, kind="stable")[:count]]
+
+
+def _unit(vector: Array) -> Array:
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)
+
+
+def _checked(name: str, value: object, shape: tuple[int, ...]) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {array.tolist()}")
+    array.flags.writeable = False
+    return array

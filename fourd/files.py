@@ -1,0 +1,54 @@
+"""Atomic writing: a file is either the old one or the whole new one, never a part."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+
+@contextmanager
+def atomic_path(target: Path | str) -> Iterator[Path]:
+    """Yield a temporary path beside ``target``; on success fsync it and rename it over ``target``.
+
+    Use this for writers that want a path of their own. If the body raises, the temporary
+    file is removed and ``target`` stays as it was. The temporary name keeps the suffix of
+    ``target``, since some writers choose their format by it.
+    """
+    target = Path(target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+    os.close(descriptor)
+    temporary = Path(name)
+    try:
+        yield temporary
+        with temporary.open("rb+") as stream:
+            os.fsync(stream.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)
+        os.replace(temporary, target)
+        _fsync_folder(target.parent)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_bytes_atomically(target: Path | str, content: bytes) -> None:
+    """Write ``content`` to ``target`` in one indivisible step (see :func:`atomic_path`)."""
+    with atomic_path(target) as temporary:
+        temporary.write_bytes(content)
+
+
+def write_text_atomically(target: Path | str, content: str) -> None:
+    """Write UTF-8 text to ``target`` in one indivisible step (see :func:`atomic_path`)."""
+    write_bytes_atomically(target, content.encode("utf-8"))
+
+
+def _fsync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
