@@ -1,0 +1,76 @@
+"""The entry point ``fourd``: picks the command, and turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from fourd.errors import UserError
+
+COMMANDS = ("make", "synth", "check", "carve", "train", "eval", "export", "render", "info")
+
+HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
+
+  fourd make CAPTURE -o scene.4dv   everything below, cached and resumable
+  fourd synth OUT                   a synthetic capture with truth
+  fourd check CAPTURE               what is there, what is wrong
+  fourd carve CAPTURE               points of each frame, bounds
+  fourd train CAPTURE --out RUN     train a model
+  fourd eval RUN                    quality on held-out views
+  fourd export RUN -o scene.4dv     bake for real-time rendering
+  fourd render RUN|SCENE --out OUT  pictures or a video
+  fourd info FILE|DIR               what a file or folder is
+
+fourd COMMAND --help tells each command's options and their units.
+Exit codes: 0 done; 2 the input is wrong; 1 our fault.
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if not words or words[0] in ("-h", "--help"):
+        print(HELP, end="")
+        return 0
+    if words[0] == "--version":
+        from fourd import __version__
+
+        print(f"fourd {__version__}")
+        return 0
+    try:
+        return _run(words[0], words[1:])
+    except UserError as error:
+        print(f"fourd {words[0]}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        Console(stderr=True).print(f"fourd {words[0]}: stopped; what was finished is kept")
+        return 130
+
+
+def _run(command: str, words: list[str]) -> int:
+    """Import the one command that is asked for, so that ``fourd info`` does not wait for torch."""
+    import difflib
+    import importlib
+
+    import tyro
+
+    if command not in COMMANDS:
+        near = difflib.get_close_matches(command, COMMANDS, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else "see fourd --help"
+        raise UserError(f"expected a command among {', '.join(COMMANDS)}, got '{command}'; {hint}")
+    module = importlib.import_module(f"fourd.cli.{command}")
+    arguments = tyro.cli(
+        module.Arguments,
+        prog=f"fourd {command}",
+        args=words,
+        description=module.__doc__,
+        config=(tyro.conf.OmitArgPrefixes,),
+    )
+    code = module.run(arguments)
+    return 0 if code is None else int(code)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

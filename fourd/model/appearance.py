@@ -1,0 +1,111 @@
+"""The appearance heads: image CNN, blend weights and spherical harmonics (4K4D, eq. 2 to 4)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from fourd.model.config import ModelConfig
+from fourd.model.harmonics import SH_TERMS, sh_basis
+
+LOGIT_RANGE = 5.0
+
+
+class ImageEncoder(nn.Module):
+    """A three-level feature pyramid over the source images, 8, 16 and 32 channels wide.
+
+    (V, 3, H, W) in [0, 1] -> (V, image_features, H, W); H and W must be multiples of 4. There is
+    no normalisation over the image, so a crop gets the features of the whole but for its border.
+    """
+
+    def __init__(self, out_features: int) -> None:
+        super().__init__()
+        self.at_full = nn.Sequential(_conv(3, 8), _conv(8, 8))
+        self.at_half = nn.Sequential(_conv(8, 16, stride=2), _conv(16, 16))
+        self.at_quarter = nn.Sequential(_conv(16, 32, stride=2), _conv(32, 32))
+        self.lateral_half = nn.Conv2d(16, 32, 1)
+        self.lateral_full = nn.Conv2d(8, 16, 1)
+        self.reduce = nn.Conv2d(32, 16, 1)
+        self.out = nn.Conv2d(16, out_features, 3, padding=1)
+
+    def forward(self, images: Tensor) -> Tensor:
+        full = self.at_full(images)
+        half = self.at_half(full)
+        quarter = self.at_quarter(half)
+        half = self.lateral_half(half) + _doubled(quarter)
+        return self.out(self.lateral_full(full) + _doubled(self.reduce(half)))
+
+
+class BlendHead(nn.Module):
+    """Logits that say how much a source view counts for a point, one a point and view.
+
+    The first layer acts on [point feature, image sample, optional direction]; its point half is
+    computed once a point and not once a view, which is the same sum in another order.
+    """
+
+    def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
+        super().__init__()
+        self.point = nn.Linear(point_features, config.hidden)
+        self.image = nn.Linear(image_channels, config.hidden, bias=False)
+        self.direction = nn.Linear(4, config.hidden, bias=False) if config.continuous else None
+        self.out = nn.Linear(config.hidden, 1)
+        nn.init.uniform_(self.out.weight, -1e-2, 1e-2)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, features: Tensor, samples: Tensor, directions: Tensor | None = None) -> Tensor:
+        """features (N, F), samples (V, N, C), directions (V, N, 4) when continuous -> (V, N) in +-5.
+
+        The range is bounded so that exponentials of baked logits fit into fp16.
+        """
+        hidden = self.point(features) + self.image(samples)
+        if self.direction is not None:
+            assert directions is not None, "continuous blending needs directions"
+            hidden = hidden + self.direction(directions)
+        raw = self.out(functional.relu(hidden))[..., 0]
+        return LOGIT_RANGE * torch.tanh(raw / LOGIT_RANGE)
+
+
+class HarmonicsHead(nn.Module):
+    """An MLP with one hidden layer: (N, F) -> degree-3 SH (N, 3, 16), near zero at first."""
+
+    def __init__(self, in_features: int, config: ModelConfig) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            nn.Linear(in_features, config.hidden), nn.ReLU(), nn.Linear(config.hidden, 3 * SH_TERMS)
+        )
+        last = self.layers[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.uniform_(last.weight, -1e-3, 1e-3)
+        nn.init.zeros_(last.bias)
+
+    def forward(self, features: Tensor) -> Tensor:
+        return self.layers(features).reshape(-1, 3, SH_TERMS)
+
+
+def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:
+    """``base + colour_range * tanh(sh . Y(d))``: sh (N, 3, 16), directions (N, 3) unit -> (N, 3)."""
+    return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
+
+
+def blend(logits: Tensor, trust: Tensor, colours: Tensor) -> Tensor:
+    """Image-based colour: a softmax over views, scaled by how far each view can be trusted.
+
+    Args:
+        logits: (V, N).
+        trust: (V, N) in [0, 1], 0 where a view does not see the point.
+        colours: (V, N, 3).
+
+    Returns:
+        (N, 3). Where no view is trusted, the plain softmax decides.
+    """
+    weights = torch.softmax(logits, dim=0) * (trust + 1e-4)
+    return (weights[..., None] * colours).sum(0) / weights.sum(0)[:, None]
+
+
+def _conv(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(nn.Conv2d(channels_in, channels_out, 3, stride=stride, padding=1), nn.ReLU())
+
+
+def _doubled(features: Tensor) -> Tensor:
+    return functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)

@@ -1,0 +1,77 @@
+"""What a model is made of; every field is a config value and an ablation switch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+def require(condition: bool, message: str) -> None:
+    """Raise ValueError(message) unless ``condition`` holds; config readers add file and key."""
+    if not condition:
+        raise ValueError(message)
+
+
+@dataclass(frozen=True)
+class PlanesConfig:
+    """4D K-Planes (Fridovich-Keil et al. 2023): feature planes over pairs of x, y, z, t."""
+
+    levels: int = 4
+    """Number of resolutions, from 1 to 8."""
+    features: int = 8
+    """Channels of each plane."""
+    base_resolution: int = 64
+    """Cells along the longest side of the bounds at the coarsest level."""
+    multiplier: int = 2
+    """Growth of the resolution from a level to the next."""
+    reduction: Literal["concat", "sum", "product"] = "concat"
+    """How the planes of a level are joined: concat as in 4K4D, product as in K-Planes, or sum."""
+    time: bool = True
+    """Whether the planes xt, yt and zt exist; without them a point's feature ignores time."""
+
+    def __post_init__(self) -> None:
+        require(1 <= self.levels <= 8, f"levels: expected 1 to 8, got {self.levels}")
+        require(1 <= self.features <= 64, f"features: expected 1 to 64, got {self.features}")
+        require(self.base_resolution >= 2, f"base_resolution: expected at least 2, got {self.base_resolution}")
+        require(1 <= self.multiplier <= 4, f"multiplier: expected 1 to 4, got {self.multiplier}")
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The point model of 4K4D (Xu et al. 2024, sec. 3)."""
+
+    planes: PlanesConfig = field(default_factory=PlanesConfig)
+    hidden: int = 64
+    """Width of every MLP."""
+    appearance: Literal["both", "ibr", "sh"] = "both"
+    """Colour from source images and spherical harmonics together, or one of them alone."""
+    sh: Literal["mlp", "explicit"] = "mlp"
+    """Spherical harmonics from an MLP on the point feature, or 48 free numbers a point and frame."""
+    sh_range: float = 0.25
+    """The SH part lies within plus and minus this colour when images give the base colour."""
+    continuous: bool = False
+    """Let the blend weights see the viewing direction (as ENeRF does). Such a model cannot be exported."""
+    neighbours: int = 4
+    """Number N' of source views blended for a viewing camera."""
+    image_features: int = 8
+    """Channels that the image CNN gives a pixel."""
+    occlusion: bool = True
+    """Give a source view no say about points that something hides from it."""
+    radius_range: tuple[float, float] = (0.5, 6.0)
+    """Smallest and largest radius, in multiples of the mean distance between neighbouring points."""
+    radius_start: float = 1.3
+    """Radius of every point before training, in the same unit."""
+    residual: bool = False
+    """Add a learnt displacement field (a smaller K-Planes) to the points; folded in by export."""
+    residual_range: float = 0.1
+    """Largest displacement in world units for a scene of size 1; it scales with the bounds."""
+
+    def __post_init__(self) -> None:
+        low, high = self.radius_range
+        require(self.hidden >= 1, f"hidden: expected at least 1, got {self.hidden}")
+        require(self.neighbours >= 1, f"neighbours: expected at least 1, got {self.neighbours}")
+        require(
+            0 < low < self.radius_start < high,
+            f"radius_range: expected 0 < low < radius_start < high, got {self.radius_range}",
+        )
+        require(self.sh_range > 0, f"sh_range: expected more than 0, got {self.sh_range}")

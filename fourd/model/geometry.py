@@ -1,0 +1,47 @@
+"""The geometry head: a point's feature -> its radius and density."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from fourd.model.config import ModelConfig
+
+DENSITY_START = 5.0
+
+
+class GeometryHead(nn.Module):
+    """An MLP with two hidden layers gives radius and density (4K4D, eq. 1 and supplement).
+
+    ``radius = low + (high - low) * sigmoid(a + offset)`` with the offset that makes ``a = 0`` the
+    configured starting radius, and ``density = sigmoid(b + 5)``. Radii are world units.
+    """
+
+    def __init__(self, in_features: int, config: ModelConfig, spacing: float) -> None:
+        """``spacing`` is the mean distance between neighbouring points in world units."""
+        super().__init__()
+        low, high = config.radius_range
+        start = (config.radius_start - low) / (high - low)
+        self.radius_offset = math.log(start / (1 - start))
+        self.radius_low = low * spacing
+        self.radius_high = high * spacing
+        self.layers = nn.Sequential(
+            nn.Linear(in_features, config.hidden),
+            nn.ReLU(),
+            nn.Linear(config.hidden, config.hidden),
+            nn.ReLU(),
+            nn.Linear(config.hidden, 2),
+        )
+        last = self.layers[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.uniform_(last.weight, -1e-3, 1e-3)
+        nn.init.zeros_(last.bias)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """(N, in_features) -> radius (N,) in world units, density (N,) in (0, 1)."""
+        raw_radius, raw_density = self.layers(features).unbind(-1)
+        share = torch.sigmoid(raw_radius + self.radius_offset)
+        radius = self.radius_low + (self.radius_high - self.radius_low) * share
+        return radius, torch.sigmoid(raw_density + DENSITY_START)

@@ -1,0 +1,98 @@
+"""Source views: the images around a viewing camera, and what a point sees in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from fourd.cameras import Camera
+
+
+@dataclass(frozen=True)
+class SourceViews:
+    """V images of one frame, cropped to a common size, with their cameras.
+
+    Attributes:
+        images: (V, 3, H, W) float32 in [0, 1]; H and W are multiples of 4.
+        mattes: (V, H, W) float32 in [0, 1], 1 where the object covers the pixel.
+        depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there
+            is none; None when occlusion is not tested.
+        cameras: the V cameras of the crops.
+    """
+
+    images: Tensor
+    mattes: Tensor
+    depth: Tensor | None
+    cameras: tuple[Camera, ...]
+
+
+@dataclass(frozen=True)
+class SourceSamples:
+    """What V source views hold at N points.
+
+    Attributes:
+        channels: (V, N, C) image features and RGB (the last three), differentiable.
+        trust: (V, N) in [0, 1]: the matte squared times visibility; no gradient.
+    """
+
+    channels: Tensor
+    trust: Tensor
+
+    @property
+    def colours(self) -> Tensor:
+        """(V, N, 3) RGB."""
+        return self.channels[..., -3:]
+
+
+def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: float) -> SourceSamples:
+    """Project points into every source view and sample it bilinearly.
+
+    Args:
+        xyz: (N, 3) world points; gradients flow through the projection.
+        sources: the views.
+        features: (V, C, H, W) of the image CNN, or None for RGB alone.
+        softness: depth in world units over which a hidden point loses its say.
+
+    The matte is squared: a pixel on the silhouette mixes in background, so that trust must fall
+    faster than coverage does.
+    """
+    pixels, depth = project_points(xyz, sources.cameras)
+    height, width = sources.images.shape[-2:]
+    size = torch.tensor([width, height], dtype=pixels.dtype)
+    grid = (2 * pixels / size - 1)[:, None]
+    maps = sources.images if features is None else torch.cat([features, sources.images], dim=1)
+    channels = functional.grid_sample(maps, grid, align_corners=False)[:, :, 0].transpose(1, 2)
+    with torch.no_grad():
+        fixed = grid.detach()
+        matte = functional.grid_sample(sources.mattes[:, None], fixed, align_corners=False)[:, 0, 0]
+        trust = matte.square() * (depth > 0)
+        if sources.depth is not None:
+            surface = functional.grid_sample(
+                sources.depth[:, None], fixed, mode="nearest", padding_mode="border", align_corners=False
+            )[:, 0, 0]
+            behind = (depth - surface - 2 * softness).clamp(min=0)
+            trust = trust * torch.exp(-behind / softness)
+    return SourceSamples(channels, trust)
+
+
+def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Tensor]:
+    """World points (N, 3) in V cameras -> pixels (V, N, 2) and depth (V, N) in world units.
+
+    Points at or behind a camera get pixels far outside its image.
+    """
+    extrinsics = _stacked([np.column_stack([c.rotation, c.translation]) for c in cameras])
+    intrinsics = _stacked([c.intrinsics for c in cameras])
+    xyz_camera = xyz @ extrinsics[:, :, :3].transpose(1, 2) + extrinsics[:, None, :, 3]
+    depth = xyz_camera[..., 2]
+    in_front = depth > 1e-6
+    safe = torch.where(in_front, depth, torch.ones_like(depth))
+    pixels = (xyz_camera @ intrinsics[:, :2].transpose(1, 2)) / safe[..., None]
+    return torch.where(in_front[..., None], pixels, torch.full_like(pixels, -1e6)), depth
+
+
+def _stacked(matrices: list[np.ndarray]) -> Tensor:
+    return torch.from_numpy(np.stack(matrices).astype(np.float32))

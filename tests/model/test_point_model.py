@@ -1,0 +1,166 @@
+"""The point model: its parts against plain formulas, and every ablation switch."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.cameras import Camera, look_at
+from fourd.model import ModelConfig, PlanesConfig, PointModel
+from fourd.model.appearance import BlendHead, ImageEncoder, blend
+from fourd.model.harmonics import sh_basis
+from fourd.model.sources import SourceViews, project_points, sample_sources
+
+SMALL = ModelConfig(planes=PlanesConfig(levels=2, features=4, base_resolution=8), hidden=16)
+INTRINSICS = np.array([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])
+
+
+def ring(count: int) -> tuple[Camera, ...]:
+    up = np.array([0.0, 0, 1])
+    angles = np.arange(count) * 2 * np.pi / count
+    centres = [np.array([3 * np.cos(a), 3 * np.sin(a), 0.5]) for a in angles]
+    return tuple(look_at(centre, np.zeros(3), up, INTRINSICS, 32, 32) for centre in centres)
+
+
+def views(count: int = 3) -> SourceViews:
+    generator = torch.Generator().manual_seed(5)
+    images = torch.rand(count, 3, 32, 32, generator=generator)
+    return SourceViews(images, torch.ones(count, 32, 32), None, ring(count))
+
+
+def points(count: int = 20) -> torch.Tensor:
+    return torch.rand(count, 3, generator=torch.Generator().manual_seed(6)) - 0.5
+
+
+def model(config: ModelConfig) -> PointModel:
+    torch.manual_seed(0)
+    return PointModel(config, np.full(3, -0.5), np.full(3, 0.5), 0.02, frame_count=5)
+
+
+def test_sh_basis_is_orthonormal() -> None:
+    """Catches a wrong constant or a swapped term: the sphere's mean of Y Y^T times 4 pi is the identity."""
+    u, phi = np.meshgrid((np.arange(400) + 0.5) / 200 - 1, (np.arange(400) + 0.5) * np.pi / 200)
+    ring_radius = np.sqrt(1 - u**2)
+    directions = np.stack([ring_radius * np.cos(phi), ring_radius * np.sin(phi), u], axis=-1).reshape(-1, 3)
+    basis = sh_basis(torch.from_numpy(directions))
+    gram = (basis.T @ basis) / len(directions) * 4 * np.pi
+    torch.testing.assert_close(gram, torch.eye(16, dtype=torch.float64), atol=1e-3, rtol=0)
+
+
+def test_projection_equals_the_camera_type() -> None:
+    """Catches a transposed rotation in the batched projection."""
+    cameras = ring(3)
+    pixels, depth = project_points(points(), cameras)
+    for i, camera in enumerate(cameras):
+        expected, expected_depth = camera.project(points().numpy())
+        np.testing.assert_allclose(pixels[i].numpy(), expected, atol=1e-3)
+        np.testing.assert_allclose(depth[i].numpy(), expected_depth, atol=1e-5)
+
+
+def test_samples_are_the_pixels_under_the_points() -> None:
+    """Catches a half-pixel shift: a point at a pixel's centre must get exactly that pixel."""
+    camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
+    images = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1))
+    row, column = 9, 20
+    xyz = torch.tensor([[(column + 0.5 - 16) / 40, (row + 0.5 - 16) / 40, 1.0]])
+    sources = SourceViews(images, torch.ones(1, 32, 32), None, (camera,))
+    samples = sample_sources(xyz, sources, None, 0.01)
+    torch.testing.assert_close(samples.colours[0, 0], images[0, :, row, column], atol=1e-5, rtol=0)
+
+
+def test_hidden_points_and_background_are_not_trusted() -> None:
+    """Catches occlusion or matte being ignored, and points behind the camera being sampled."""
+    camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
+    matte = torch.ones(1, 32, 32)
+    matte[:, :, :16] = 0
+    depth = torch.full((1, 32, 32), 2.0)
+    sources = SourceViews(torch.rand(1, 3, 32, 32), matte, depth, (camera,))
+    xyz = torch.tensor([[0.1, 0, 2.0], [0.1, 0, 3.0], [-0.2, 0, 2.0], [0.1, 0, -2.0]])
+    trust = sample_sources(xyz, sources, None, 0.01).trust[0]
+    torch.testing.assert_close(trust, torch.tensor([1.0, 0, 0, 0]), atol=1e-4, rtol=0)
+
+
+def test_blend_is_a_softmax_over_trusted_views() -> None:
+    logits = torch.tensor([[0.0], [0.0], [3.0]])
+    colours = torch.tensor([[[1.0, 0, 0]], [[0, 1.0, 0]], [[0, 0, 1.0]]])
+    mixed = blend(logits, torch.tensor([[1.0], [1.0], [0.0]]), colours)
+    torch.testing.assert_close(mixed, torch.tensor([[0.5, 0.5, 0]]), atol=2e-3, rtol=0)
+    untrusted = blend(logits, torch.zeros(3, 1), colours)
+    torch.testing.assert_close(untrusted[0], torch.softmax(logits[:, 0], 0))
+
+
+def test_the_shared_first_layer_is_the_joint_one() -> None:
+    """Catches the point half being dropped or scaled when it is computed once a point."""
+    head = BlendHead(6, 5, SMALL)
+    features, samples = torch.rand(4, 6), torch.rand(3, 4, 5)
+    joined = torch.cat([features.expand(3, -1, -1), samples], dim=-1)
+    weight = torch.cat([head.point.weight, head.image.weight], dim=1)
+    hidden = torch.relu(joined @ weight.T + head.point.bias)
+    raw = head.out(hidden)[..., 0]
+    torch.testing.assert_close(head(features, samples), 5 * torch.tanh(raw / 5))
+
+
+def test_a_crop_gets_the_features_of_the_whole() -> None:
+    """Catches normalisation over the image, which would make training crops and baking disagree."""
+    encoder = ImageEncoder(8)
+    image = torch.rand(1, 3, 96, 96)
+    whole, crop = encoder(image), encoder(image[:, :, 16:80, 16:80])
+    torch.testing.assert_close(whole[:, :, 40:56, 40:56], crop[:, :, 24:40, 24:40], atol=1e-5, rtol=0)
+
+
+def test_radius_and_density_start_where_the_config_says() -> None:
+    made = model(SMALL)
+    radius, density = made.geometry(made.point_features(points(), 0.5))
+    torch.testing.assert_close(radius, torch.full((20,), 1.3 * 0.02), atol=1e-4, rtol=0)
+    assert density.min() > 0.98
+    assert density.max() < 1
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        SMALL,
+        replace(SMALL, appearance="ibr"),
+        replace(SMALL, appearance="sh"),
+        replace(SMALL, sh="explicit"),
+        replace(SMALL, appearance="sh", sh="explicit"),
+        replace(SMALL, continuous=True),
+        replace(SMALL, residual=True),
+        replace(SMALL, planes=replace(SMALL.planes, time=False)),
+        replace(SMALL, planes=replace(SMALL.planes, reduction="sum")),
+        replace(SMALL, planes=replace(SMALL.planes, reduction="product")),
+    ],
+    ids=lambda config: str(config)[-200:],
+)
+def test_every_switch_gives_a_model_whose_parameters_all_learn(config: ModelConfig) -> None:
+    """Catches a head that is built but never used, or used and cut off from the gradient."""
+    made = model(config)
+    with torch.no_grad():
+        for parameter in made.parameters():
+            parameter += 0.05 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(7))
+    xyz = points().requires_grad_()
+    features = made.point_features(xyz, 0.4)
+    explicit = torch.rand(20, 48, requires_grad=True) if config.sh == "explicit" else None
+    displacement = made.displacement(xyz, 0.4)
+    placed = xyz if displacement is None else xyz + displacement
+    sources = None if config.appearance == "sh" else views()
+    colour = made.colour(placed, features, ring(7)[1], sources, explicit)
+    radius, density = made.geometry(features)
+    assert colour.shape == (20, 3)
+    (colour.square().sum() + radius.sum() + density.sum()).backward()
+    silent = [n for n, p in made.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert silent == []
+    assert explicit is None or explicit.grad is not None
+
+
+def test_only_continuous_blending_sees_the_viewer() -> None:
+    """Catches blend weights that depend on the viewing direction, which cannot be baked."""
+    xyz, sources = points(), views()
+    for continuous in (False, True):
+        made = model(replace(SMALL, appearance="ibr", continuous=continuous))
+        features = made.point_features(xyz, 0.1)
+        first, second = (made.colour(xyz, features, viewer, sources) for viewer in ring(5)[1:3])
+        assert torch.equal(first, second) is not continuous
