@@ -1,0 +1,233 @@
+"""manifest.json of a `.4dv`: written from, and validated by hand into, a SceneManifest.
+
+The reader believes nothing: every field is checked for its type, its range and finiteness.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from fourd.baking.scene import ATTRIBUTES, FORMAT_NAME, FORMAT_VERSION, SceneKind, SceneManifest
+from fourd.cameras import Camera
+
+MAX_FRAMES = 1_000_000
+MAX_POINTS = 1 << 26
+MAX_VIEWS = 4096
+MAX_PIXELS = 1 << 16
+MAX_NAME = 255
+
+
+class ManifestError(ValueError):
+    """A manifest that cannot be used: ``str()`` is "where: expected ..., got ..."."""
+
+
+class NewerVersionError(ManifestError):
+    """A manifest of a version that this program does not know yet."""
+
+
+def manifest_to_json(manifest: SceneManifest) -> bytes:
+    """The manifest as UTF-8 JSON. Equal manifests give equal bytes."""
+    content = {
+        "format": FORMAT_NAME,
+        "version": manifest.version,
+        "producer": manifest.producer,
+        "kind": manifest.kind,
+        "fps": manifest.fps,
+        "layers": manifest.layers,
+        "neighbours": manifest.neighbours,
+        "near": manifest.near,
+        "sh": {"range": manifest.sh_range, "base": manifest.sh_base},
+        "focus": list(manifest.focus),
+        "bounds": {"lower": list(manifest.bounds[0]), "upper": list(manifest.bounds[1])},
+        "attributes": {item.name: {"dtype": item.dtype, "shape": list(item.shape)} for item in ATTRIBUTES},
+        "source_views": _views_to_json(manifest.source_names, manifest.source_cameras),
+        "other_views": _views_to_json(manifest.other_names, manifest.other_cameras),
+        "frames": [
+            {"number": number, "points": points}
+            for number, points in zip(manifest.frame_numbers, manifest.points, strict=True)
+        ],
+    }
+    return json.dumps(content, indent=1, allow_nan=False).encode()
+
+
+def manifest_from_json(text: bytes) -> SceneManifest:
+    """Parse and check a manifest. Raises ManifestError; keys that are not known are left alone."""
+    try:
+        content = json.loads(text.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ManifestError(f"manifest.json: expected UTF-8 JSON, got something else ({error})") from error
+    root = _Node(content, "manifest.json")
+    if root.text("format") != FORMAT_NAME:
+        raise ManifestError(f'manifest.json: expected format "{FORMAT_NAME}", got "{root.text("format")}"')
+    version = root.whole("version", 1, 1 << 31)
+    if version > FORMAT_VERSION:
+        raise NewerVersionError(f"expected format version {FORMAT_VERSION} or older, got {version}")
+    _check_attributes(root.node("attributes"))
+    source_names, source_cameras = _views(root.items("source_views", MAX_VIEWS))
+    other_names, other_cameras = _views(root.items("other_views", MAX_VIEWS))
+    frames = root.items("frames", MAX_FRAMES)
+    sh = root.node("sh")
+    try:
+        return SceneManifest(
+            source_names=source_names,
+            source_cameras=source_cameras,
+            focus=root.triple("focus"),
+            bounds=_bounds(root.node("bounds")),
+            frame_numbers=tuple(frame.whole("number", 0, 1 << 31) for frame in frames),
+            points=tuple(frame.whole("points", 0, MAX_POINTS) for frame in frames),
+            other_names=other_names,
+            other_cameras=other_cameras,
+            fps=root.number("fps", 1e-3, 1e4),
+            layers=root.whole("layers", 1, 64),
+            neighbours=root.whole("neighbours", 1, 64),
+            sh_range=sh.number("range", 0, 1e3),
+            sh_base=sh.number("base", -1e3, 1e3),
+            near=root.number("near", 1e-12, 1e9),
+            kind=_kind(root),
+            producer=root.text("producer"),
+            version=version,
+        )
+    except ManifestError:
+        raise
+    except ValueError as error:
+        raise ManifestError(f"manifest.json: {error}") from error
+
+
+class _Node:
+    """A JSON object and the words for where it stands."""
+
+    def __init__(self, content: object, where: str) -> None:
+        if not isinstance(content, dict):
+            raise ManifestError(f"{where}: expected a JSON object, got {_shown(content)}")
+        self.content: dict[str, Any] = content
+        self.where = where
+
+    def get(self, key: str) -> object:
+        if key not in self.content:
+            raise ManifestError(f'{self.where}: expected a key "{key}", got none')
+        return self.content[key]
+
+    def fail(self, key: str, expected: str) -> ManifestError:
+        return ManifestError(f"{self.where}, {key}: expected {expected}, got {_shown(self.content[key])}")
+
+    def node(self, key: str) -> _Node:
+        return _Node(self.get(key), f"{self.where}, {key}")
+
+    def items(self, key: str, most: int) -> list[_Node]:
+        value = self.get(key)
+        if not isinstance(value, list) or len(value) > most:
+            raise self.fail(key, f"a list of at most {most} objects")
+        return [_Node(item, f"{self.where}, {key}[{index}]") for index, item in enumerate(value)]
+
+    def text(self, key: str) -> str:
+        value = self.get(key)
+        if not isinstance(value, str) or len(value) > MAX_NAME or not value.isprintable():
+            raise self.fail(key, f"printable text of at most {MAX_NAME} characters")
+        return value
+
+    def whole(self, key: str, low: int, high: int) -> int:
+        value = self.get(key)
+        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+            raise self.fail(key, f"a whole number from {low} to {high}")
+        return value
+
+    def number(self, key: str, low: float, high: float) -> float:
+        value = _finite(self.get(key))
+        if value is None or not low <= value <= high:
+            raise self.fail(key, f"a number from {low:g} to {high:g}")
+        return value
+
+    def numbers(self, key: str, count: int) -> list[float]:
+        value = self.get(key)
+        numbers = [_finite(item) for item in value] if isinstance(value, list) and len(value) == count else []
+        found = [number for number in numbers if number is not None]
+        if len(found) != count:
+            raise self.fail(key, f"{count} finite numbers")
+        return found
+
+    def triple(self, key: str) -> tuple[float, float, float]:
+        x, y, z = self.numbers(key, 3)
+        return x, y, z
+
+    def matrix(self, key: str) -> list[list[float]]:
+        rows = self.get(key)
+        if not isinstance(rows, list) or len(rows) != 3:
+            raise self.fail(key, "3 rows of 3 finite numbers")
+        return [_Node({"row": row}, f"{self.where}, {key}").numbers("row", 3) for row in rows]
+
+
+def _finite(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) and abs(number) < 1e30 else None
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _kind(root: _Node) -> SceneKind:
+    kind = root.text("kind")
+    if kind == "object":
+        return "object"
+    if kind == "full":
+        return "full"
+    raise root.fail("kind", '"object" or "full"')
+
+
+def _bounds(node: _Node) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    lower, upper = node.triple("lower"), node.triple("upper")
+    if any(low > high for low, high in zip(lower, upper, strict=True)):
+        raise ManifestError(f"{node.where}: expected lower below upper, got {lower} and {upper}")
+    return lower, upper
+
+
+def _check_attributes(node: _Node) -> None:
+    for attribute in ATTRIBUTES:
+        given = node.node(attribute.name)
+        if given.get("dtype") != attribute.dtype:
+            raise given.fail("dtype", f'"{attribute.dtype}"')
+        if given.get("shape") != list(attribute.shape):
+            raise given.fail("shape", f"{list(attribute.shape)}")
+
+
+def _views_to_json(names: tuple[str, ...], cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": name,
+            "width": camera.width,
+            "height": camera.height,
+            "intrinsics": camera.intrinsics.tolist(),
+            "rotation": camera.rotation.tolist(),
+            "translation": camera.translation.tolist(),
+        }
+        for name, camera in zip(names, cameras, strict=True)
+    ]
+
+
+def _views(nodes: list[_Node]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
+    return tuple(node.text("name") for node in nodes), tuple(_camera(node) for node in nodes)
+
+
+def _camera(node: _Node) -> Camera:
+    try:
+        return Camera(
+            intrinsics=np.array(node.matrix("intrinsics")),
+            rotation=np.array(node.matrix("rotation")),
+            translation=np.array(node.numbers("translation", 3)),
+            width=node.whole("width", 1, MAX_PIXELS),
+            height=node.whole("height", 1, MAX_PIXELS),
+        )
+    except ManifestError:
+        raise
+    except ValueError as error:
+        raise ManifestError(f"{node.where}, {error}") from error

@@ -1,0 +1,57 @@
+"""Small random scenes for the tests of this room."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fourd.baking import BakedFrame, SceneManifest, SceneWriter
+from fourd.cameras import Camera, look_at
+
+
+def ring(count: int, size: int = 48, radius: float = 3.0, height: float = 0.5) -> tuple[Camera, ...]:
+    """Cameras around the origin, z up, looking at it."""
+    intrinsics = np.array([[1.2 * size, 0, size / 2], [0, 1.2 * size, size / 2], [0, 0, 1]])
+    angles = 2 * np.pi * np.arange(count) / count
+    centres = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, height)], axis=1)
+    up = np.array([0.0, 0, 1])
+    return tuple(look_at(centre, np.zeros(3), up, intrinsics, size, size) for centre in centres)
+
+
+def random_frame(points: int, views: int, seed: int) -> BakedFrame:
+    """A ball of points with random colours."""
+    rng = np.random.default_rng(seed)
+    return BakedFrame(
+        xyz=rng.normal(0, 0.3, (points, 3)).astype(np.float32),
+        radius=rng.uniform(0.02, 0.05, points).astype(np.float16),
+        density=rng.uniform(0.5, 1, points).astype(np.float16),
+        sh=rng.normal(0, 0.5, (points, 3, 16)).astype(np.float16),
+        blend_weights=rng.exponential(10, (points, views)).astype(np.float16),
+        rgb=rng.integers(0, 256, (points, views, 3), dtype=np.uint8),
+    )
+
+
+def manifest(views: int = 6, frames: int = 3) -> SceneManifest:
+    """A scene whose source views stand in a ring, with one further camera."""
+    cameras = ring(views + 1)
+    return SceneManifest(
+        source_names=tuple(f"{index:02d}" for index in range(views)),
+        source_cameras=cameras[:views],
+        focus=(0.0, 0.0, 0.0),
+        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+        frame_numbers=tuple(range(10, 10 + frames)),
+        other_names=("held out",),
+        other_cameras=cameras[views:],
+        fps=24.0,
+        producer="tests",
+    )
+
+
+def write_scene(path: Path, views: int = 6, frames: int = 3, points: int = 200) -> list[BakedFrame]:
+    """Write a scene of random frames (a different number of points each) and return them."""
+    content = [random_frame(points + index, views, seed=index) for index in range(frames)]
+    with SceneWriter(path, manifest(views, frames)) as writer:
+        for index, frame in enumerate(content):
+            writer.add_frame(index, frame)
+    return content
