@@ -1,0 +1,1 @@
+"""Seeing scenes: camera paths and videos."""
