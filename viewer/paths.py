@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,26 @@ from fourd.cameras import Camera, look_at
 
 Array = NDArray[np.float64]
 Bounds = tuple[Sequence[float], Sequence[float]]
+PathKind = Literal["orbit", "spiral", "cameras"]
 
 # A gap between neighbouring cameras wider than this means that the capture has a back nobody saw.
 _WIDEST_GAP = np.radians(120)
+
+
+def camera_path(
+    kind: PathKind,
+    cameras: Sequence[Camera],
+    focus: Sequence[float] | Array | None,
+    steps: int,
+    *,
+    size: tuple[int, int] | None = None,
+) -> list[Camera]:
+    """A looping path by its name: :func:`orbit`, :func:`spiral`, or "cameras": through the capture's in a ring."""
+    if kind == "orbit":
+        return orbit(cameras, steps, focus=focus, size=size)
+    if kind == "spiral":
+        return spiral(cameras, steps, focus=focus, size=size)
+    return interpolate([cameras[index] for index in ring_order(cameras, focus)], steps, size=size)
 
 
 def orbit(
@@ -105,7 +123,7 @@ def interpolate(
     """
     _check(cameras, steps)
     width, height = size or (cameras[0].width, cameras[0].height)
-    fitted = [fit(camera, width, height) for camera in cameras]
+    fitted = [camera.fitted(width, height) for camera in cameras]
     knots = _distinct(np.stack([_packed(camera) for camera in fitted]), loop)
     if len(knots) == 1:
         return [fitted[0]] * steps
@@ -152,16 +170,6 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
         return (np.asarray(bounds[0], dtype=np.float64) + np.asarray(bounds[1])) / 2
     spread = float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
     return centres.mean(axis=0) + _unit(axes.mean(axis=0)) * (3 * spread if spread > 1e-9 else 1.0)
-
-
-def fit(camera: Camera, width: int, height: int) -> Camera:
-    """The same view on an image of another size: nothing is stretched, the whole old image fits in."""
-    zoom = min(width / camera.width, height / camera.height)
-    scale = np.diag([zoom, zoom, 1.0])
-    intrinsics = scale @ camera.intrinsics
-    intrinsics[0, 2] += (width - zoom * camera.width) / 2
-    intrinsics[1, 2] += (height - zoom * camera.height) / 2
-    return Camera(intrinsics, camera.rotation, camera.translation, width, height)
 
 
 @dataclass(frozen=True)
