@@ -123,7 +123,7 @@ def interpolate(
     """
     _check(cameras, steps)
     width, height = size or (cameras[0].width, cameras[0].height)
-    fitted = [camera.fitted(width, height) for camera in cameras]
+    fitted = [fit(camera, width, height) for camera in cameras]
     knots = _distinct(np.stack([_packed(camera) for camera in fitted]), loop)
     if len(knots) == 1:
         return [fitted[0]] * steps
@@ -170,6 +170,15 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
         return (np.asarray(bounds[0], dtype=np.float64) + np.asarray(bounds[1])) / 2
     spread = float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
     return centres.mean(axis=0) + _unit(axes.mean(axis=0)) * (3 * spread if spread > 1e-9 else 1.0)
+
+
+def fit(camera: Camera, width: int, height: int) -> Camera:
+    """The same view on an image of another size: nothing is stretched, the whole old image fits in."""
+    zoom = min(width / camera.width, height / camera.height)
+    intrinsics = np.diag([zoom, zoom, 1.0]) @ camera.intrinsics
+    intrinsics[0, 2] += (width - zoom * camera.width) / 2
+    intrinsics[1, 2] += (height - zoom * camera.height) / 2
+    return Camera(intrinsics, camera.rotation, camera.translation, width, height)
 
 
 @dataclass(frozen=True)
