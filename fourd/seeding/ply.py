@@ -1,0 +1,180 @@
+"""Points with colours in PLY files: written binary little endian, read in any of the three formats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.errors import UserError
+from fourd.files import atomic_path
+
+TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+
+LONGEST_HEADER = 1 << 16
+"""Bytes; a header that has not ended by then is no PLY header."""
+
+
+class CarvedPoints(NamedTuple):
+    """Coloured points.
+
+    Attributes:
+        xyz: (N, 3) float32, world units, finite.
+        rgb: (N, 3) uint8, sRGB as in the images.
+    """
+
+    xyz: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+
+
+def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.uint8]) -> None:
+    """Write points (N, 3) and their colours (N, 3) uint8 as binary PLY, atomically.
+
+    Raises:
+        ValueError: when a shape or the colours' dtype is wrong, or a coordinate is not finite.
+    """
+    if xyz.ndim != 2 or xyz.shape[1] != 3 or not np.isfinite(xyz).all():
+        raise ValueError(f"xyz: expected finite (N, 3), got shape {xyz.shape}")
+    if rgb.shape != xyz.shape or rgb.dtype != np.uint8:
+        raise ValueError(f"rgb: expected uint8 {xyz.shape}, got {rgb.dtype} {rgb.shape}")
+    names = ("x", "y", "z", "red", "green", "blue")
+    rows = np.empty(len(xyz), dtype=[(name, "<f4" if i < 3 else "u1") for i, name in enumerate(names)])
+    for i, name in enumerate(names):
+        rows[name] = xyz[:, i] if i < 3 else rgb[:, i - 3]
+    kinds = "\n".join(f"property {'float' if i < 3 else 'uchar'} {name}" for i, name in enumerate(names))
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\n{kinds}\nend_header\n"
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(header.encode("ascii") + rows.tobytes())
+
+
+def read_ply(path: Path | str) -> CarvedPoints:
+    """Read the vertices of a PLY file: ascii or binary of either byte order.
+
+    Colours may be uchar, or float in [0, 1]; without any the points are mid grey. Other
+    properties, and elements after the vertices, are skipped.
+
+    Raises:
+        UserError: naming the file, when it is missing, no PLY, shorter than its header says,
+            has no x, y, z, or holds coordinates that are not finite.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as stream:
+            header = _read_header(path, stream)
+            body = stream.read()
+    except OSError as error:
+        raise UserError(f"{path}: expected a readable PLY file, got {error.strerror}; check the path") from error
+    rows = _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)
+    return _points(path, header, rows)
+
+
+@dataclass(frozen=True)
+class _Header:
+    order: str | None
+    count: int
+    properties: tuple[tuple[str, str], ...]
+
+
+def _read_header(path: Path, stream: BinaryIO) -> _Header:
+    lines = _header_lines(path, stream)
+    order, count, element = "", -1, ""
+    properties: list[tuple[str, str]] = []
+    for words in lines:
+        if words[0] == "format" and len(words) >= 2:
+            order = words[1]
+        elif words[0] == "element" and len(words) == 3:
+            if count < 0 and words[1] != "vertex":
+                raise _bad(path, "vertices as its first element", f"element {words[1]}")
+            element = words[1]
+            count = _count(path, words[2]) if element == "vertex" else count
+        elif words[0] == "property" and element == "vertex":
+            if len(words) != 3 or words[1] not in TYPES or words[2] in dict(properties):
+                raise _bad(path, "scalar vertex properties, each once", f"'{' '.join(words)}'")
+            properties.append((words[2], TYPES[words[1]]))
+    orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+    if order not in orders:
+        raise _bad(path, f"a format of {', '.join(orders)}", f"'{order}'")
+    if count < 0 or not {"x", "y", "z"} <= set(dict(properties)):
+        raise _bad(path, "an element 'vertex' with properties x, y, z", f"{[name for name, _ in properties]}")
+    return _Header(orders[order], count, tuple(properties))
+
+
+def _header_lines(path: Path, stream: BinaryIO) -> list[list[str]]:
+    if stream.readline(8).strip() != b"ply":
+        raise _bad(path, "a PLY file that begins with 'ply'", "other content")
+    lines: list[list[str]] = []
+    size = 0
+    while size < LONGEST_HEADER:
+        line = stream.readline(4096)
+        size += len(line)
+        words = line.decode("latin-1").split()
+        if not line or words == ["end_header"]:
+            break
+        if words and words[0] not in ("comment", "obj_info"):
+            lines.append(words)
+    else:
+        line = b""
+    if not line:
+        raise _bad(path, "a header that ends with 'end_header'", "none")
+    return lines
+
+
+def _count(path: Path, word: str) -> int:
+    if not word.isascii() or not word.isdigit() or len(word) > 15:
+        raise _bad(path, "a whole number of vertices", f"'{word[:40]}'")
+    return int(word)
+
+
+def _binary_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
+    kind = np.dtype([(name, f"{header.order}{code}") for name, code in header.properties])
+    if len(body) < header.count * kind.itemsize:
+        raise _short(path, header.count, len(body) // kind.itemsize)
+    return np.frombuffer(body, dtype=kind, count=header.count)
+
+
+def _ascii_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
+    lines = body.split(b"\n", header.count)[: header.count] if header.count <= len(body) else body.split(b"\n")
+    lines = [line for line in lines if line.strip()]
+    if len(lines) < header.count:
+        raise _short(path, header.count, len(lines))
+    width = len(header.properties)
+    try:
+        values = np.array([line.split()[:width] for line in lines], dtype=np.float64).reshape(-1, width)
+    except ValueError as error:
+        raise _bad(path, f"{width} numbers on every vertex line", "a line that is short or no number") from error
+    kind = np.dtype([(name, code if code in ("f4", "u1") else "f8") for name, code in header.properties])
+    rows = np.empty(len(values), dtype=kind)
+    for i, (name, code) in enumerate(header.properties):
+        rows[name] = values[:, i].clip(0, 255) if code == "u1" else values[:, i]
+    return rows
+
+
+def _points(path: Path, header: _Header, rows: NDArray[Any]) -> CarvedPoints:
+    xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
+    if not np.isfinite(xyz).all():
+        raise _bad(path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points that are not")
+    rgb = np.full(xyz.shape, 128, dtype=np.uint8)
+    if {"red", "green", "blue"} <= set(dict(header.properties)):
+        colours = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
+        if colours.dtype.kind == "f":
+            colours = np.rint(np.nan_to_num(colours) * 255)
+        rgb = colours.clip(0, 255).astype(np.uint8)
+    return CarvedPoints(xyz, rgb)
+
+
+def _short(path: Path, said: int, held: int) -> UserError:
+    return UserError(
+        f"{path}: expected {said} vertices as the header says, got {held}; the file is cut short, write it again"
+    )
+
+
+def _bad(path: Path, expected: str, got: str) -> UserError:
+    return UserError(f"{path}: expected {expected}, got {got}; write it again as a PLY point cloud")

@@ -1,0 +1,202 @@
+"""A whole capture: one PLY a frame and the scene's bounds, streaming and resumable."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from fourd.errors import UserError
+from fourd.files import write_text_atomically
+from fourd.seeding.bounds import Bounds, find_bounds
+from fourd.seeding.carve import carve_frame
+from fourd.seeding.colour import colour_points
+from fourd.seeding.ply import read_ply, write_ply
+from fourd.seeding.source import MaskSource, frame_masks
+
+BOUNDS_NAME = "bounds.json"
+VERSION = 1
+MARGIN = 0.05
+MOST_SEARCHED = 120
+
+
+@dataclass(frozen=True)
+class CarveSettings:
+    """What carving depends on beside the capture; see :func:`fourd.seeding.carve_frame`."""
+
+    points: int = 65536
+    agreement: float = 0.95
+    least_views: float = 1 / 3
+    seed: int = 0
+
+
+def carve_capture(
+    capture: MaskSource,
+    out_folder: Path | str,
+    *,
+    points: int = 65536,
+    agreement: float = 0.95,
+    least_views: float = 1 / 3,
+    seed: int = 0,
+    show_progress: bool = True,
+) -> Bounds:
+    """Carve every frame into ``out_folder``: ``FRAME.ply`` (xyz, rgb) each, and ``bounds.json``.
+
+    FRAME is the frame's number in the capture, six digits. Files are written atomically and
+    one frame is held at a time. A second call with the same capture and settings skips the
+    frames whose PLY is there and whole; with others it carves all of them again.
+
+    Args:
+        capture: cameras, images and masks.
+        out_folder: made when missing.
+        points: points a frame, at least 1.
+        agreement: share in (0, 1] of the views seeing a point that must hold it.
+        least_views: share in (0, 1] of all views that must see a point (at least 2 views).
+        seed: of the points' order.
+        show_progress: a bar on stderr.
+
+    Returns:
+        the box of all frames' points with a margin of 5% of its longest side.
+
+    Raises:
+        UserError: when a frame's hull is empty, or a file cannot be written.
+    """
+    settings = CarveSettings(points, agreement, least_views, seed)
+    folder = Path(out_folder)
+    key = settings_key(capture, settings)
+    try:
+        search = _search_box(capture, folder, settings, key)
+        lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+        for frame in _tracked(range(capture.frame_count), show_progress):
+            xyz = _carved_points(capture, frame, folder, search, settings)
+            lower, upper = np.minimum(lower, xyz.min(axis=0)), np.maximum(upper, xyz.max(axis=0))
+        pad = MARGIN * float((upper - lower).max())
+        bounds = Bounds(lower - pad, upper + pad)
+        _save(folder, key, settings, search, bounds)
+    except OSError as error:
+        raise UserError(
+            f"{folder}: expected to write there, got '{error.strerror}'; free space or name another"
+        ) from error
+    return bounds
+
+
+def read_bounds(folder: Path | str) -> Bounds:
+    """The bounds that :func:`carve_capture` left in ``folder``.
+
+    Raises:
+        UserError: when bounds.json is missing, unreadable, or of a carving that did not finish.
+    """
+    path = Path(folder) / BOUNDS_NAME
+    state = _load(path)
+    try:
+        return Bounds(np.array(state["lower"]), np.array(state["upper"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            f"{path}: expected the bounds of a finished carving, got none; run fourd carve again"
+        ) from error
+
+
+def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
+    """A hash of all that the points depend on: settings, calibration, frames, and the files' sizes and times."""
+    digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
+    for name, camera in zip(capture.names, capture.cameras, strict=True):
+        digest.update(f"{name} {camera.width} {camera.height}".encode())
+        for matrix in (camera.intrinsics, camera.rotation, camera.translation):
+            digest.update(np.ascontiguousarray(matrix).tobytes())
+        for kind in ("masks", "images"):
+            for path in sorted((capture.path / kind / name).glob("*")):
+                status = path.stat()
+                digest.update(f"{path.name} {status.st_size} {status.st_mtime_ns}".encode())
+    return digest.hexdigest()
+
+
+def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str) -> Bounds:
+    """The box to carve in: as an earlier call with the same key found it, or else found and saved now.
+
+    Frames that were not looked at get three margins.
+    """
+    state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
+    if state.get("key") == key:
+        try:
+            return Bounds(np.array(state["search"]["lower"]), np.array(state["search"]["upper"]))
+        except (KeyError, TypeError, ValueError):
+            state = {}
+    for frame in capture.frame_numbers:
+        _frame_path(folder, frame).unlink(missing_ok=True)
+    box = find_bounds(
+        capture,
+        agreement=settings.agreement,
+        least_views=settings.least_views,
+        margin=MARGIN if capture.frame_count <= MOST_SEARCHED else 3 * MARGIN,
+        most_frames=MOST_SEARCHED,
+    )
+    _save(folder, key, settings, box, None)
+    return box
+
+
+def _carved_points(
+    capture: MaskSource, frame: int, folder: Path, search: Bounds, settings: CarveSettings
+) -> NDArray[np.float32]:
+    """Points (N, 3) of one frame, from its PLY when that is whole, carved and written otherwise."""
+    number = capture.frame_numbers[frame]
+    path = _frame_path(folder, number)
+    if path.exists():
+        try:
+            done = read_ply(path).xyz
+            if len(done) == settings.points:
+                return done
+        except UserError:
+            path.unlink(missing_ok=True)
+    carved = carve_frame(
+        frame_masks(capture, frame),
+        capture.cameras,
+        search,
+        **asdict(settings),
+        names=capture.names,
+        label=f"{capture.path} frame {number}",
+    )
+    images = [capture.image(camera, frame) for camera in range(len(capture.cameras))]
+    rgb = colour_points(carved.xyz, carved.normals, carved.spacing, images, capture.cameras)
+    write_ply(path, carved.xyz, rgb)
+    return carved.xyz
+
+
+def _save(folder: Path, key: str, settings: CarveSettings, search: Bounds, bounds: Bounds | None) -> None:
+    state: dict[str, Any] = {
+        "version": VERSION,
+        "key": key,
+        "settings": asdict(settings),
+        "search": {"lower": search.lower.tolist(), "upper": search.upper.tolist()},
+    }
+    if bounds is not None:
+        state |= {"lower": bounds.lower.tolist(), "upper": bounds.upper.tolist()}
+    write_text_atomically(folder / BOUNDS_NAME, json.dumps(state, indent=1) + "\n")
+
+
+def _load(path: Path, *, missing_is_empty: bool = False) -> dict[str, Any]:
+    try:
+        state = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        if missing_is_empty:
+            return {}
+        raise UserError(f"{path}: expected the bounds of a carving, got no such file; run fourd carve") from error
+    except (UnicodeDecodeError, json.JSONDecodeError):
+        return {}
+    return state if isinstance(state, dict) else {}
+
+
+def _frame_path(folder: Path, number: int) -> Path:
+    return folder / f"{number:06d}.ply"
+
+
+def _tracked(frames: range, show: bool) -> Iterator[int]:
+    columns = (TextColumn("carving"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, disable=not show, transient=True) as progress:
+        yield from progress.track(frames)
