@@ -1,0 +1,34 @@
+// Colour of baked points seen from a camera: a blend of a few source views and spherical harmonics.
+// Callers check shapes; every pointer is to a dense row-major array.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace fourd::shade {
+
+constexpr int kTerms = 16;       // real spherical harmonics of degree 3
+constexpr int kMaxChosen = 64;   // source views blended at most
+
+struct Points {
+    const float* xyz;               // (count, 3)
+    const std::uint16_t* sh;        // (count, 3, 16) float16
+    const std::uint16_t* weights;   // (count, views) float16, not negative
+    const std::uint8_t* rgb;        // (count, views, 3)
+    std::size_t count;
+    std::size_t views;
+};
+
+struct Settings {
+    const std::int32_t* chosen;  // (chosen_count,) columns of the views to blend
+    int chosen_count;            // 0 to kMaxChosen
+    double centre[3];            // of the camera, in the world
+    float sh_range;              // colour += sh_base + sh_range * tanh(sh . Y(d))
+    float sh_base;
+    int threads;                 // at least 1; the result does not depend on it
+};
+
+// out (count, 3). The same bits whatever the number of threads.
+void shade(const Points& points, const Settings& settings, float* out);
+
+}  // namespace fourd::shade
