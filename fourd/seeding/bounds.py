@@ -64,8 +64,7 @@ class Bounds:
 
     def holds(self, xyz: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
         """Which of the points (N, 3) lie inside, as (N,) bool."""
-        inside: NDArray[np.bool_] = ((xyz >= self.lower) & (xyz <= self.upper)).all(axis=1)
-        return inside
+        return np.all((xyz >= self.lower) & (xyz <= self.upper), axis=1)
 
 
 def find_bounds(

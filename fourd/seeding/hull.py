@@ -94,15 +94,17 @@ class Silhouettes:
         maybe = np.zeros(cells.shape[1], dtype=np.bool_)
         inside = np.zeros(cells.shape[1], dtype=np.bool_)
         alive = np.arange(cells.shape[1])
-        tally = np.zeros((4, cells.shape[1]), dtype=np.int16)
+        tally = np.zeros((5, cells.shape[1]), dtype=np.int16)
         most = int(self.tolerated(np.array(len(self.views))))
         for number, index in enumerate(spread_order(len(self.views))):
             _count_verdict(self.views[index], cells, np.float32(size * DIAGONAL), tally)
             if number % 3 == 2:
                 keep = np.flatnonzero(tally[0] <= most)
                 cells, tally, alive = cells[:, keep], tally[:, keep], alive[keep]
-        against, held, surely, possibly = tally
-        maybe[alive] = (against <= self.tolerated(possibly)) & (possibly >= self.needed)
+        against, held, surely, possibly, agreeable = tally
+        least = self.needed - int(self.tolerated(np.array(self.needed)))
+        enough = (possibly >= self.needed) & (agreeable >= least)
+        maybe[alive] = enough & (against <= self.tolerated(possibly))
         inside[alive] = (possibly - held <= self.tolerated(surely)) & (surely >= self.needed)
         return maybe, inside
 
@@ -200,10 +202,12 @@ def spread_order(count: int) -> list[int]:
 
 
 def _count_verdict(view: SilhouetteView, cells: Floats, radius: np.float32, tally: NDArray[np.int16]) -> None:
-    """Add one view's word on spheres of ``radius`` about ``cells`` (3, N) to ``tally`` (4, N).
+    """Add one view's word on spheres of ``radius`` about ``cells`` (3, N) to ``tally`` (5, N).
 
-    The rows count the views that certainly see only background, certainly see only the
-    object, certainly see the whole sphere, and possibly see a part of it.
+    The rows count the views that certainly see the whole sphere before background, certainly
+    see it all within the object, certainly see all of it, possibly see a part of it, and
+    possibly see a part of it within the object. The last settles spheres that many images'
+    borders cut: no view sees all of them, yet what is seen is background.
     """
     x, y, z = view.project(cells)
     height, width = view.distance.shape
@@ -213,10 +217,13 @@ def _count_verdict(view: SilhouetteView, cells: Floats, radius: np.float32, tall
     surely = clear & (border >= reach)
     distance = sample(view.distance, x, y, cv2.INTER_LINEAR)
     needed = reach * SLACK_SHARE + SLACK_PIXELS
-    tally[0] += surely & (distance < -needed)
+    background = clear & (distance < -needed)
+    possibly = (clear & (border >= -reach)) | ((z > -radius) & ~clear)
+    tally[0] += surely & background
     tally[1] += surely & (distance > needed)
     tally[2] += surely
-    tally[3] += (clear & (border >= -reach)) | ((z > -radius) & ~clear)
+    tally[3] += possibly
+    tally[4] += possibly & ~background
 
 
 def _insert(lowest: Floats, whose: NDArray[np.int16], value: Floats, index: np.int16) -> None:

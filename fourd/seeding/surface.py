@@ -11,7 +11,7 @@ from fourd.cameras import Array
 from fourd.seeding.hull import Silhouettes, refine, root_cells
 from fourd.seeding.silhouette import Floats, sample
 
-CANDIDATES = 1.6
+CANDIDATES = 1.3
 """Candidates for each wanted point: what thinning needs to choose from, and what projection costs."""
 
 
