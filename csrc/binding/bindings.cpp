@@ -1,11 +1,13 @@
-// The Python face of csrc: this file converts and validates, the kernels know no framework.
-#include <nanobind/nanobind.h>
-#include <omp.h>
+// The Python face of csrc: bindings convert and check shapes, the kernels know no framework.
+#include "binding/bindings.h"
 
-namespace nb = nanobind;
+#include <algorithm>
+#include <thread>
 
 NB_MODULE(_native, module) {
     module.doc() = "fourd's native kernels (internal; use fourd.raster and fourd.baking)";
-    module.def("max_threads", [] { return omp_get_max_threads(); },
+    module.def("max_threads", [] { return std::max(1u, std::thread::hardware_concurrency()); },
                "Number of threads that kernels use when the caller names none.");
+    fourd::bind_points(module);
+    fourd::bind_shade(module);
 }

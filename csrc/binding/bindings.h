@@ -1,0 +1,11 @@
+// Each kernel's folder adds its functions to the module.
+#pragma once
+
+#include <nanobind/nanobind.h>
+
+namespace fourd {
+
+void bind_points(nanobind::module_& module);
+void bind_shade(nanobind::module_& module);
+
+}  // namespace fourd

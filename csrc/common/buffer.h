@@ -1,0 +1,35 @@
+// An array that is not initialised: the kernels write every element before they read it,
+// and clearing megabytes first would cost as much as sorting them.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <type_traits>
+
+namespace fourd {
+
+template <typename T>
+class Buffer {
+    static_assert(std::is_trivially_copyable<T>::value, "elements are left uninitialised");
+
+  public:
+    Buffer() = default;
+    explicit Buffer(std::size_t size) : data_(new T[size]), size_(size) {}
+
+    // Makes room for at least size elements; what was there is lost when it must grow.
+    void require(std::size_t size) {
+        if (size > size_) *this = Buffer(size + size / 2);
+    }
+
+    T* data() { return data_.get(); }
+    const T* data() const { return data_.get(); }
+    std::size_t size() const { return size_; }
+    T& operator[](std::size_t i) { return data_[i]; }
+    const T& operator[](std::size_t i) const { return data_[i]; }
+
+  private:
+    std::unique_ptr<T[]> data_;
+    std::size_t size_ = 0;
+};
+
+}  // namespace fourd

@@ -1,0 +1,136 @@
+// Sixteen floats, one per pixel of a tile's row, on whatever vectors this file is compiled for.
+// Included by tile_kernels.inc alone, inside its namespace per instruction set; sums are taken in
+// the same order everywhere, so that every instruction set gives the same bits.
+
+#if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
+
+struct Mask {
+    __mmask16 bits;
+};
+struct Lanes {
+    __m512 value;
+};
+
+inline Lanes all_lanes(float x) { return {_mm512_set1_ps(x)}; }
+inline Lanes load(const float* p) { return {_mm512_loadu_ps(p)}; }
+inline void store(float* p, Lanes a) { _mm512_storeu_ps(p, a.value); }
+inline Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.value, b.value)}; }
+inline Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.value, b.value)}; }
+inline Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.value, b.value)}; }
+inline Lanes operator/(Lanes a, Lanes b) { return {_mm512_div_ps(a.value, b.value)}; }
+inline Lanes larger(Lanes a, Lanes b) { return {_mm512_max_ps(a.value, b.value)}; }
+inline Mask operator>(Lanes a, Lanes b) { return {_mm512_cmp_ps_mask(a.value, b.value, _CMP_GT_OQ)}; }
+inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & b.bits)}; }
+inline bool any(Mask a) { return a.bits != 0; }
+inline Lanes select(Mask m, Lanes a, Lanes b) { return {_mm512_mask_blend_ps(m.bits, b.value, a.value)}; }
+inline Lanes keep(Mask m, Lanes a) { return {_mm512_maskz_mov_ps(m.bits, a.value)}; }
+inline __m256 halved(Lanes a) {
+    return _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
+}
+inline __m256 halved_by_max(Lanes a) {
+    return _mm256_max_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
+}
+
+#else
+
+#if defined(__AVX__)
+constexpr int kNative = 8;
+#else
+constexpr int kNative = 4;
+#endif
+constexpr int kParts = 16 / kNative;
+typedef float NativeFloat __attribute__((vector_size(4 * kNative)));
+typedef std::int32_t NativeInt __attribute__((vector_size(4 * kNative)));
+
+struct Mask {
+    NativeInt part[kParts];
+};
+struct Lanes {
+    NativeFloat part[kParts];
+};
+
+#define FOURD_PER_PART(expression)                            \
+    for (int p = 0; p < kParts; ++p) out.part[p] = expression; \
+    return out
+
+inline Lanes all_lanes(float x) {
+    Lanes out;
+    FOURD_PER_PART(x - NativeFloat{});
+}
+inline Lanes load(const float* p) {
+    Lanes out;
+    std::memcpy(&out, p, sizeof out);
+    return out;
+}
+inline void store(float* p, Lanes a) { std::memcpy(p, &a, sizeof a); }
+inline Lanes operator+(Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(a.part[p] + b.part[p]);
+}
+inline Lanes operator-(Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(a.part[p] - b.part[p]);
+}
+inline Lanes operator*(Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(a.part[p] * b.part[p]);
+}
+inline Lanes operator/(Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(a.part[p] / b.part[p]);
+}
+inline Lanes larger(Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(a.part[p] > b.part[p] ? a.part[p] : b.part[p]);
+}
+inline Mask operator>(Lanes a, Lanes b) {
+    Mask out;
+    FOURD_PER_PART(a.part[p] > b.part[p]);
+}
+inline Mask operator&(Mask a, Mask b) {
+    Mask out;
+    FOURD_PER_PART(a.part[p] & b.part[p]);
+}
+inline Lanes select(Mask m, Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(m.part[p] ? a.part[p] : b.part[p]);
+}
+inline Lanes keep(Mask m, Lanes a) {
+    Lanes out;
+    FOURD_PER_PART((NativeFloat)((NativeInt)a.part[p] & m.part[p]));
+}
+inline bool any(Mask a) {
+    NativeInt all = a.part[0];
+    for (int p = 1; p < kParts; ++p) all |= a.part[p];
+#if defined(__AVX__)
+    return _mm256_movemask_ps((__m256)all) != 0;
+#elif defined(__SSE2__)
+    return _mm_movemask_ps((__m128)all) != 0;
+#else
+    std::int32_t either = 0;
+    for (int lane = 0; lane < kNative; ++lane) either |= all[lane];
+    return either != 0;
+#endif
+}
+
+#undef FOURD_PER_PART
+
+#endif
+
+// The sum and the largest of the sixteen: lane i with i + 8, then i + 4, i + 2, i + 1.
+inline float sum(Lanes a) {
+    float v[16];
+    store(v, a);
+    for (int half = 8; half > 0; half /= 2) {
+        for (int lane = 0; lane < half; ++lane) v[lane] += v[lane + half];
+    }
+    return v[0];
+}
+inline float largest(Lanes a) {
+    float v[16];
+    store(v, a);
+    for (int half = 8; half > 0; half /= 2) {
+        for (int lane = 0; lane < half; ++lane) v[lane] = v[lane] > v[lane + half] ? v[lane] : v[lane + half];
+    }
+    return v[0];
+}

@@ -1,0 +1,2 @@
+#define FOURD_SIMD baseline
+#include "points/cpu/tile_kernels.inc"

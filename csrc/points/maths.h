@@ -1,0 +1,99 @@
+// The point renderer's maths, the same for every backend. The order of operations is a contract:
+// fourd/raster/reference.py computes the same float32 numbers, so that both agree on every hit.
+//
+// Everything here is static: these functions are compiled once per instruction set, and the
+// linker must not merge a version that needs AVX-512 into code that runs everywhere.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "common/host_device.h"
+
+namespace fourd::points {
+
+// A pinhole camera: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z.
+struct Pinhole {
+    float intrinsics[9];
+    float rotation[9];
+    float translation[3];
+    int width;
+    int height;
+};
+
+// A point as its pixels see it: alpha(pixel) = density * (1 - |(u, v) - pixel|^2 * inverse_square).
+struct Splat {
+    float u, v;            // projected centre, pixels
+    float inverse_square;  // 1 / rho^2, rho the radius in pixels
+    float density;         // at most 1
+    float z;               // camera depth
+    float rho;
+    int row_first, row_last;        // rows that can hold a hit, within the image
+    int column_first, column_last;  // columns likewise
+};
+
+// Gradients of a point's pixels, summed: of alpha times (dx, dy, distance^2, falloff), and of depth.
+struct SplatGradient {
+    float dx, dy, square, falloff, z;
+};
+
+// The coordinate of a pixel's centre, whose index is exact in float32.
+FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
+
+// The indices of the pixel centres within reach of centre, clipped to [0, size); empty if first > last.
+FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
+    // A hit is decided in float32 to about 4e-7 of rho^2; the margin keeps this range a superset.
+    const double reach = static_cast<double>(rho) * (1.0 + 1e-6);
+    const double low = ceil(static_cast<double>(centre) - reach - 0.5);
+    const double high = floor(static_cast<double>(centre) + reach - 0.5);
+    *first = low > 0.0 ? (low < size ? static_cast<int>(low) : size) : 0;
+    *last = high < size - 1 ? (high > -1.0 ? static_cast<int>(high) : -1) : size - 1;
+}
+
+// Projects a point. Returns false if it is culled: nearer than near, outside the image, of no size
+// or density, or with any number that is not finite. Guards are written so that NaN fails them.
+FOURD_HD static inline bool project(const Pinhole& camera, float near, const float* xyz, float radius,
+                                    float density, Splat* out) {
+    const float largest = 3.402823466e38f;
+    const float* r = camera.rotation;
+    const float* k = camera.intrinsics;
+    const float x = r[0] * xyz[0] + r[1] * xyz[1] + r[2] * xyz[2] + camera.translation[0];
+    const float y = r[3] * xyz[0] + r[4] * xyz[1] + r[5] * xyz[2] + camera.translation[1];
+    const float z = r[6] * xyz[0] + r[7] * xyz[1] + r[8] * xyz[2] + camera.translation[2];
+    if (!(z >= near && z <= largest)) return false;
+    if (!(radius > 0.0f && radius <= largest)) return false;
+    if (!(density > 0.0f && density <= largest)) return false;
+    out->u = (k[0] * x + k[1] * y) / z + k[2];
+    out->v = (k[3] * x + k[4] * y) / z + k[5];
+    if (!(out->u >= -largest && out->u <= largest && out->v >= -largest && out->v <= largest)) return false;
+    out->rho = k[4] * radius / z;
+    out->inverse_square = 1.0f / (out->rho * out->rho);
+    if (!(out->inverse_square > 0.0f && out->inverse_square <= largest)) return false;
+    out->density = density < 1.0f ? density : 1.0f;
+    out->z = z;
+    pixel_range(out->u, out->rho, camera.width, &out->column_first, &out->column_last);
+    pixel_range(out->v, out->rho, camera.height, &out->row_first, &out->row_last);
+    return out->column_first <= out->column_last && out->row_first <= out->row_last;
+}
+
+// Carries a splat's gradient back to the point it was projected from.
+FOURD_HD static inline void project_backward(const Pinhole& camera, const Splat& splat,
+                                             const SplatGradient& sums, float density, float* grad_xyz,
+                                             float* grad_radius, float* grad_density) {
+    const float* r = camera.rotation;
+    const float* k = camera.intrinsics;
+    const float scale = -2.0f * splat.density * splat.inverse_square;
+    const float grad_u = scale * sums.dx / splat.z;
+    const float grad_v = scale * sums.dy / splat.z;
+    const float grad_rho = -scale * sums.square / splat.rho / splat.z;
+    const float x = k[0] * grad_u + k[3] * grad_v;
+    const float y = k[1] * grad_u + k[4] * grad_v;
+    const float z = sums.z - grad_u * (splat.u - k[2]) - grad_v * (splat.v - k[5]) - grad_rho * splat.rho;
+    grad_xyz[0] = r[0] * x + r[3] * y + r[6] * z;
+    grad_xyz[1] = r[1] * x + r[4] * y + r[7] * z;
+    grad_xyz[2] = r[2] * x + r[5] * y + r[8] * z;
+    *grad_radius = grad_rho * k[4];
+    *grad_density = density <= 1.0f ? sums.falloff : 0.0f;
+}
+
+}  // namespace fourd::points

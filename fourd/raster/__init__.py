@@ -1,0 +1,26 @@
+"""Differentiable renderers. Points first: :func:`render_points` and :func:`point_visibility`.
+
+torch is loaded when one of this package's names is first used, not on import, so that
+:mod:`fourd.raster.arrays` serves programs that have no use for torch.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fourd.raster.points import PointRender, point_visibility, render_points
+
+__all__ = ["PointRender", "point_visibility", "render_points"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from fourd.raster import points
+
+    return getattr(points, name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -1,0 +1,153 @@
+"""The public, differentiable point renderer for torch tensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.raster.validation import camera_numbers, check_background, check_points
+
+Backend = Literal["auto", "reference", "cpu", "cuda"]
+
+
+@dataclass(frozen=True)
+class PointRender:
+    """A rendered image.
+
+    Attributes:
+        features: (H, W, C) composited features, over the background where one was given.
+        alpha: (H, W) opacity in [0, 1].
+        depth: (H, W) mean camera depth of the composited points by their weights, in world units;
+            0 where alpha is 0.
+    """
+
+    features: Tensor
+    alpha: Tensor
+    depth: Tensor
+
+
+def render_points(
+    xyz: Tensor,
+    features: Tensor,
+    radius: Tensor,
+    density: Tensor,
+    camera: Camera,
+    *,
+    layers: int = 15,
+    near: float = 0.01,
+    background: Tensor | None = None,
+    backend: Backend = "auto",
+    transmittance_min: float = 0.0,
+    threads: int = 0,
+) -> PointRender:
+    """Composite the nearest ``layers`` points of each pixel front to back (4K4D's differentiable peeling).
+
+    With pixel centre p, point i at camera depth z_i, its projected centre q_i and its radius in
+    pixels rho_i = K[1, 1] * radius_i / z_i, alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0).
+    Those with alpha_i(p) > 0, by z and then by index, are composited over the background.
+    Gradients flow to xyz, features, radius, density and background from all three outputs; which
+    points were chosen counts as constant. The result has the same bits for any number of threads.
+
+    Args:
+        xyz: (N, 3) world positions.
+        features: (N, C) colours or other features, C from 1 to 32. Not checked: a value that is not
+            finite appears in the pixels that composite its point.
+        radius: (N,) in world units.
+        density: (N,) peak alpha in [0, 1]; more counts as 1.
+        camera: an ideal pinhole.
+        layers: K, the most points that a pixel composites.
+        near: points with camera depth below it are culled, in world units. Culled too, and given
+            zero gradients, are points with radius or density not above 0 and those of which any of
+            position, radius, density or projection is not finite.
+        background: (C,) or (H, W, C), composited with 1 - alpha; black if not given.
+        backend: "reference" (plain torch, float32 or float64, slow), "cpu" (float32), "cuda", or
+            "auto" for the kernel of the tensors' device.
+        transmittance_min: a pixel ends where less light than this passes. 0 is exact; 1e-4 saves
+            time when no gradient is wanted. The reference is always exact.
+        threads: for "cpu"; 0 means FOURD_THREADS if that is set, else torch.get_num_threads().
+
+    Raises:
+        TypeError, ValueError: naming the argument, what was expected and what came.
+        RuntimeError: where the backend is not built.
+    """
+    arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}
+    chosen = _check(arrays, camera, layers, near, backend)
+    if not 0 <= transmittance_min < 1:
+        raise ValueError(f"transmittance_min: expected 0 or more and below 1, got {transmittance_min}")
+    if background is not None:
+        check_background(background, camera, features.shape[1])
+    if chosen == "reference":
+        from fourd.raster.reference import render_points_reference
+
+        image = render_points_reference(xyz, features, radius, density, camera, layers, near)
+    else:
+        from fourd.raster import native
+
+        numbers = camera_numbers(camera)
+        size = (camera.width, camera.height)
+        image = native.render(xyz, features, radius, density, numbers, *size, layers, near, transmittance_min, threads)
+    colour, alpha, depth = image
+    if background is not None:
+        colour = colour + (1 - alpha)[..., None] * background.to(colour)
+    return PointRender(colour, alpha, depth)
+
+
+@torch.no_grad()
+def point_visibility(
+    xyz: Tensor,
+    radius: Tensor,
+    density: Tensor,
+    camera: Camera,
+    *,
+    layers: int = 15,
+    near: float = 0.01,
+    backend: Backend = "auto",
+    threads: int = 0,
+) -> Tensor:
+    """The largest weight (transmittance times alpha) that each point has in any pixel of ``camera``.
+
+    Arguments, culling and errors are those of :func:`render_points`.
+
+    Returns:
+        (N,) weights in [0, 1] of xyz's dtype, without gradient: 0 where a point is not seen.
+    """
+    chosen = _check({"xyz": xyz, "radius": radius, "density": density}, camera, layers, near, backend)
+    if chosen == "reference":
+        from fourd.raster.reference import point_visibility_reference
+
+        return point_visibility_reference(xyz, radius, density, camera, layers, near)
+    from fourd.raster import native
+
+    size = (camera.width, camera.height)
+    return native.visibility(xyz, radius, density, camera_numbers(camera), *size, layers, near, threads)
+
+
+def _check(
+    arrays: dict[str, Tensor], camera: Camera, layers: int, near: float, backend: str
+) -> Literal["reference", "cpu"]:
+    """Check the arguments and return the backend to use."""
+    for name, value in arrays.items():
+        if not isinstance(value, Tensor):
+            raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
+    if backend not in ("auto", "reference", "cpu", "cuda"):
+        raise ValueError(f"backend: expected 'auto', 'reference', 'cpu' or 'cuda', got {backend!r}")
+    if backend == "reference":
+        check_points(arrays, camera, layers, near, ("float32", "float64"))
+        return "reference"
+    check_points(arrays, camera, layers, near)
+    device = arrays["xyz"].device.type
+    if backend == "cuda" or (backend == "auto" and device == "cuda"):
+        raise RuntimeError(
+            "backend: expected one that this installation has, got 'cuda', which it was built without; "
+            "move the tensors to the CPU, or use backend='reference', which runs on any device"
+        )
+    if device != "cpu":
+        raise ValueError(
+            f"xyz: expected a tensor on the CPU for backend {backend!r}, got one on {device!r}; "
+            "backend='reference' runs on any device"
+        )
+    return "cpu"

@@ -1,0 +1,134 @@
+"""The point renderer in plain torch: slow, obvious, and what every other backend is held to.
+
+Works in float32 and float64 on any device and is differentiable by autograd. In float32 it
+computes the numbers that decide hits and order with the operations of ``csrc/points/maths.h``
+in the same order, so that the kernels agree with it on every hit, not on most.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+
+# Pixels times points that are looked at in one go; bounds the memory to some 100 MB.
+CHUNK = 1 << 23
+
+
+class Splats(NamedTuple):
+    """Points as the image sees them, (M,) each; alpha is density * (1 - distance^2 * inverse_square)."""
+
+    u: Tensor
+    v: Tensor
+    inverse_square: Tensor
+    density: Tensor
+    z: Tensor
+
+
+class Layers(NamedTuple):
+    """The chosen points of some pixels, (P, K), nearest first; where not valid, index is 0."""
+
+    index: Tensor
+    valid: Tensor
+
+
+def render_points_reference(
+    xyz: Tensor, features: Tensor, radius: Tensor, density: Tensor, camera: Camera, layers: int, near: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Render (see :func:`fourd.raster.render_points`); returns features (H, W, C), alpha and depth (H, W)."""
+    kept = _visible(xyz, radius, density, camera, near)
+    splats = _project(xyz[kept], radius[kept], density[kept], camera)
+    features = features[kept]
+    parts = [_composite(splats, features, *part)[:3] for part in _pixel_chunks(splats, camera, layers)]
+    colour, alpha, depth = (torch.cat(part) for part in zip(*parts, strict=True))
+    shape = (camera.height, camera.width)
+    return colour.reshape(*shape, -1), alpha.reshape(shape), depth.reshape(shape)
+
+
+@torch.no_grad()
+def point_visibility_reference(
+    xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, layers: int, near: float
+) -> Tensor:
+    """The largest weight each point has in any pixel (see :func:`fourd.raster.point_visibility`)."""
+    kept = _visible(xyz, radius, density, camera, near)
+    splats = _project(xyz[kept], radius[kept], density[kept], camera)
+    best = xyz.new_zeros(kept.shape[0])
+    for pixels, chosen in _pixel_chunks(splats, camera, layers):
+        weights = _composite(splats, xyz.new_zeros(kept.shape[0], 1), pixels, chosen)[3]
+        best.scatter_reduce_(0, chosen.index.reshape(-1), weights.reshape(-1), "amax")
+    return xyz.new_zeros(xyz.shape[0]).index_copy_(0, kept, best)
+
+
+@torch.no_grad()
+def _visible(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, near: float) -> Tensor:
+    """Indices of the points that are not culled, nearest first, ties by index."""
+    u, v, inverse_square, _, z = _project(xyz, radius, density, camera)
+    keep = (z >= torch.as_tensor(near, dtype=xyz.dtype)) & (radius > 0) & (density > 0) & (inverse_square > 0)
+    for value in (z, radius, density, u, v, inverse_square):
+        keep &= torch.isfinite(value)
+    index = torch.nonzero(keep)[:, 0]
+    return index[torch.argsort(z[index], stable=True)]
+
+
+def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Splats:
+    k = torch.as_tensor(camera.intrinsics.copy()).to(xyz)
+    r = torch.as_tensor(camera.rotation.copy()).to(xyz)
+    t = torch.as_tensor(camera.translation.copy()).to(xyz)
+    x, y, z = (r[i, 0] * xyz[:, 0] + r[i, 1] * xyz[:, 1] + r[i, 2] * xyz[:, 2] + t[i] for i in range(3))
+    u = (k[0, 0] * x + k[0, 1] * y) / z + k[0, 2]
+    v = (k[1, 0] * x + k[1, 1] * y) / z + k[1, 2]
+    rho = k[1, 1] * radius / z
+    return Splats(u, v, 1 / (rho * rho), density.clamp(max=1), z)
+
+
+def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
+    """Alpha at pixel centres (P, 2) of splats (P, K) or (1, M), not yet limited to 0 and more."""
+    dx = splats.u - pixels[:, :1]
+    dy = splats.v - pixels[:, 1:]
+    return splats.density * (1 - (dx * dx + dy * dy) * splats.inverse_square)
+
+
+def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Tensor, Layers]]:
+    """Pixel centres (P, 2) in reading order, and the points that each composites."""
+    rows = torch.arange(camera.height, dtype=splats.z.dtype, device=splats.z.device) + 0.5
+    columns = torch.arange(camera.width, dtype=splats.z.dtype, device=splats.z.device) + 0.5
+    pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).reshape(-1, 2)
+    return [(part, _choose(splats, part, layers)) for part in pixels.split(max(1, CHUNK // (len(splats.z) + 1)))]
+
+
+@torch.no_grad()
+def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
+    """The nearest ``layers`` points with alpha above 0 at each pixel; splats come nearest first."""
+    count = len(splats.z)
+    hit = _alpha(Splats(*(value[None] for value in splats)), pixels) > 0
+    order = torch.where(hit, torch.arange(count, device=hit.device), count)
+    index = order.topk(min(layers, count), dim=1, largest=False, sorted=True).values
+    valid = index < count
+    return Layers(torch.where(valid, index, 0), valid)
+
+
+def _composite(
+    splats: Splats, features: Tensor, pixels: Tensor, chosen: Layers
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
+    local = Splats(*(value[chosen.index] for value in splats))
+    alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
+    zero = pixels[:, 0] * 0
+    transmittance, total, depth, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
+    weights = []
+    for k in range(alphas.shape[1]):
+        valid = chosen.valid[:, k]
+        weight = transmittance * alphas[:, k]
+        layer = torch.where(valid[:, None], features[chosen.index[:, k]], 0)
+        colour = colour + weight[:, None] * layer
+        total = total + weight
+        depth = depth + weight * torch.where(valid, local.z[:, k], 0)
+        transmittance = transmittance * (1 - alphas[:, k])
+        weights.append(weight)
+    alpha = 1 - transmittance
+    seen = alpha > 0
+    depth = torch.where(seen, depth / torch.where(seen, total, 1), 0)
+    return colour, alpha, depth, torch.stack(weights, dim=1) if weights else alphas
