@@ -1,0 +1,255 @@
+"""LPIPS, the learned perceptual distance (Zhang et al. 2018), version 0.1 on VGG-16.
+
+The network is written out here, since torchvision has no build for every machine; the weights come
+from files that the user has: torchvision's VGG-16 and the linear heads of the ``lpips`` package.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from pickle import UnpicklingError  # what torch.load raises for a file that would run code
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+from torch.nn import functional
+
+from fourd.errors import UserError
+
+# Channels of VGG-16's convolutions; a pooling lies between the groups.
+GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
+# The ImageNet mean and deviation that the heads were fitted with, for inputs in [-1, 1].
+SHIFT = (-0.030, -0.088, -0.188)
+SCALE = (0.458, 0.448, 0.450)
+# Four poolings leave nothing of a side below 16 pixels.
+SMALLEST_SIDE = 16
+SUFFIXES = (".pth", ".pt", ".safetensors")
+VGG_NAME = "vgg16-397923af.pth"
+
+# torchvision's names, or those of a whole network saved from the lpips package.
+_FEATURE_KEY = re.compile(r"(?:features|net\.slice[1-5])\.(\d+)\.(weight|bias)")
+_HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
+
+
+class LPIPS(nn.Module):
+    """Perceptual distance of images; 0 for equal ones, near 1 for very different ones.
+
+    All weights are frozen; gradients flow to the images.
+    """
+
+    shift: Tensor
+    scale: Tensor
+
+    def __init__(self, weights: Mapping[str, Tensor]) -> None:
+        """``weights`` holds exactly the names and shapes of :func:`expected_shapes`."""
+        super().__init__()
+        stages: list[nn.Module] = []
+        inputs = 3
+        for group, widths in enumerate(GROUPS):
+            layers: list[nn.Module] = [] if group == 0 else [nn.MaxPool2d(2)]
+            for width in widths:
+                layers += [nn.Conv2d(inputs, width, 3, padding=1), nn.ReLU(inplace=True)]
+                inputs = width
+            stages.append(nn.Sequential(*layers))
+        self.stages = nn.ModuleList(stages)
+        self.heads = nn.ParameterList([weights[f"lin{group}"] for group in range(len(GROUPS))])
+        self.register_buffer("shift", torch.tensor(SHIFT)[:, None, None])
+        self.register_buffer("scale", torch.tensor(SCALE)[:, None, None])
+        convolutions = [layer for layer in self.stages.modules() if isinstance(layer, nn.Conv2d)]
+        with torch.no_grad():
+            for number, layer in zip(_feature_numbers(), convolutions, strict=True):
+                assert layer.bias is not None
+                layer.weight.copy_(weights[f"features.{number}.weight"])
+                layer.bias.copy_(weights[f"features.{number}.bias"])
+        self.requires_grad_(False)
+        self.eval()
+
+    def forward(self, prediction: Tensor, target: Tensor) -> Tensor:
+        """The distance of two images, or of two batches pair by pair.
+
+        Args:
+            prediction, target: both (H, W, 3) or both (B, 3, H, W), floating point in [0, 1]. Sides
+                below 16 pixels, for which the published network has no value, are extended by their
+                border pixels to 16.
+
+        Returns:
+            A scalar for (H, W, 3), (B,) for batches.
+
+        Raises:
+            ValueError: shapes differ or are neither of these.
+        """
+        if prediction.shape != target.shape:
+            raise ValueError(f"target: expected the prediction's shape {tuple(prediction.shape)}, got {target.shape}")
+        single = prediction.ndim == 3
+        first, second = self._features(_batch(prediction)), self._features(_batch(target))
+        distance = torch.zeros((), device=self.heads[0].device)
+        for head, a, b in zip(self.heads, first, second, strict=True):
+            difference = (_unit(a) - _unit(b)).square()
+            distance = distance + functional.conv2d(difference, head).mean(dim=(1, 2, 3))
+        return distance[0] if single else distance
+
+    def _features(self, images: Tensor) -> list[Tensor]:
+        """relu1_2, relu2_2, relu3_3, relu4_3 and relu5_3 of images (B, 3, H, W) in [0, 1]."""
+        right, bottom = (max(SMALLEST_SIDE - side, 0) for side in (images.shape[3], images.shape[2]))
+        if right or bottom:
+            images = functional.pad(images, (0, right, 0, bottom), mode="replicate")
+        features = (2 * images.to(self.heads[0].dtype) - 1 - self.shift) / self.scale
+        found = []
+        for stage in self.stages:
+            features = stage(features)
+            found.append(features)
+        return found
+
+
+def load_lpips(path: Path | None) -> LPIPS | None:
+    """LPIPS with weights from files; nothing is downloaded and no code in a file is run.
+
+    Args:
+        path: a file (.pth, .pt or .safetensors), or a folder with such files named ``vgg16*``, ``vgg.*``
+            or ``*lpips*``. They hold VGG-16 by torchvision's names (``features.0.weight``), the heads by
+            the lpips package's (``lin0.model.1.weight``), or both; the half that is not in ``path`` is
+            taken from the usual places. None looks in the usual places alone: torch.hub's
+            ``checkpoints/vgg16-397923af.pth`` and the heads in the installed lpips or torchmetrics.
+
+    Returns:
+        The network on the CPU, or None when ``path`` is None and a half is nowhere.
+
+    Raises:
+        UserError: ``path`` is missing, a file cannot be read, or names or shapes are not VGG-16's.
+    """
+    files = [] if path is None else _files_of(path)
+    weights: dict[str, Tensor] = {}
+    for file in files:
+        weights.update(_read(file))
+    for prefix, places in (("features.", _usual_features()), ("lin", _usual_heads())):
+        usual = next((place for place in places if place.is_file()), None)
+        if usual is not None and not any(name.startswith(prefix) for name in weights):
+            weights.update(_read(usual))
+    absent = [name for name in expected_shapes() if name not in weights]
+    if not absent:
+        return LPIPS(weights)
+    if path is None:
+        return None
+    raise UserError(
+        f"{path}: expected the weights of VGG-16 (features.N.weight) and of LPIPS's heads (linN.model.1.weight), "
+        f"got none for {_named(absent)}; put {VGG_NAME} and the lpips package's weights/v0.1/vgg.pth in one folder "
+        f"and name it with --lpips-weights"
+    )
+
+
+def expected_shapes() -> dict[str, tuple[int, ...]]:
+    """Names and shapes of all weights: ``features.N.weight|bias`` by torchvision's numbers, ``linN``."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    inputs = 3
+    widths = [width for group in GROUPS for width in group]
+    for number, width in zip(_feature_numbers(), widths, strict=True):
+        shapes[f"features.{number}.weight"] = (width, inputs, 3, 3)
+        shapes[f"features.{number}.bias"] = (width,)
+        inputs = width
+    shapes.update({f"lin{group}": (1, channels[-1], 1, 1) for group, channels in enumerate(GROUPS)})
+    return shapes
+
+
+def _feature_numbers() -> list[int]:
+    """torchvision's numbers of the convolutions: each is followed by a ReLU, each group by a pooling."""
+    numbers, number = [], 0
+    for group in GROUPS:
+        numbers += [number + 2 * index for index in range(len(group))]
+        number += 2 * len(group) + 1
+    return numbers
+
+
+def _files_of(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise UserError(f"{path}: expected a file or folder with weights, got none; mend --lpips-weights")
+    names = [entry for entry in sorted(path.iterdir()) if entry.is_file() and entry.suffix in SUFFIXES]
+    files = [file for file in names if re.fullmatch(r"vgg16(?!_?bn).*|vgg|.*lpips.*", file.stem.lower())]
+    if not files:
+        raise UserError(
+            f"{path}: expected files named vgg16*, vgg.* or *lpips* ({', '.join(SUFFIXES)}), got none; "
+            f"name the files with the weights by --lpips-weights"
+        )
+    return files
+
+
+def _usual_features() -> list[Path]:
+    return [Path(torch.hub.get_dir()) / "checkpoints" / VGG_NAME]
+
+
+def _usual_heads() -> list[Path]:
+    """The heads in installed packages, which are found without importing them."""
+    inside = {"lpips": "weights/v0.1/vgg.pth", "torchmetrics": "functional/image/lpips_models/vgg.pth"}
+    specs = [(importlib.util.find_spec(package), rest) for package, rest in inside.items()]
+    return [Path(spec.origin).parent / rest for spec, rest in specs if spec is not None and spec.origin]
+
+
+def _read(file: Path) -> dict[str, Tensor]:
+    """The weights that LPIPS needs out of a file, as float32 under our names, shapes checked."""
+    shapes = expected_shapes()
+    found: dict[str, Tensor] = {}
+    for key, value in _load(file).items():
+        name = _our_name(key)
+        if name is None:
+            continue
+        shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+        if shape != shapes.get(name):
+            raise UserError(
+                f"{file}: expected the shape {shapes.get(name, 'of no such layer')} for '{key}', got {shape}; "
+                f"name weights of VGG-16 (not of another network) with --lpips-weights"
+            )
+        # A copy lets go of the file's other 470 MB, the classifier.
+        found[name] = value.detach().to(torch.float32, copy=True)
+    if not found:
+        raise UserError(
+            f"{file}: expected names like features.0.weight or lin0.model.1.weight, got none; "
+            f"name torchvision's VGG-16 or LPIPS's heads with --lpips-weights"
+        )
+    return found
+
+
+def _load(file: Path) -> Mapping[str, Tensor]:
+    try:
+        if file.suffix == ".safetensors":
+            return load_file(file)
+        content = torch.load(file, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(file))
+    except (OSError, SafetensorError, RuntimeError, EOFError, ValueError, UnpicklingError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise UserError(f"{file}: expected a file of tensors, got '{reason}'; fetch the file again") from error
+    if not isinstance(content, Mapping):
+        raise UserError(
+            f"{file}: expected a state dict of tensors, got {type(content).__name__}; save the network's state_dict()"
+        )
+    return content
+
+
+def _our_name(key: str) -> str | None:
+    if match := _FEATURE_KEY.fullmatch(key):
+        return f"features.{match[1]}.{match[2]}"
+    if match := _HEAD_KEY.fullmatch(key):
+        return f"lin{match[1]}"
+    return None
+
+
+def _batch(images: Tensor) -> Tensor:
+    if images.ndim == 3 and images.shape[2] == 3:
+        return images.permute(2, 0, 1)[None]
+    if images.ndim == 4 and images.shape[1] == 3:
+        return images
+    raise ValueError(f"prediction: expected (H, W, 3) or (B, 3, H, W), got {tuple(images.shape)}")
+
+
+def _unit(features: Tensor) -> Tensor:
+    """Unit length over channels; the clamp keeps the root's gradient finite where all channels are 0."""
+    length = features.square().sum(dim=1, keepdim=True).clamp_min(1e-20).sqrt()
+    return features / (length + 1e-10)
+
+
+def _named(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
