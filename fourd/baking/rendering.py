@@ -99,7 +99,7 @@ class Scene:
         Args:
             layers: points composited in a pixel; None for the manifest's.
             background: (3,) colour in [0, 1] behind the points; None for black.
-            threads: 0 for all cores.
+            threads: 0 for FOURD_THREADS if that is set, else one a core.
         """
         baked = self.frame(frame)
         rgb, alpha, depth = render_points_numpy(

@@ -6,7 +6,6 @@ NumPy, and what the kernel is held to.
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
 from types import ModuleType
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera, nearest_views
+from fourd.raster.validation import thread_count
 
 _CHUNK = 1 << 15
 
@@ -28,7 +28,7 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
 
     Args:
         frame: finite, as :class:`fourd.baking.container.SceneReader` guarantees.
-        threads: of the native kernel; 0 for all cores.
+        threads: of the native kernel; 0 for FOURD_THREADS if that is set, else one a core.
     """
     chosen = chosen_views(camera, manifest)
     native = _native()
@@ -43,7 +43,7 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
         np.ascontiguousarray(camera.centre),
         manifest.sh_range,
         manifest.sh_base,
-        threads or os.cpu_count() or 1,
+        thread_count(threads),
     )
 
 

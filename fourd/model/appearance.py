@@ -10,6 +10,7 @@ from fourd.model.config import ModelConfig
 from fourd.model.harmonics import SH_TERMS, sh_basis
 
 LOGIT_RANGE = 5.0
+LEAST_TRUST = 1e-4
 
 
 class ImageEncoder(nn.Module):
@@ -99,7 +100,7 @@ def blend(logits: Tensor, trust: Tensor, colours: Tensor) -> Tensor:
     Returns:
         (N, 3). Where no view is trusted, the plain softmax decides.
     """
-    weights = torch.softmax(logits, dim=0) * (trust + 1e-4)
+    weights = torch.softmax(logits, dim=0) * (trust + LEAST_TRUST)
     return (weights[..., None] * colours).sum(0) / weights.sum(0)[:, None]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
+from fourd.raster.loading import native
 from fourd.raster.validation import (
     camera_numbers,
     check_background,
@@ -42,15 +43,13 @@ def render_points_numpy(
     Raises:
         TypeError, ValueError: naming the argument, what was expected and what came.
     """
-    from fourd import _native
-
     arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}
     check_points(arrays, camera, layers, near)
     if not 0 <= transmittance_min < 1:
         raise ValueError(f"transmittance_min: expected 0 or more and below 1, got {transmittance_min}")
     shape = (camera.height, camera.width)
     out = np.empty((*shape, features.shape[1]), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _native.render_points(
+    native().render_points(
         *map(np.ascontiguousarray, arrays.values()),
         camera_numbers(camera),
         layers,
@@ -78,13 +77,11 @@ def point_visibility_numpy(
     threads: int = 0,
 ) -> Floats:
     """(N,) float32 weights as :func:`fourd.raster.point_visibility` gives them (same arguments)."""
-    from fourd import _native
-
     arrays: dict[str, Any] = {"xyz": xyz, "radius": radius, "density": density}
     check_points(arrays, camera, layers, near)
     out = np.empty(radius.shape, np.float32)
     size = (camera.width, camera.height)
-    _native.point_visibility(
+    native().point_visibility(
         *map(np.ascontiguousarray, arrays.values()),
         camera_numbers(camera),
         *size,

@@ -11,13 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fourd.raster.loading import native
 from fourd.raster.validation import simd_name, thread_count
-
-
-def _native() -> Any:
-    from fourd import _native
-
-    return _native
 
 
 def _array(tensor: Tensor) -> Any:
@@ -42,7 +37,7 @@ def render(
     out = _empty_image(features, width, height)
     arrays = [_array(tensor) for tensor in (xyz, features, radius, density)]
     count = thread_count(threads, torch.get_num_threads())
-    _native().render_points(*arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(_array, out))
+    native().render_points(*arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(_array, out))
     return out
 
 
@@ -80,7 +75,7 @@ def render_backward(
     """Gradients of xyz, features, radius and density from those of the image."""
     inputs = (xyz, features, radius, density)
     out = _empty_cloud(*inputs)
-    _native().render_points_backward(
+    native().render_points_backward(
         *map(_array, inputs),
         camera,
         layers,
@@ -154,7 +149,7 @@ def visibility(
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
     count = thread_count(threads, torch.get_num_threads())
     arrays = [_array(tensor) for tensor in (xyz, radius, density)]
-    _native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), _array(out))
+    native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), _array(out))
     return out
 
 

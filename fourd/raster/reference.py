@@ -29,9 +29,9 @@ class Splats(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """The chosen points of some pixels, (P, K), nearest first; where not valid, index is 0."""
+    """The chosen points of some pixels, (P, K), nearest first; where not valid, splat is 0."""
 
-    index: Tensor
+    splat: Tensor
     valid: Tensor
 
 
@@ -58,7 +58,7 @@ def point_visibility_reference(
     best = xyz.new_zeros(kept.shape[0])
     for pixels, chosen in _pixel_chunks(splats, camera, layers):
         weights = _composite(splats, xyz.new_zeros(kept.shape[0], 1), pixels, chosen)[3]
-        best.scatter_reduce_(0, chosen.index.reshape(-1), weights.reshape(-1), "amax")
+        best.scatter_reduce_(0, chosen.splat.reshape(-1), weights.reshape(-1), "amax")
     return xyz.new_zeros(xyz.shape[0]).index_copy_(0, kept, best)
 
 
@@ -114,21 +114,24 @@ def _composite(
     splats: Splats, features: Tensor, pixels: Tensor, chosen: Layers
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
-    local = Splats(*(value[chosen.index] for value in splats))
+    local = Splats(*(value[chosen.splat] for value in splats))
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
-    transmittance, total, depth, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
+    transmittance, total, behind, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
+    # Depths are averaged relative to the nearest, which counts as constant: the mean and its gradient
+    # are the same, and a pixel with one layer has no rounding error that a small weight would magnify.
+    nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):
         valid = chosen.valid[:, k]
         weight = transmittance * alphas[:, k]
-        layer = torch.where(valid[:, None], features[chosen.index[:, k]], 0)
+        layer = torch.where(valid[:, None], features[chosen.splat[:, k]], 0)
         colour = colour + weight[:, None] * layer
         total = total + weight
-        depth = depth + weight * torch.where(valid, local.z[:, k], 0)
+        behind = behind + weight * torch.where(valid, local.z[:, k] - nearest, 0)
         transmittance = transmittance * (1 - alphas[:, k])
         weights.append(weight)
     alpha = 1 - transmittance
     seen = alpha > 0
-    depth = torch.where(seen, depth / torch.where(seen, total, 1), 0)
+    depth = torch.where(seen, nearest + behind / torch.where(seen, total, 1), 0)
     return colour, alpha, depth, torch.stack(weights, dim=1) if weights else alphas

@@ -210,10 +210,9 @@ def _count_verdict(view: SilhouetteView, cells: Floats, radius: np.float32, tall
     borders cut: no view sees all of them, yet what is seen is background.
     """
     x, y, z = view.project(cells)
-    height, width = view.distance.shape
     clear = z > radius * np.float32(1.001)
     reach = np.float32(view.reach) * radius / np.where(clear, z - radius, np.float32(np.inf))
-    border = np.minimum(np.minimum(x, width - x), np.minimum(y, height - y))
+    border = view.border(x, y)
     surely = clear & (border >= reach)
     distance = sample(view.distance, x, y, cv2.INTER_LINEAR)
     needed = reach * SLACK_SHARE + SLACK_PIXELS

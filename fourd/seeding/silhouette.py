@@ -16,22 +16,32 @@ ROW = 4096
 """Samples in a row of the maps given to OpenCV's remap, which takes no side beyond 32,767."""
 
 
+LONGEST_SIDE = 1024
+"""Pixels; the part of a matte about the object is reduced to it, which bounds the memory of large captures."""
+
+
 @dataclass(frozen=True, eq=False)
 class SilhouetteView:
     """One matte with its camera, relative to an origin.
+
+    Pixels are those of the distance image: the part of the matte about the object, reduced
+    where it is large.
 
     Attributes:
         matrix: (3, 3) float32 K R.
         offset: (3,) float32, the projection of the origin.
         focal: geometric mean of the focal lengths, pixels.
         reach: largest pixel displacement of a unit displacement at unit depth inside the image.
-        distance: (H, W) float32 signed distance to the silhouette in pixels, positive inside.
+        frame: the whole image's left, top, right and bottom, pixels.
+        distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside.
+            Beyond its border, the nearest value is a lower bound of the distance outside.
     """
 
     matrix: Floats
     offset: Floats
     focal: float
     reach: float
+    frame: tuple[float, float, float, float]
     distance: Floats
 
     @staticmethod
@@ -43,18 +53,23 @@ class SilhouetteView:
         """
         if mask.shape != (camera.height, camera.width):
             raise ValueError(f"mask: expected shape {(camera.height, camera.width)} as the camera, got {mask.shape}")
-        k = camera.intrinsics
-        matrix = k @ camera.rotation
-        offset = k @ (camera.rotation @ origin + camera.translation)
-        corners = np.array([[0, 0], [camera.width, 0], [0, camera.height], [camera.width, camera.height]])
-        tangents = (corners - k[:2, 2]) / (k[0, 0], k[1, 1])
-        steepest = float(np.sqrt(1 + (tangents**2).sum(axis=1).max()))
+        left, top, width, height = _crop(mask)
+        part: NDArray[np.uint8] = mask[top : top + height, left : left + width]
+        close = camera.cropped(left, top, width, height).scaled(min(1.0, LONGEST_SIDE / max(width, height)))
+        if (close.width, close.height) != (width, height):
+            part = np.asarray(cv2.resize(part, (close.width, close.height), interpolation=cv2.INTER_AREA), np.uint8)
+        zoom_x, zoom_y = close.width / width, close.height / height
+        k = close.intrinsics
+        frame = (-left * zoom_x, -top * zoom_y, (camera.width - left) * zoom_x, (camera.height - top) * zoom_y)
+        tangents = (np.array([frame[:2], frame[2:]]) - k[:2, 2]) / (k[0, 0], k[1, 1])
+        steepest = float(np.sqrt(1 + (tangents**2).max(axis=0).sum()))
         return SilhouetteView(
-            matrix.astype(np.float32),
-            offset.astype(np.float32),
+            (k @ camera.rotation).astype(np.float32),
+            (k @ (camera.rotation @ origin + camera.translation)).astype(np.float32),
             float(np.sqrt(k[0, 0] * k[1, 1])),
             float(max(k[0, 0], k[1, 1])) * steepest,
-            signed_distance(mask),
+            frame,
+            signed_distance(part),
         )
 
     def project(self, xyz: Floats) -> tuple[Floats, Floats, Floats]:
@@ -67,19 +82,38 @@ class SilhouetteView:
 
     def sees(self, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
         """Which projected points fall into the image, in front of the camera."""
-        height, width = self.distance.shape
-        return (z > 0) & (x >= 0) & (x <= width) & (y >= 0) & (y <= height)
+        left, top, right, bottom = self.frame
+        return (z > 0) & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+
+    def border(self, x: Floats, y: Floats) -> Floats:
+        """Distance (N,) of pixels to the image's nearest border, negative outside."""
+        left, top, right, bottom = (np.float32(side) for side in self.frame)
+        return np.minimum(np.minimum(x - left, right - x), np.minimum(y - top, bottom - y))
+
+
+def _crop(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the object's box in ``mask`` with a wide margin, within the image.
+
+    The margin, a sixteenth of the image, lets coarse cells be judged beside the object.
+    """
+    left, top, width, height = cv2.boundingRect((mask >= 128).view(np.uint8))
+    if width == 0:
+        return 0, 0, 1, 1
+    margin = 8 + max(mask.shape) // 16
+    right, bottom = min(mask.shape[1], left + width + margin), min(mask.shape[0], top + height + margin)
+    left, top = max(0, left - margin), max(0, top - margin)
+    return left, top, right - left, bottom - top
 
 
 def signed_distance(mask: NDArray[np.uint8]) -> Floats:
     """Signed distance (H, W) float32 in pixels to where a soft matte (H, W) uint8 crosses one half.
 
     Pixels beside the crossing hold ``matte - 0.5``, so that bilinear samples cross zero where
-    the matte's do. The image's border is no silhouette. A matte that is empty or full gets
-    the image's diagonal everywhere.
+    the matte's do. The image's border is no silhouette. A matte that is empty or full is
+    65,536 pixels away from it everywhere.
     """
     inside = (mask >= 128).astype(np.uint8)
-    far = float(np.hypot(*mask.shape))
+    far = float(1 << 16)
     if not inside.any():
         return np.full(mask.shape, -far, dtype=np.float32)
     if inside.all():

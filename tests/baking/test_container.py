@@ -1,0 +1,322 @@
+"""The `.4dv` file: what is written is read, and nothing hostile gets further than a clear line."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import struct
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fourd.baking import SceneReader, SceneWriter
+from fourd.baking.scene import ATTRIBUTES
+from fourd.errors import UserError
+from tests.baking.scenes import manifest, random_frame, write_scene
+
+Rewrite = Callable[[dict[str, bytes]], None]
+
+
+def rewritten(path: Path, change: Rewrite, compression: int = zipfile.ZIP_STORED) -> Path:
+    """A copy of the scene with its members changed by ``change``."""
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    change(members)
+    out = path.with_name("changed.4dv")
+    with zipfile.ZipFile(out, "w", compression) as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return out
+
+
+def with_manifest(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
+    """A copy of the scene with its manifest changed; NaN is written as Python writes it."""
+
+    def rewrite(members: dict[str, bytes]) -> None:
+        content = json.loads(members["manifest.json"])
+        change(content)
+        members["manifest.json"] = json.dumps(content).encode()
+
+    return rewritten(path, rewrite)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.4dv"
+    write_scene(path)
+    return path
+
+
+def test_frames_and_manifest_come_back_as_written(tmp_path: Path) -> None:
+    """Catches swapped attributes, byte order, and frames of different point counts mixed up."""
+    path = tmp_path / "new folder" / "scene.4dv"
+    written = write_scene(path)
+    reader = SceneReader(path)
+    for index, frame in enumerate(written):
+        again = reader.read(index)
+        for attribute in ATTRIBUTES:
+            np.testing.assert_array_equal(getattr(again, attribute.name), getattr(frame, attribute.name))
+    expected, got = manifest(), reader.manifest
+    assert got.points == (200, 201, 202)
+    assert (got.names, got.frame_numbers) == (expected.names, expected.frame_numbers)
+    assert (got.fps, got.focus, got.bounds, got.kind) == (24.0, expected.focus, expected.bounds, "object")
+    for before, after in zip(expected.cameras, got.cameras, strict=True):
+        np.testing.assert_array_equal(before.intrinsics, after.intrinsics)
+        np.testing.assert_array_equal(before.rotation, after.rotation)
+        np.testing.assert_array_equal(before.translation, after.translation)
+
+
+def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
+    """Catches clocks and hash order in the file."""
+    write_scene(tmp_path / "a.4dv")
+    write_scene(tmp_path / "b.4dv")
+    assert (tmp_path / "a.4dv").read_bytes() == (tmp_path / "b.4dv").read_bytes()
+
+
+def test_members_lie_in_the_file_as_they_are(scene: Path) -> None:
+    """Catches compression or a wrapper: a range request must give the raw array."""
+    frame = SceneReader(scene).read(1)
+    with zipfile.ZipFile(scene) as archive:
+        info = archive.getinfo("frames/000001/xyz")
+    content = scene.read_bytes()
+    name, extra = struct.unpack("<HH", content[info.header_offset + 26 : info.header_offset + 30])
+    begin = info.header_offset + 30 + name + extra
+    assert content[begin : begin + info.file_size] == frame.xyz.astype("<f4").tobytes()
+
+
+def test_a_frame_without_points_is_a_frame(tmp_path: Path) -> None:
+    """Catches the empty hull of a frame in which nobody is on the stage."""
+    path = tmp_path / "empty.4dv"
+    with SceneWriter(path, manifest(views=0, frames=1)) as writer:
+        writer.add_frame(0, random_frame(0, 0, seed=0))
+    assert SceneReader(path).read(0).point_count == 0
+
+
+def test_an_exception_leaves_the_old_file_and_no_rest(scene: Path) -> None:
+    """Catches a writer that truncates the scene it is about to replace."""
+    before = scene.read_bytes()
+    with pytest.raises(KeyboardInterrupt), SceneWriter(scene, manifest()) as writer:
+        writer.add_frame(0, random_frame(5, 6, seed=0))
+        raise KeyboardInterrupt
+    assert scene.read_bytes() == before
+    assert os.listdir(scene.parent) == [scene.name]
+
+
+def test_too_few_frames_make_no_file(tmp_path: Path) -> None:
+    path = tmp_path / "scene.4dv"
+    with pytest.raises(ValueError, match="expected 3 frames, got 1"), SceneWriter(path, manifest()) as writer:
+        writer.add_frame(0, random_frame(5, 6, seed=0))
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_full_disk_is_said_in_one_line(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a traceback, and a half scene, when space runs out."""
+    before = scene.read_bytes()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with pytest.raises(UserError, match="the disk is full; free some space"), SceneWriter(scene, manifest()) as writer:
+        monkeypatch.setattr(zipfile.ZipFile, "writestr", full)
+        writer.add_frame(0, random_frame(5, 6, seed=0))
+    assert scene.read_bytes() == before
+    assert os.listdir(scene.parent) == [scene.name]
+
+
+@pytest.mark.parametrize("name", ["xyz", "radius", "density", "sh", "blend_weights"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_the_writer_takes_no_poison(tmp_path: Path, name: str, value: float) -> None:
+    """Catches NaN that would reach every viewer of the scene."""
+    if value == -1 and name in ("xyz", "sh"):
+        pytest.skip("these may be negative")
+    frame = random_frame(5, 6, seed=0)
+    getattr(frame, name).flat[3] = value
+    with pytest.raises(ValueError, match=f"frame 0, {name}"), SceneWriter(tmp_path / "a.4dv", manifest()) as writer:
+        writer.add_frame(0, frame)
+
+
+def test_frames_come_in_order(tmp_path: Path) -> None:
+    with (
+        pytest.raises(ValueError, match="expected frame 0 of 3, got 1"),
+        SceneWriter(tmp_path / "a.4dv", manifest()) as writer,
+    ):
+        writer.add_frame(1, random_frame(5, 6, seed=0))
+
+
+@pytest.mark.parametrize("kept", [0, 1, 100, 0.5, -1])
+def test_a_scene_cut_short(scene: Path, kept: float) -> None:
+    """Catches a partial download that opens and fails later, or with a traceback."""
+    content = scene.read_bytes()
+    scene.write_bytes(content[: int(kept * len(content)) if kept == 0.5 else int(kept)])
+    with pytest.raises(UserError, match=r"scene\.4dv: expected a whole \.4dv scene.*copy or export it again"):
+        SceneReader(scene)
+
+
+def test_flipped_bytes_are_noticed(scene: Path) -> None:
+    """Catches a reader that skips the checksums."""
+    content = bytearray(scene.read_bytes())
+    content[200] ^= 0xFF
+    scene.write_bytes(bytes(content))
+    with pytest.raises(UserError, match="expected a whole member frames/000000/xyz"):
+        SceneReader(scene).read(0)
+
+
+def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> None:
+    """Catches exceptions of zipfile, json and struct that nobody thought of: random bytes anywhere."""
+    content = scene.read_bytes()
+    tail = len(content) - 4000
+    for _ in range(300):
+        damaged = bytearray(content)
+        for at in rng.integers(tail, len(content), 3):
+            damaged[at] = int(rng.integers(0, 256))
+        scene.write_bytes(bytes(damaged))
+        complaint = _complaint(scene)
+        assert "\n" not in complaint
+
+
+def _complaint(scene: Path) -> str:
+    try:
+        reader = SceneReader(scene)
+        for index in range(reader.manifest.frame_count):
+            reader.read(index)
+    except UserError as error:
+        return str(error)
+    return ""
+
+
+def test_places_that_are_no_scene(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="got a folder"):
+        SceneReader(tmp_path)
+    with pytest.raises(UserError, match="got nothing there"):
+        SceneReader(tmp_path / "none.4dv")
+    other = tmp_path / "other.zip"
+    with zipfile.ZipFile(other, "w") as archive:
+        archive.writestr("hello.txt", "hello")
+    with pytest.raises(UserError, match=r"expected a scene with manifest\.json, got a ZIP without it"):
+        SceneReader(other)
+
+
+def test_a_newer_version_says_so(scene: Path) -> None:
+    path = with_manifest(scene, lambda content: content.update(version=2))
+    with pytest.raises(UserError, match="format version 1 or older, got 2; update fourd"):
+        SceneReader(path)
+
+
+def _set(*keys: str | int, to: object) -> Callable[[dict[str, Any]], None]:
+    def change(content: Any) -> None:
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = to
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (_set("format", to="other"), 'expected format "fourd-scene", got "other"'),
+        (_set("version", to="1"), "version: expected a whole number"),
+        (_set("version", to=True), "version: expected a whole number"),
+        (_set("fps", to=float("nan")), "fps: expected a number from 0.001"),
+        (_set("fps", to=0), "fps: expected a number from 0.001"),
+        (_set("layers", to=0), "layers: expected a whole number from 1"),
+        (_set("layers", to=10**400), "layers: expected a whole number from 1"),
+        (_set("kind", to="thing"), 'kind: expected "object" or "full"'),
+        (_set("focus", to=[0, 0]), "focus: expected 3 finite numbers"),
+        (_set("focus", to=[0, 0, float("inf")]), "focus: expected 3 finite numbers"),
+        (_set("bounds", "lower", to=[5, 5, 5]), "bounds: expected lower below upper"),
+        (_set("bounds", to=7), "bounds: expected a JSON object, got 7"),
+        (_set("frames", to={}), "frames: expected a list"),
+        (_set("frames", 0, "points", to=-1), r"frames\[0\], points: expected a whole number from 0"),
+        (_set("frames", 0, "points", to=10**12), r"frames\[0\], points: expected a whole number from 0"),
+        (_set("frames", 0, "points", to=201), "2412 bytes in frames/000000/xyz by the manifest, got 2400"),
+        (_set("attributes", "xyz", "dtype", to="<f8"), 'xyz, dtype: expected "<f4"'),
+        (_set("attributes", "sh", "shape", to=["points", 3, 9]), "sh, shape: expected"),
+        (_set("source_views", 1, "name", to="00"), "expected no name twice"),
+        (_set("source_views", 1, "name", to="a\nb"), "name: expected printable text"),
+        (
+            _set("source_views", 0, "rotation", to=[[2, 0, 0], [0, 1, 0], [0, 0, 1]]),
+            "rotation: expected an orthonormal",
+        ),
+        (_set("source_views", 0, "rotation", 0, 0, to=float("nan")), "rotation, row: expected 3 finite numbers"),
+        (_set("source_views", 0, "intrinsics", 0, 0, to=-5), "intrinsics: expected positive focal"),
+        (_set("source_views", 0, "translation", to=["a", 0, 0]), "translation: expected 3 finite numbers"),
+        (lambda content: content.pop("focus"), 'expected a key "focus", got none'),
+        (lambda content: content["source_views"].pop(), "bytes in frames/000000/blend_weights"),
+    ],
+)
+def test_a_manifest_that_lies(scene: Path, change: Callable[[dict[str, Any]], None], words: str) -> None:
+    """Catches a field that is used before it is checked."""
+    with pytest.raises(UserError, match=words) as caught:
+        SceneReader(with_manifest(scene, change))
+    assert "changed.4dv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", [b"", b"[]", b"{", b"\xff\xfe", b"[" * 100_000])
+def test_a_manifest_that_is_no_json(scene: Path, text: bytes) -> None:
+    """Catches uncaught decoding errors and the recursion of nested brackets."""
+    path = rewritten(scene, lambda members: members.update({"manifest.json": text}))
+    with pytest.raises(UserError, match=r"manifest\.json: expected"):
+        SceneReader(path)
+
+
+@pytest.mark.parametrize("name", ["../evil", "/etc/passwd", "a\\..\\b", "frames/../../x", "c:x"])
+def test_member_names_stay_inside(scene: Path, name: str) -> None:
+    path = rewritten(scene, lambda members: members.update({name: b"x"}))
+    with pytest.raises(UserError, match="expected member names inside the archive"):
+        SceneReader(path)
+
+
+def test_a_missing_member(scene: Path) -> None:
+    def drop(members: dict[str, bytes]) -> None:
+        del members["frames/000002/rgb"]
+
+    with pytest.raises(UserError, match="expected a member frames/000002/rgb, got none"):
+        SceneReader(rewritten(scene, drop))
+
+
+def test_compressed_members_are_refused(scene: Path) -> None:
+    """Catches zip bombs: a small file that unpacks to gigabytes."""
+    with pytest.raises(UserError, match=r"compressed; zip it again with zip -0"):
+        SceneReader(rewritten(scene, lambda members: None, zipfile.ZIP_DEFLATED))
+
+
+def test_poison_in_a_frame_is_refused_on_reading(scene: Path) -> None:
+    """Catches NaN in a scene from elsewhere, whose checksums are right."""
+
+    def poison(members: dict[str, bytes]) -> None:
+        content = bytearray(members["frames/000001/blend_weights"])
+        content[0:2] = np.float16(np.nan).tobytes()
+        members["frames/000001/blend_weights"] = bytes(content)
+
+    reader = SceneReader(rewritten(scene, poison))
+    reader.read(0)
+    with pytest.raises(UserError, match="expected finite numbers in frames/000001/blend_weights"):
+        reader.read(1)
+
+
+def test_memory_does_not_grow_with_frames(tmp_path: Path) -> None:
+    """Catches a writer that keeps frames until the end: 40 frames may take no more than 4 do."""
+
+    def peak(frames: int) -> int:
+        frame = random_frame(2000, 6, seed=0)
+        tracemalloc.start()
+        with SceneWriter(tmp_path / "scene.4dv", manifest(frames=frames)) as writer:
+            for index in range(frames):
+                writer.add_frame(index, frame)
+        reader = SceneReader(tmp_path / "scene.4dv")
+        for index in range(frames):
+            reader.read(index)
+        reader.close()
+        _, most = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        return most
+
+    assert peak(40) < peak(4) + random_frame(2000, 6, seed=0).nbytes

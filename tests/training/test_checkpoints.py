@@ -1,0 +1,349 @@
+"""Checkpoints: bit for bit, whole or absent, never another model's."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from fourd.errors import UserError
+from fourd.training import checkpoints
+from fourd.training.checkpoints import (
+    checkpoint_path,
+    latest_checkpoint,
+    load_checkpoint,
+    pack_numpy_rng,
+    pack_optimizer,
+    pack_torch_rng,
+    restore,
+    save_checkpoint,
+    unpack_numpy_rng,
+    unpack_optimizer,
+    unpack_torch_rng,
+)
+
+
+def bits(value: Tensor) -> bytes:
+    return value.contiguous().reshape(-1).view(torch.uint8).numpy().tobytes() if value.numel() else b""
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_round_trip_is_bit_for_bit(tmp_path: Path) -> None:
+    """Catches a dtype that is converted, a transposed tensor, and NaNs or scalars that are lost."""
+    torch.manual_seed(1)
+    tensors = {
+        "float": torch.tensor([1e-45, -0.0, float("nan"), float("inf")]),
+        "turned": torch.rand(3, 5).T,
+        "half": torch.rand(4).half(),
+        "brain": torch.rand(4).bfloat16(),
+        "double": torch.rand(2, 2, dtype=torch.float64),
+        "step": torch.tensor(7.0),
+        "whole": torch.arange(5),
+        "bytes": torch.arange(256).to(torch.uint8),
+        "flags": torch.tensor([True, False]),
+        "empty": torch.zeros(0, 3),
+        "trained": nn.Parameter(torch.rand(3)),
+    }
+    state = {"seconds": 0.1 + 0.2, "names": ["05", "ü"], "nested": {"big": 2**127 + 1, "none": None}}
+    path = save_checkpoint(tmp_path / "new", 42, tensors, state)
+    assert path == checkpoint_path(tmp_path / "new", 42)
+    step, loaded, told = load_checkpoint(path)
+    assert (step, told) == (42, state)
+    assert loaded.keys() == tensors.keys()
+    for name, value in tensors.items():
+        assert loaded[name].dtype == value.dtype, name
+        assert loaded[name].shape == value.shape, name
+        assert bits(loaded[name]) == bits(value.detach()), name
+    with pytest.raises(ValueError, match="JSON"):
+        save_checkpoint(tmp_path / "new", 43, tensors, {"psnr": float("nan")})
+
+
+def test_the_two_newest_are_kept(tmp_path: Path) -> None:
+    """Catches an order by text (step 9 after step 10), and files of others that are deleted."""
+    (tmp_path / "mine.safetensors").write_bytes(b"")
+    (tmp_path / "00000009.points").mkdir()
+    for step in (9, 10, 123456789):
+        save_checkpoint(tmp_path, step, {"a": torch.zeros(1)}, {})
+    expected = ["00000009.points", "00000010.safetensors", "123456789.safetensors", "mine.safetensors"]
+    assert names(tmp_path) == expected
+    found, note = latest_checkpoint(tmp_path)
+    assert (found, note) == (checkpoint_path(tmp_path, 123456789), "")
+
+
+def test_no_checkpoint_is_none(tmp_path: Path) -> None:
+    assert latest_checkpoint(tmp_path / "absent") == (None, "")
+    assert latest_checkpoint(tmp_path) == (None, "")
+
+
+def damage_cut(content: bytes) -> bytes:
+    return content[: len(content) // 2]
+
+
+def damage_tail(content: bytes) -> bytes:
+    return content[:-1]
+
+
+def damage_empty(content: bytes) -> bytes:
+    return b""
+
+
+def damage_bit(content: bytes) -> bytes:
+    return content[:-3] + bytes([content[-3] ^ 4]) + content[-2:]
+
+
+def damage_zeros(content: bytes) -> bytes:
+    """What a power cut leaves on some file systems: the size is right, the contents are not there."""
+    return bytes(len(content))
+
+
+@pytest.mark.parametrize("damage", [damage_cut, damage_tail, damage_empty, damage_bit, damage_zeros])
+def test_damaged_ones_are_passed_over_with_a_note(damage: object, tmp_path: Path) -> None:
+    """Catches going on from rubbish, and falling back without a word."""
+    assert callable(damage)
+    for step in (1, 2):
+        save_checkpoint(tmp_path, step, {"a": torch.rand(100)}, {})
+    path = checkpoint_path(tmp_path, 2)
+    path.write_bytes(damage(path.read_bytes()))
+    found, note = latest_checkpoint(tmp_path)
+    assert found == checkpoint_path(tmp_path, 1)
+    assert str(path) in note
+    assert "going on from 00000001.safetensors" in note
+    assert "\n" not in note
+    with pytest.raises(UserError, match=path.name):
+        load_checkpoint(path)
+    save_checkpoint(tmp_path, 1, {"a": torch.rand(100)}, {})
+    assert names(tmp_path) == ["00000001.safetensors"], "a damaged later one must not count as one of the two kept"
+
+
+def test_nothing_but_damaged_ones_is_none(tmp_path: Path) -> None:
+    checkpoint_path(tmp_path, 3).write_bytes(b"rubbish")
+    found, note = latest_checkpoint(tmp_path)
+    assert found is None
+    assert "there is no other checkpoint" in note
+
+
+def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
+    """Catches a safetensors file from elsewhere that is taken for a checkpoint."""
+    save_file({"a": torch.zeros(1)}, tmp_path / "00000001.safetensors")
+    with pytest.raises(UserError, match="expected a checkpoint of format"):
+        load_checkpoint(tmp_path / "00000001.safetensors")
+    with pytest.raises(UserError, match="cannot be read"):
+        load_checkpoint(tmp_path / "absent.safetensors")
+
+
+def full_save(*_: object, **__: object) -> None:
+    raise SafetensorError("Error while serializing: I/O error: No space left on device (os error 28)")
+
+
+def half_written(tensors: object, path: Path, metadata: object) -> None:
+    path.write_bytes(b"half")
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def full_sync(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("target", "fault"),
+    [
+        ("fourd.training.checkpoints.save_file", full_save),
+        ("fourd.training.checkpoints.save_file", half_written),
+        ("os.fsync", full_sync),
+        ("os.replace", full_sync),
+    ],
+)
+def test_a_full_disk_leaves_the_previous_ones_good(
+    target: str, fault: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches dropping the old one first, litter, and a traceback, wherever the disk becomes full."""
+    for step in (1, 2):
+        save_checkpoint(tmp_path, step, {"a": torch.full((3,), float(step))}, {})
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    monkeypatch.setattr(target, fault)
+    with pytest.raises(UserError) as caught:
+        save_checkpoint(tmp_path, 3, {"a": torch.zeros(3)}, {})
+    monkeypatch.undo()
+    message = str(caught.value)
+    assert str(tmp_path) in message
+    assert "got a full disk" in message
+    assert "00000002.safetensors, is good" in message
+    assert "\n" not in message
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_unwritable_folder_is_told_apart_from_a_full_disk(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="there is none before it") as caught:
+        save_checkpoint(tmp_path / "file", 1, {"a": torch.zeros(1)}, {})
+    assert "full disk" not in str(caught.value)
+
+
+KILLED = """
+import itertools, sys, torch
+from pathlib import Path
+from fourd.training.checkpoints import save_checkpoint
+for step in itertools.count(1):
+    save_checkpoint(Path(sys.argv[1]), step, {"a": torch.full((200_000,), float(step))}, {"step": step})
+    print(step, flush=True)
+"""
+
+
+def test_a_kill_at_any_moment_leaves_a_good_checkpoint(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches a file written in place: after kill -9 the last one that was reported is there, whole."""
+    for delay in rng.uniform(0, 0.05, 3):
+        folder = tmp_path / f"{delay:.9f}"
+        with subprocess.Popen(
+            [sys.executable, "-c", KILLED, str(folder)], stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            told = [process.stdout.readline() for _ in range(2)]
+            time.sleep(delay)
+            os.kill(process.pid, signal.SIGKILL)
+            told += process.stdout.read().splitlines()
+        found, note = latest_checkpoint(folder)
+        assert note == ""
+        assert found is not None
+        step, tensors, state = load_checkpoint(found)
+        assert step >= int(told[-1])
+        assert state == {"step": step}
+        assert bool((tensors["a"] == step).all())
+
+
+def small_model(width: int = 4) -> nn.Module:
+    return nn.Sequential(nn.Linear(3, width), nn.ReLU(), nn.Linear(width, 2))
+
+
+def test_restore_takes_the_tensors_of_its_prefix() -> None:
+    torch.manual_seed(0)
+    source, target = small_model(), small_model()
+    tensors = {f"model.{name}": value for name, value in source.state_dict().items()}
+    restore(target, {**tensors, "optimizer.0.step": torch.tensor(1.0)}, "model.", "F.safetensors")
+    for name, value in target.state_dict().items():
+        assert torch.equal(value, source.state_dict()[name])
+
+
+def test_restore_refuses_another_model() -> None:
+    """Catches a shape that broadcasts, a missing or surplus tensor, and a module left half loaded."""
+    target = small_model()
+    before = {name: value.clone() for name, value in target.state_dict().items()}
+    tensors = {f"model.{name}": value for name, value in small_model(width=8).state_dict().items()}
+    with pytest.raises(UserError) as caught:
+        restore(target, tensors, "model.", Path("runs/F.safetensors"))
+    message = str(caught.value)
+    assert message.startswith("runs/F.safetensors: expected a checkpoint of this model")
+    assert "'0.weight' is (4, 3) here and (8, 3) there" in message
+    assert "use the config it was trained with" in message
+    tensors = {f"model.{name}": value for name, value in small_model().state_dict().items()}
+    surplus = {**tensors, "model.9.bias": torch.zeros(1)}
+    missing = {name: value for name, value in tensors.items() if name != "model.2.bias"}
+    double = {**tensors, "model.0.bias": tensors["model.0.bias"].double()}
+    cases = ((surplus, "'9.bias' is unknown here"), (missing, "'2.bias' is missing there"), (double, "float64 there"))
+    for given, message in cases:
+        with pytest.raises(UserError, match=message):
+            restore(target, given, "model.", "F")
+    for name, value in target.state_dict().items():
+        assert torch.equal(value, before[name])
+
+
+def train(model: nn.Module, optimizer: torch.optim.Optimizer, steps: int, generator: torch.Generator) -> None:
+    for _ in range(steps):
+        optimizer.zero_grad()
+        model(torch.rand(5, 3, generator=generator)).square().sum().backward()
+        optimizer.step()
+
+
+def new_optimizer(model: nn.Module, fused: bool) -> torch.optim.Optimizer:
+    first, *rest = model.parameters()
+    groups = [{"params": rest, "lr": 1e-2}, {"params": [first], "lr": 1e-3}]
+    return torch.optim.Adam(groups, betas=(0.9, 0.99), fused=fused)
+
+
+@pytest.mark.parametrize("fused", [False, True])
+def test_going_on_is_bit_for_bit_the_same_as_never_stopping(fused: bool, tmp_path: Path) -> None:
+    """Catches a lost Adam moment or step, state given to another parameter, and a lost generator."""
+    torch.manual_seed(2)
+    straight = small_model()
+    optimizer, generator = new_optimizer(straight, fused), torch.Generator().manual_seed(3)
+    train(straight, optimizer, 5, generator)
+    tensors = {f"model.{name}": value for name, value in straight.state_dict().items()}
+    tensors |= pack_optimizer(optimizer, "optimizer.") | {"rng": pack_torch_rng(generator)}
+    path = save_checkpoint(tmp_path, 5, tensors, {})
+    train(straight, optimizer, 5, generator)
+
+    resumed = small_model()
+    second, other = new_optimizer(resumed, fused), torch.Generator()
+    _, loaded, _ = load_checkpoint(path)
+    restore(resumed, loaded, "model.", path)
+    unpack_optimizer(second, loaded, "optimizer.", path)
+    unpack_torch_rng(loaded["rng"], other)
+    train(resumed, second, 5, other)
+    for name, value in resumed.state_dict().items():
+        assert bits(value) == bits(straight.state_dict()[name]), name
+    packed, expected = pack_optimizer(second, "o."), pack_optimizer(optimizer, "o.")
+    assert packed.keys() == expected.keys()
+    assert all(bits(packed[name]) == bits(expected[name]) for name in packed)
+    # What was loaded stays as it was: the optimiser trains on copies.
+    _, again, _ = load_checkpoint(path)
+    assert all(bits(loaded[name]) == bits(again[name]) for name in again)
+
+
+def test_optimizer_of_another_model_is_refused() -> None:
+    model, other = small_model(), small_model(width=8)
+    optimizer = new_optimizer(model, fused=False)
+    train(model, optimizer, 1, torch.Generator())
+    packed = pack_optimizer(optimizer, "optimizer.")
+    with pytest.raises(UserError, match=r"F.safetensors: expected the optimiser's state of this model"):
+        unpack_optimizer(new_optimizer(other, fused=False), packed, "optimizer.", "F.safetensors")
+    with pytest.raises(UserError, match=r"'optimizer\.4\.step'"):
+        unpack_optimizer(optimizer, {**packed, "optimizer.4.step": torch.tensor(1.0)}, "optimizer.")
+
+
+def test_an_optimizer_without_state_stays_without() -> None:
+    optimizer = new_optimizer(small_model(), fused=False)
+    assert pack_optimizer(optimizer, "optimizer.") == {}
+    unpack_optimizer(optimizer, {}, "optimizer.")
+    assert optimizer.state_dict()["state"] == {}
+
+
+@pytest.mark.parametrize("kind", ["PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64"])
+def test_numpy_generators_go_on(kind: str) -> None:
+    """Catches 128-bit numbers cut to 64 or made floats, and the spare half of a 32-bit draw."""
+    generator = np.random.Generator(getattr(np.random, kind)(7))
+    generator.integers(0, 10, dtype=np.uint32)
+    state = json.loads(json.dumps(pack_numpy_rng(generator)))
+    other = unpack_numpy_rng(state)
+    for _ in range(3):
+        assert other.integers(0, 2**31, dtype=np.uint32) == generator.integers(0, 2**31, dtype=np.uint32)
+        assert other.normal() == generator.normal()
+    with pytest.raises(ValueError, match="expected one of PCG64"):
+        unpack_numpy_rng({"bit_generator": "Dice"})
+
+
+def test_the_default_torch_generator_goes_on() -> None:
+    state = pack_torch_rng()
+    first = torch.rand(4)
+    unpack_torch_rng(state)
+    assert torch.equal(torch.rand(4), first)
+
+
+def test_checkpoints_hold_no_pickle() -> None:
+    """Loading what someone sent must run no code."""
+    source = Path(checkpoints.__file__).read_text()
+    assert not [word for word in itertools.chain(("import pickle", "torch.load", "torch.save")) if word in source]

@@ -1,0 +1,57 @@
+"""Points of frames: Adam on a subset of rows, and the store that keeps memory flat."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from fourd.training.frames import FramePoints, FrameStore
+
+
+def fresh(count: int = 6, seed: int = 0) -> FramePoints:
+    return FramePoints.fresh(torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)), 0.01, False)
+
+
+def test_adam_on_rows_is_torch_adam_on_those_rows() -> None:
+    """Catches a wrong bias correction, and points out of sight being moved by old momentum."""
+    points = fresh()
+    rows = torch.tensor([1, 4])
+    twin = torch.nn.Parameter(points.xyz[rows].clone())
+    optimizer = torch.optim.Adam([twin], lr=0.01, betas=(0.9, 0.99), eps=1e-15)
+    before = points.xyz.clone()
+    for step in range(5):
+        gradient = torch.randn(2, 3, generator=torch.Generator().manual_seed(step))
+        twin.grad = gradient
+        optimizer.step()
+        points.update(rows, {"xyz": gradient}, {"xyz": 0.01})
+    torch.testing.assert_close(points.xyz[rows], twin.detach())
+    others = [0, 2, 3, 5]
+    assert torch.equal(points.xyz[others], before[others])
+
+
+def test_tensors_round_trip() -> None:
+    points = FramePoints.fresh(torch.rand(4, 3), 0.01, explicit_sh=True)
+    again = FramePoints.from_tensors(points.tensors())
+    assert set(again.free) == {"xyz", "sh"}
+    assert torch.equal(again.moments["sh"], points.moments["sh"])
+
+
+def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path: Path) -> None:
+    """Catches changes lost when a frame leaves memory, and a store that keeps every frame."""
+    store = FrameStore(tmp_path / "scratch", 20, lambda frame: fresh(20_000, frame), 2, None)
+    for frame in range(20):
+        store.get(frame).xyz[0] = frame
+    assert store.kept <= 2
+    assert [float(store.get(frame).xyz[0, 0]) for frame in range(20)] == list(range(20))
+
+
+def test_a_saved_store_is_read_again_and_later_changes_are_not_in_it(tmp_path: Path) -> None:
+    """Catches a checkpoint that shares files with the scratch folder of the going run."""
+    store = FrameStore(tmp_path / "scratch", 3, lambda frame: fresh(10, frame), 16, None)
+    store.get(1).xyz[0] = 7
+    store.save(tmp_path / "saved")
+    store.get(1).xyz[0] = 8
+    again = FrameStore(tmp_path / "other", 3, lambda frame: fresh(10, frame), 16, tmp_path / "saved")
+    assert float(again.get(1).xyz[0, 0]) == 7
+    assert torch.equal(again.get(2).xyz, fresh(10, 2).xyz)

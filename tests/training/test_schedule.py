@@ -1,0 +1,72 @@
+"""Which views a step takes, and how rates fall."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fourd.cameras import Camera, look_at
+from fourd.training.config import RateConfig, TrainConfig
+from fourd.training.schedule import Sampler, budget_spent, rate_factor
+
+INTRINSICS = np.array([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])
+
+
+def ring(count: int) -> tuple[Camera, ...]:
+    angles = np.arange(count) * 2 * np.pi / count
+    up = np.array([0.0, 0, 1])
+    centres = [np.array([3 * np.cos(a), 3 * np.sin(a), 0.5]) for a in angles]
+    return tuple(look_at(centre, np.zeros(3), up, INTRINSICS, 32, 32) for centre in centres)
+
+
+def sampler(seed: int = 3) -> Sampler:
+    return Sampler(TrainConfig(seed=seed), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
+
+
+def test_held_out_views_and_the_target_are_never_sources() -> None:
+    """Catches held-out pictures leaking into training, and a target copied from itself."""
+    for step in range(80):
+        choice = sampler().choose(step)
+        assert choice.target not in choice.sources
+        assert choice.target not in (3, 8)
+        assert not {3, 8} & set(choice.sources)
+        assert len(set(choice.sources)) == 4
+
+
+def test_an_epoch_meets_every_view_of_every_frame_once() -> None:
+    made = sampler()
+    met = {(choice.frame, choice.target) for choice in map(made.choose, range(40))}
+    assert len(met) == 40
+
+
+def test_choices_depend_on_seed_and_step_alone() -> None:
+    """Catches state carried between steps, which would make a resumed run differ."""
+    whole = [sampler().choose(step) for step in range(10)]
+    late = sampler().choose(9)
+    assert (late.frame, late.target, late.sources) == (whole[9].frame, whole[9].target, whole[9].sources)
+    np.testing.assert_array_equal(late.background, whole[9].background)
+    other = [sampler(4).choose(step) for step in range(10)]
+    assert [c.target for c in other] != [c.target for c in whole]
+
+
+def test_rates_warm_up_and_end_at_the_final_share() -> None:
+    rates = RateConfig(final=0.1, warm_up=10)
+    assert rate_factor(rates, 0, 0.0) == pytest.approx(0.1)
+    assert rate_factor(rates, 9, 0.0) == pytest.approx(1.0)
+    assert rate_factor(rates, 500, 1.0) == pytest.approx(0.1)
+
+
+def test_the_budget_that_ends_first_counts() -> None:
+    config = TrainConfig(max_steps=100, max_seconds=10.0)
+    assert budget_spent(config, 50, 1.0) == 0.5
+    assert budget_spent(config, 50, 9.0) == 0.9
+    assert budget_spent(config, 500, 9.0) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [("points", 0, "points: expected"), ("layers", 65, "layers: expected"), ("neighbour_pool", 2, "neighbour_pool")],
+)
+def test_values_out_of_range_are_named(field: str, value: int, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        TrainConfig(**{field: value})
