@@ -22,6 +22,9 @@ $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 
 install: $(STAMP)
 
+demo: install
+	$(BIN)/python tools/demo.py
+
 test: install
 	$(BIN)/python -m pytest -m "not slow"
 

@@ -1,0 +1,106 @@
+"""From a trained run to a scene file: all that needs the networks is evaluated once a frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import track
+from torch import Tensor
+
+from fourd import __version__
+from fourd.baking.container import SceneWriter
+from fourd.baking.scene import BakedFrame, SceneManifest, triple
+from fourd.errors import UserError
+from fourd.model.appearance import LEAST_TRUST
+from fourd.model.sources import sample_sources
+from fourd.training.frames import FramePoints
+from fourd.training.run import TrainedRun
+from fourd.training.step import NEAR, with_depth
+
+BAKED_LAYERS = 12
+LARGEST_WEIGHT = 1024.0
+
+
+def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float = 30.0) -> None:
+    """Write the run's newest checkpoint as the scene file ``out`` (4K4D, sec. 3.4), a frame at a time.
+
+    Blend weights and colours are baked for every training view, in fp16 and uint8. Raises
+    UserError for a model whose blend weights depend on the viewer.
+    """
+    run, config = trained.run, trained.run.config.train.model
+    if config.continuous:
+        raise UserError(
+            f"{run.folder}: expected blend weights that can be baked, got model.continuous: true; "
+            f"train with model.continuous: false"
+        )
+    sources = run.training if config.appearance != "sh" else []
+    others = [index for index in range(len(run.capture.names)) if index not in sources]
+    manifest = SceneManifest(
+        source_names=tuple(run.capture.names[index] for index in sources),
+        source_cameras=tuple(run.capture.cameras[index] for index in sources),
+        focus=triple(run.focus),
+        bounds=(run.config.scene.lower, run.config.scene.upper),
+        frame_numbers=run.capture.frame_numbers,
+        other_names=tuple(run.capture.names[index] for index in others),
+        other_cameras=tuple(run.capture.cameras[index] for index in others),
+        fps=fps,
+        layers=layers,
+        neighbours=config.neighbours,
+        sh_range=trained.model.sh_range,
+        sh_base=trained.model.sh_base,
+        near=NEAR,
+        producer=f"fourd {__version__}",
+    )
+    with SceneWriter(out, manifest) as writer, torch.no_grad():
+        for frame in track(range(run.capture.frame_count), description="export", console=console):
+            writer.add_frame(frame, bake_frame(trained, frame, sources))
+
+
+def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
+    """Evaluate everything of one frame but what depends on the viewer; ``sources`` are camera indices."""
+    model, points = trained.model, trained.frames.get(frame)
+    time = trained.run.capture.time(frame)
+    features = model.point_features(points.xyz, time)
+    radius, density = model.geometry(features)
+    displacement = model.displacement(points.xyz, time)
+    xyz = points.xyz if displacement is None else points.xyz + displacement
+    sh = model.harmonics(features, points.free.get("sh"))
+    weights, rgb = _blend_data(trained, points, radius, density, xyz, features, frame, sources)
+    count = xyz.shape[0]
+    return BakedFrame(
+        xyz=xyz.numpy(),
+        radius=radius.numpy().astype(np.float16),
+        density=density.numpy().astype(np.float16),
+        sh=np.zeros((count, 3, 16), np.float16) if sh is None else sh.numpy().astype(np.float16),
+        blend_weights=weights.numpy().astype(np.float16),
+        rgb=(rgb * 255).round().clamp(0, 255).byte().numpy(),
+    )
+
+
+def _blend_data(
+    trained: TrainedRun,
+    points: FramePoints,
+    radius: Tensor,
+    density: Tensor,
+    xyz: Tensor,
+    features: Tensor,
+    frame: int,
+    sources: list[int],
+) -> tuple[Tensor, Tensor]:
+    """Weights (N, V), scaled to each point's largest, and colours (N, V, 3); a view at a time."""
+    model, views = trained.model, trained.renderer.views
+    weights = torch.zeros(xyz.shape[0], len(sources))
+    rgb = torch.zeros(xyz.shape[0], len(sources), 3)
+    seen = FramePoints(radius, density, {"xyz": xyz}, {}, points.steps)
+    for column, index in enumerate(sources):
+        view = with_depth(views.sources([index], frame), seen, model.config.occlusion)
+        samples = sample_sources(xyz, view, model.encode_images(view.images), 2 * model.spacing)
+        logits = model.blend_logits(features, samples, xyz, view, None)
+        weights[:, column] = (torch.exp(logits) * (samples.trust + LEAST_TRUST))[0]
+        rgb[:, column] = samples.colours[0]
+    if sources:
+        weights = weights * (LARGEST_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
+    return weights, rgb

@@ -1,0 +1,144 @@
+"""A run or a scene, opened for playing: the same few things are asked of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.rendering import Scene, open_scene
+from fourd.cameras import Camera
+from fourd.errors import UserError
+
+if TYPE_CHECKING:
+    from fourd.training.run import TrainedRun
+
+RUN_FPS = 30.0
+
+
+class Playable(Protocol):
+    """What renders frame by frame."""
+
+    @property
+    def views(self) -> dict[str, Camera]:
+        """The capture's cameras by name."""
+
+    @property
+    def focus(self) -> NDArray[np.float64]:
+        """(3,) centre of the scene."""
+
+    @property
+    def frame_numbers(self) -> tuple[int, ...]:
+        """Numbers of the frames in the capture."""
+
+    @property
+    def fps(self) -> float:
+        """Frames a second."""
+
+    def render(
+        self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """RGB (H, W, 3) in [0, 1] of a frame (index) from a camera, with K = ``layers``."""
+
+
+@dataclass(frozen=True)
+class PlayableScene:
+    """A baked scene."""
+
+    scene: Scene
+
+    @property
+    def views(self) -> dict[str, Camera]:
+        manifest = self.scene.manifest
+        return dict(zip(manifest.names, manifest.cameras, strict=True))
+
+    @property
+    def focus(self) -> NDArray[np.float64]:
+        return np.asarray(self.scene.manifest.focus)
+
+    @property
+    def frame_numbers(self) -> tuple[int, ...]:
+        return self.scene.manifest.frame_numbers
+
+    @property
+    def fps(self) -> float:
+        return self.scene.manifest.fps
+
+    def render(
+        self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        return self.scene.render(camera, frame, layers=layers, background=background).rgb
+
+
+@dataclass(frozen=True)
+class PlayableRun:
+    """A trained run, rendered by its networks."""
+
+    trained: TrainedRun
+
+    @property
+    def views(self) -> dict[str, Camera]:
+        capture = self.trained.run.capture
+        return dict(zip(capture.names, capture.cameras, strict=True))
+
+    @property
+    def focus(self) -> NDArray[np.float64]:
+        return self.trained.run.focus
+
+    @property
+    def frame_numbers(self) -> tuple[int, ...]:
+        return self.trained.run.capture.frame_numbers
+
+    @property
+    def fps(self) -> float:
+        return RUN_FPS
+
+    def render(
+        self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        trained = self.trained
+        layers = layers or trained.run.config.train.layers
+        picture = trained.renderer.render(trained.frames.get(frame), frame, camera, layers)
+        behind = (1 - picture.alpha)[..., None] * background
+        return np.clip(picture.rgb + behind, 0, 1).astype(np.float32)
+
+
+def open_playable(path: Path) -> Playable:
+    """Open a run's folder or a `.4dv`; torch is loaded for a run alone. Raises UserError."""
+    if not path.exists():
+        raise UserError(f"{path}: expected a run's folder or a .4dv file, got nothing there; check the path")
+    if path.is_dir():
+        from fourd.training.run import load_run
+
+        return PlayableRun(load_run(path))
+    return PlayableScene(open_scene(path))
+
+
+def view(playable: Playable, name: str) -> Camera:
+    """A capture camera by name. Raises UserError that lists the names."""
+    views = playable.views
+    if name not in views:
+        raise UserError(f"--views: expected names among {', '.join(views)}, got {name}")
+    return views[name]
+
+
+def select_frames(playable: Playable, selection: str | None) -> list[int]:
+    """Indices of the frames whose capture numbers lie in A:B or A:B:S; all for None. Raises UserError."""
+    numbers = playable.frame_numbers
+    if selection is None:
+        return list(range(len(numbers)))
+    parts = selection.split(":")
+    try:
+        bounds = [int(part) if part else None for part in parts]
+        if len(bounds) not in (2, 3):
+            raise ValueError
+        wanted = range(max(numbers) + 1)[slice(*bounds)]
+    except ValueError as error:
+        raise UserError(f"--frames: expected A:B or A:B:S in whole numbers, got '{selection}'") from error
+    chosen = [index for index, number in enumerate(numbers) if number in wanted]
+    if not chosen:
+        raise UserError(f"--frames: expected frames among {numbers[0]} to {numbers[-1]}, got '{selection}'")
+    return chosen

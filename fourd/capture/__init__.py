@@ -1,0 +1,6 @@
+"""The multi-view video on disk: layout, calibration, lazy reading, checks and the synthetic generator."""
+
+from fourd.capture.calibration import read_calibration, write_calibration
+from fourd.capture.reader import Capture, open_capture
+
+__all__ = ["Capture", "open_capture", "read_calibration", "write_calibration"]

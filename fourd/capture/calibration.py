@@ -1,0 +1,203 @@
+"""intri.yml and extri.yml: EasyMocap's calibration files, in OpenCV's FileStorage format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.files import atomic_path
+
+Array = NDArray[np.float64]
+
+INTRINSICS_NAME = "intri.yml"
+EXTRINSICS_NAME = "extri.yml"
+MOST_DISAGREEMENT = 1e-3
+"""Of R_c (Rodrigues) and Rot_c where a file gives both; radians, about."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """One camera's calibration as the files give it; width and height are None where they do not."""
+
+    intrinsics: Array
+    rotation: Array
+    translation: Array
+    distortion: Array | None
+    width: int | None
+    height: int | None
+
+    def camera(self, width: int, height: int) -> Camera:
+        """The camera, for images of ``width`` x ``height`` pixels. Raises ValueError as Camera does."""
+        return Camera(self.intrinsics, self.rotation, self.translation, width, height, self.distortion)
+
+
+def read_calibration(folder: Path | str) -> dict[str, Calibration]:
+    """Calibrations of ``folder``'s cameras by name, in the order of intri.yml's ``names``.
+
+    Reads ``K_c`` (3, 3) in pixels, ``D_c`` (OpenCV distortion, optional), ``H_c`` and ``W_c``
+    (optional), ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector), ``T_c`` (3,), for
+    ``x_camera = R x_world + T``.
+
+    Raises:
+        UserError: naming the file and the key, when a file is missing or no FileStorage, a value
+            is missing, of another shape or not finite, or a rotation is none.
+    """
+    folder = Path(folder)
+    with _Storage(folder / INTRINSICS_NAME) as intri, _Storage(folder / EXTRINSICS_NAME) as extri:
+        names = intri.names()
+        for name in extri.names(required=False):
+            if name not in names:
+                raise UserError(
+                    f"{intri.path}: expected camera '{name}' of {EXTRINSICS_NAME}, got no such name; "
+                    "add it or drop it there"
+                )
+        return {name: _one(name, intri, extri) for name in names}
+
+
+def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:
+    """Write intri.yml and extri.yml of ``cameras`` into ``folder``, each atomically."""
+    folder = Path(folder)
+    with atomic_path(folder / INTRINSICS_NAME) as temporary:
+        storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_FORMAT_YAML)
+        _write_names(storage, names)
+        for name, camera in zip(names, cameras, strict=True):
+            distortion = camera.distortion if camera.distortion is not None else np.zeros(5)
+            storage.write(f"K_{name}", camera.intrinsics)
+            storage.write(f"D_{name}", distortion.reshape(1, -1))
+            storage.write(f"H_{name}", camera.height)
+            storage.write(f"W_{name}", camera.width)
+        storage.release()
+    with atomic_path(folder / EXTRINSICS_NAME) as temporary:
+        storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_FORMAT_YAML)
+        _write_names(storage, names)
+        for name, camera in zip(names, cameras, strict=True):
+            storage.write(f"R_{name}", cv2.Rodrigues(camera.rotation)[0])
+            storage.write(f"Rot_{name}", camera.rotation)
+            storage.write(f"T_{name}", camera.translation.reshape(3, 1))
+        storage.release()
+
+
+def _write_names(storage: cv2.FileStorage, names: Sequence[str]) -> None:
+    storage.startWriteStruct("names", cv2.FileNode_SEQ)
+    for name in names:
+        storage.write("", name)
+    storage.endWriteStruct()
+
+
+def _one(name: str, intri: _Storage, extri: _Storage) -> Calibration:
+    intrinsics = intri.matrix(f"K_{name}", (3, 3))
+    if not np.allclose(intrinsics[2], (0, 0, 1)):
+        raise UserError(
+            f"{intri.path}: K_{name}: expected a last row of 0 0 1, got {intrinsics[2].tolist()}; calibrate again"
+        )
+    calibration = Calibration(
+        intrinsics,
+        _rotation(name, extri),
+        extri.matrix(f"T_{name}", (3,)),
+        intri.matrix(f"D_{name}", None) if intri.has(f"D_{name}") else None,
+        intri.count(f"W_{name}"),
+        intri.count(f"H_{name}"),
+    )
+    try:
+        calibration.camera(calibration.width or 1, calibration.height or 1)
+    except ValueError as error:
+        path = extri.path if str(error).startswith("rotation") else intri.path
+        raise UserError(f"{path}: camera '{name}': {error}; calibrate that camera again") from error
+    return calibration
+
+
+def _rotation(name: str, extri: _Storage) -> Array:
+    """Rot_c, or R_c where that is not given; both must agree."""
+    if not extri.has(f"R_{name}"):
+        return extri.matrix(f"Rot_{name}", (3, 3))
+    vector = extri.matrix(f"R_{name}", None)
+    if vector.size not in (3, 9):
+        raise UserError(f"{extri.path}: R_{name}: expected 3 numbers (Rodrigues), got {vector.size}; write the vector")
+    from_vector = vector.reshape(3, 3) if vector.size == 9 else np.asarray(cv2.Rodrigues(vector)[0], np.float64)
+    if not extri.has(f"Rot_{name}"):
+        return from_vector
+    rotation = extri.matrix(f"Rot_{name}", (3, 3))
+    error = float(np.abs(rotation - from_vector).max())
+    is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < MOST_DISAGREEMENT
+    if is_rotation and error > MOST_DISAGREEMENT:
+        raise UserError(
+            f"{extri.path}: camera '{name}': expected R_{name} and Rot_{name} to be one rotation, "
+            f"got matrices that differ by {error:.3g}; drop the wrong one"
+        )
+    return rotation
+
+
+class _Storage:
+    """A FileStorage that was opened for reading, with errors that name file and key."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if not path.is_file():
+            raise UserError(
+                f"{path}: expected the cameras' calibration, got no such file; calibrate the cameras first "
+                f"(a capture has images/CAM/, {INTRINSICS_NAME} and {EXTRINSICS_NAME})"
+            )
+        try:
+            self._storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+            opened = self._storage.isOpened()
+        except (cv2.error, SystemError):
+            opened = False
+        if not opened:
+            raise UserError(f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got something else; write it again")
+
+    def __enter__(self) -> _Storage:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._storage.release()
+
+    def has(self, key: str) -> bool:
+        return not self._storage.getNode(key).empty()
+
+    def names(self, required: bool = True) -> list[str]:
+        node = self._storage.getNode("names")
+        if node.empty() and not required:
+            return []
+        entries = [node.at(i) for i in range(node.size())] if node.isSeq() else []
+        if not entries or not all(entry.isString() for entry in entries):
+            raise UserError(f'{self.path}: names: expected a list of quoted names ("00"), got none; add it')
+        names = [entry.string() for entry in entries]
+        if len(set(names)) != len(names):
+            raise UserError(f"{self.path}: names: expected each camera once, got {', '.join(names)}; drop the doubles")
+        return names
+
+    def matrix(self, key: str, shape: tuple[int, ...] | None) -> Array:
+        """A finite matrix; with a shape None of any size, flat."""
+        node = self._storage.getNode(key)
+        if node.empty():
+            raise UserError(f"{self.path}: {key}: expected a matrix, got nothing; add it or drop that camera")
+        matrix = node.mat()
+        if matrix is None and node.isSeq():
+            matrix = np.array([node.at(i).real() for i in range(node.size())])
+        if matrix is None or (shape is not None and matrix.size != int(np.prod(shape))):
+            got = "something else" if matrix is None else " x ".join(map(str, matrix.shape))
+            wanted = "a matrix" if shape is None else " x ".join(map(str, shape))
+            raise UserError(f"{self.path}: {key}: expected {wanted} numbers, got {got}; mend or drop that camera")
+        values = matrix.astype(np.float64)
+        if not np.isfinite(values).all():
+            raise UserError(
+                f"{self.path}: {key}: expected finite numbers, got {values.ravel().tolist()}; calibrate again"
+            )
+        return values.reshape(-1 if shape is None else shape)
+
+    def count(self, key: str) -> int | None:
+        """A whole number of pixels, or None where the key is missing or 0."""
+        node = self._storage.getNode(key)
+        if node.empty():
+            return None
+        value = node.real() if node.isReal() or node.isInt() else float("nan")
+        if not (np.isfinite(value) and value == round(value) and 0 <= value <= 1 << 20):
+            raise UserError(f"{self.path}: {key}: expected a number of pixels, got {value:g}; mend or drop it")
+        return int(value) or None

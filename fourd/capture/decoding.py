@@ -1,0 +1,57 @@
+"""Picture files to arrays, whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from fourd.errors import UserError
+
+
+def decode_rgb(path: Path) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 RGB of a picture file, pixels as stored (no rotation by EXIF, no colour management).
+
+    Raises:
+        UserError: when the file is missing, no picture, or cut short.
+    """
+    return np.asarray(_opened(path, "RGB"))
+
+
+def decode_matte(path: Path) -> NDArray[np.uint8]:
+    """(H, W) uint8 matte of a picture file: its grey value, of 16 bits the upper 8. Raises as decode_rgb."""
+    return np.asarray(_opened(path, "L"))
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """(width, height) in pixels from the header alone. Raises as decode_rgb."""
+    try:
+        with Image.open(path) as image:
+            return image.size
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise _damaged(path, error) from error
+
+
+def _opened(path: Path, mode: str) -> Image.Image:
+    try:
+        with Image.open(path) as image:
+            image.load()
+            if image.mode.startswith("I;16"):
+                return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert(mode)
+            return image.convert(mode)
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> UserError:
+    if isinstance(error, FileNotFoundError):
+        got = "no such file"
+    elif isinstance(error, UnidentifiedImageError):
+        got = "something else"
+    elif isinstance(error, OSError) and error.strerror:
+        got = f"'{error.strerror}'"
+    else:
+        got = f"'{error}'"
+    return UserError(f"{path}: expected a whole JPEG or PNG picture, got {got}; copy the file again")

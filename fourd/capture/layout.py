@@ -1,0 +1,102 @@
+"""Which files a capture has: pictures and mattes by camera and frame, found by listing folders alone."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+
+from fourd.errors import UserError
+
+PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
+
+
+def camera_folders(folder: Path) -> list[str]:
+    """Names of the folders in ``folder``, sorted; none where it does not exist."""
+    if not folder.is_dir():
+        return []
+    return sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith("."))
+
+
+def pictures(folder: Path) -> dict[str, str]:
+    """File names of a camera's pictures by stem, which is the frame's name.
+
+    Raises:
+        UserError: when two files share a stem.
+    """
+    found: dict[str, str] = {}
+    for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
+        stem, suffix = os.path.splitext(entry)
+        if suffix.lower() not in PICTURE_SUFFIXES or entry.startswith("."):
+            continue
+        if stem in found:
+            raise UserError(
+                f"{folder / entry}: expected one picture a frame, got {found[stem]} as well; remove one of them"
+            )
+        found[stem] = entry
+    return found
+
+
+def frame_order(stems: set[str]) -> list[str]:
+    """Frames in order: by number where all stems are numbers, by name otherwise."""
+    if all(stem.isdecimal() for stem in stems):
+        return sorted(stems, key=lambda stem: (int(stem), stem))
+    return sorted(stems)
+
+
+def missing_frame(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
+    """The error of the first of ``frames`` that a camera's folder lacks, if one does."""
+    lost = [stem for stem in frames if stem not in found]
+    if not lost:
+        return None
+    suffix = Counter(Path(name).suffix for name in found.values()).most_common(1)
+    name = f"{lost[0]}{suffix[0][0] if suffix else '.png'}"
+    more = f" (and {len(lost) - 1} more there)" if len(lost) > 1 else ""
+    return UserError(
+        f"{folder / name}: expected a picture, as other cameras have of that frame, got none{more}; restore it, "
+        "or leave the frames out with --frames or the camera with --views"
+    )
+
+
+def chosen_frames(text: str | None, count: int) -> range:
+    """``A:B[:S]`` as Python slices it (from A, up to but without B, every S-th), within ``count`` frames.
+
+    Raises:
+        UserError: when the text is no range, or holds no frame.
+    """
+    if text is None:
+        return range(count)
+    parts = text.split(":")
+    try:
+        numbers = [int(part) if part.strip() else None for part in parts]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or (len(numbers) == 3 and (numbers[2] is None or numbers[2] < 1)):
+        raise UserError(f"--frames: expected A:B or A:B:S with S at least 1 (such as 0:24 or 0:100:5), got '{text}'")
+    start, stop = numbers[0] or 0, numbers[1]
+    if start < 0 or start >= count or (stop is not None and not start < stop <= count):
+        raise UserError(
+            f"--frames: expected A:B with 0 <= A < B <= {count}, since the capture has {count} frames, got '{text}'"
+        )
+    return range(count)[slice(*numbers)]
+
+
+def chosen_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
+    """The cameras asked for, in the order of ``names``; all for None.
+
+    Raises:
+        UserError: on a name that is not there (the nearest is told), or on none at all.
+    """
+    if views is None:
+        return list(names)
+    for view in views:
+        if view not in names:
+            near = get_close_matches(view, names, 1, 0.0)
+            raise UserError(
+                f"{option}: expected camera names among {', '.join(names)}, got '{view}'; did you mean '{near[0]}'?"
+            )
+    if not views:
+        raise UserError(f"{option}: expected at least one camera name, got none")
+    return [name for name in names if name in views]

@@ -1,0 +1,100 @@
+"""Judge a run on its held-out views: PSNR, SSIM and LPIPS, whole and in the matte's box."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from fourd.errors import UserError
+from fourd.files import write_text_atomically
+from fourd.training.evaluate import Evaluation, ViewScores, judge, summarise
+from fourd.training.lpips import load_lpips
+from fourd.training.run import TrainedRun, load_run
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What to judge."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    json: Path | None = None
+    """Write every figure to this file."""
+    views: str | None = None
+    """Names of cameras, with commas; the run's held-out ones when not given."""
+    scene: Path | None = None
+    """Judge this exported .4dv of the run instead of the run's own rendering."""
+    lpips_weights: Path | None = None
+    """File or folder with the weights of VGG-16 and LPIPS; lpips is null without them."""
+
+
+def run(arguments: Arguments) -> None:
+    """Render every held-out picture, compare, print the means."""
+    console = Console(stderr=True)
+    trained = load_run(arguments.run)
+    indices = _judged(trained, arguments.views)
+    lpips = load_lpips(arguments.lpips_weights)
+    if lpips is None:
+        console.print("LPIPS: no weights found; lpips is null (--lpips-weights names them)")
+    pictures = []
+    capture = trained.run.capture
+    exported = None
+    if arguments.scene is not None:
+        from fourd.baking import open_scene
+
+        exported = open_scene(arguments.scene)
+    for frame in track(range(capture.frame_count), description="eval", console=console):
+        points = trained.frames.get(frame)
+        for index in indices:
+            camera = capture.cameras[index]
+            if exported is not None:
+                rgb = exported.render(camera, frame).rgb.clip(0, 1)
+            else:
+                layers = trained.run.config.train.layers
+                rgb = trained.renderer.render(points, frame, camera, layers, exclude=index).rgb
+            matte = capture.mask(index, frame)
+            truth = capture.image(index, frame) * (matte[..., None].astype(np.float32) / 255**2)
+            image, box = judge(rgb, truth, matte, lpips)
+            pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box))
+    evaluation = summarise(pictures)
+    _print(evaluation, trained)
+    if arguments.json is not None:
+        content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
+        write_text_atomically(arguments.json, json.dumps(content, indent=1) + "\n")
+
+
+def _judged(trained: TrainedRun, views: str | None) -> list[int]:
+    names = trained.run.capture.names
+    if views is None:
+        if not trained.run.test:
+            raise UserError(
+                f"{trained.run.folder}: expected held-out views, got a run trained on all of them; "
+                f"train with --test-views, or name training views with --views"
+            )
+        return trained.run.test
+    wanted = [name.strip() for name in views.split(",")]
+    unknown = [name for name in wanted if name not in names]
+    if unknown:
+        raise UserError(f"--views: expected names among {', '.join(names)}, got {', '.join(unknown)}")
+    return [names.index(name) for name in wanted]
+
+
+def _print(evaluation: Evaluation, trained: TrainedRun) -> None:
+    table = Table(title=f"{trained.run.folder} at step {trained.step}: {len(evaluation.pictures)} pictures")
+    for column in ("", "PSNR dB", "SSIM", "LPIPS"):
+        table.add_column(column, justify="right" if column else "left")
+    for label, scores in (("whole image", evaluation.image), ("matte's box", evaluation.box)):
+        if scores is not None:
+            table.add_row(label, f"{scores.psnr:.2f}", _shown(scores.ssim), _shown(scores.lpips))
+    Console().print(table)
+
+
+def _shown(value: float | None) -> str:
+    return "null" if value is None else f"{value:.4f}"

@@ -1,0 +1,44 @@
+"""Bake a trained run into a .4dv scene that renders in real time without torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from fourd.baking.bake import BAKED_LAYERS, bake_run
+from fourd.errors import UserError
+from fourd.training.run import load_run
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What to export, and where to."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The .4dv file to write."""
+    layers: int = BAKED_LAYERS
+    """Points composited a pixel (K), from 1 to 64."""
+    fps: float = 30.0
+    """Frames a second when played."""
+
+
+def run(arguments: Arguments) -> None:
+    """Load the newest checkpoint and bake every frame."""
+    if not 1 <= arguments.layers <= 64:
+        raise UserError(f"--layers: expected 1 to 64, got {arguments.layers}; 12 is the usual number")
+    if not arguments.fps > 0:
+        raise UserError(f"--fps: expected more than 0, got {arguments.fps}; 30 is the usual number")
+    console = Console(stderr=True)
+    trained = load_run(arguments.run)
+    bake_run(trained, arguments.out, console, arguments.layers, arguments.fps)
+    size = arguments.out.stat().st_size / 2**20
+    console.print(
+        f"{arguments.out}: {trained.run.capture.frame_count} frames, {size:.1f} MB; "
+        f"next: fourd render {arguments.out} --path orbit --out orbit.mp4"
+    )

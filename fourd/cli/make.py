@@ -1,0 +1,60 @@
+"""From a capture to a 4D scene with one command: check, carve, train, export."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from fourd.cli import train
+from fourd.pipeline import make_scene
+from fourd.training.lpips import load_lpips
+
+DEFAULT_SECONDS = 1800.0
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Every stage is cached: run the same command again after a stop, and it goes on."""
+
+    capture: tyro.conf.Positional[Path]
+    """Folder with images/, masks/, intri.yml and extri.yml."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The scene file to write; its stages' results lie beside it in OUT.work/."""
+    scene: Literal["object"] | None = None
+    """object: what the mattes hold, on black."""
+    config: Path | None = None
+    """YAML file laid over the defaults."""
+    test_views: str | None = None
+    """Names of held-out cameras, with commas."""
+    views: str | None = None
+    """Names of the cameras to use, with commas; all when not given."""
+    frames: str | None = None
+    """Frames as A:B or A:B:S, B not included; all when not given."""
+    scale: float | None = None
+    """Scale of the images; 0.5 halves both sides."""
+    points: int | None = None
+    """Points of each frame."""
+    max_seconds: float | None = None
+    """Seconds of training; 1800 when neither this, --max-steps nor the config file says."""
+    max_steps: int | None = None
+    """Steps of training."""
+    seed: int | None = None
+    """Seed of everything random."""
+    lpips_weights: Path | None = None
+    """File or folder with the weights of VGG-16 and LPIPS; the usual caches when not given."""
+
+
+def run(arguments: Arguments) -> None:
+    """Run every stage that is not done."""
+    console = Console(stderr=True)
+    given: dict[str, Any] = {field.name: getattr(arguments, field.name) for field in fields(arguments)}
+    if arguments.max_seconds is None and arguments.max_steps is None and arguments.config is None:
+        given["max_seconds"] = DEFAULT_SECONDS
+    config = train.overlaid(train.Arguments(**given))
+    lpips = load_lpips(arguments.lpips_weights)
+    make_scene(arguments.capture, arguments.out, config, lpips, console)
+    console.print(f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4")

@@ -1,0 +1,100 @@
+"""Train a 4D scene on a calibrated capture with mattes."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+from rich.console import Console
+
+from fourd.configs import load_overlay
+from fourd.errors import UserError
+from fourd.training.config import TrainConfig
+from fourd.training.loop import Trainer
+from fourd.training.lpips import load_lpips
+from fourd.training.run import create_run, open_run
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Flags override the config file, which overrides the defaults."""
+
+    capture: tyro.conf.Positional[Path]
+    """Folder with images/, masks/, intri.yml and extri.yml."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """The run's folder: made new, or gone on with by --resume."""
+    scene: Literal["object"] | None = None
+    """object: what the mattes hold, on black."""
+    config: Path | None = None
+    """YAML file laid over the defaults; docs/configuration.md lists its keys."""
+    test_views: str | None = None
+    """Names of held-out cameras, with commas: 05,11."""
+    views: str | None = None
+    """Names of the cameras to use, with commas; all when not given."""
+    frames: str | None = None
+    """Frames as A:B or A:B:S, B not included; all when not given."""
+    scale: float | None = None
+    """Scale of the images; 0.5 halves both sides."""
+    points: int | None = None
+    """Points of each frame."""
+    max_seconds: float | None = None
+    """Stop after this many seconds of training (carving before it is not counted)."""
+    max_steps: int | None = None
+    """Stop after this many steps."""
+    seed: int | None = None
+    """Seed of everything random."""
+    resume: bool = False
+    """Go on from the newest checkpoint; only the budget may be changed."""
+    lpips_weights: Path | None = None
+    """File or folder with the weights of VGG-16 and LPIPS; the usual caches when not given."""
+
+
+def run(arguments: Arguments) -> None:
+    """Carve, train, and say how it ended."""
+    console = Console(stderr=True)
+    lpips = load_lpips(arguments.lpips_weights)
+    if lpips is None:
+        console.print("LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)")
+    if arguments.resume:
+        opened = open_run(arguments.out)
+    else:
+        opened = create_run(arguments.capture, arguments.out, overlaid(arguments))
+    budget = opened.config.train
+    if arguments.resume and (arguments.max_steps is not None or arguments.max_seconds is not None):
+        budget = replace(budget, max_steps=arguments.max_steps, max_seconds=arguments.max_seconds)
+    started = time.monotonic()
+    summary = Trainer(opened, lpips, console, budget).train()
+    console.print(
+        f"{arguments.out}: {summary.steps} steps, {time.monotonic() - started:.0f} s, "
+        f"{summary.psnr:.2f} dB on training views; next: fourd eval {arguments.out}"
+    )
+
+
+def overlaid(arguments: Arguments) -> TrainConfig:
+    """Defaults, then the config file, then the flags that were given."""
+    config = TrainConfig() if arguments.config is None else load_overlay(TrainConfig(), arguments.config)
+    given: dict[str, Any] = {
+        "scene": arguments.scene,
+        "test_views": _names(arguments.test_views),
+        "views": _names(arguments.views),
+        "frames": arguments.frames,
+        "image_scale": arguments.scale,
+        "points": arguments.points,
+        "max_seconds": arguments.max_seconds,
+        "max_steps": arguments.max_steps,
+        "seed": arguments.seed,
+    }
+    try:
+        config = replace(config, **{name: value for name, value in given.items() if value is not None})
+    except ValueError as error:
+        raise UserError(f"{arguments.config or 'fourd train'}: {error}") from error
+    if config.max_steps is None and config.max_seconds is None:
+        raise UserError("--max-steps, --max-seconds: expected one of them, got neither; say when to stop")
+    return config
+
+
+def _names(text: str | None) -> tuple[str, ...] | None:
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())

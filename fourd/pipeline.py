@@ -1,0 +1,129 @@
+"""``fourd make``: every stage from a capture to a scene, each done once for the same input and settings."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from rich.console import Console
+
+from fourd.baking.bake import bake_run
+from fourd.capture.check import check_capture
+from fourd.errors import UserError
+from fourd.files import write_text_atomically
+from fourd.training.config import TrainConfig
+from fourd.training.loop import Trainer
+from fourd.training.lpips import LPIPS
+from fourd.training.run import CONFIG_NAME, carve_run, create_run, load_run, open_run
+
+INPUT_PATTERNS = ("*.yml", "images/*/*", "masks/*/*")
+
+
+class Stages:
+    """Which stages are done, kept in ``stages.json``: stage name -> the key of what it was done for."""
+
+    def __init__(self, folder: Path, console: Console) -> None:
+        self.folder = folder
+        self.console = console
+        self._path = folder / "stages.json"
+        self._done = self._read()
+
+    def run(self, name: str, key: str, work: Callable[[], object], result: Path, undo: Callable[[], None]) -> None:
+        """Do a stage unless it was done for the same key and its result is still there.
+
+        ``undo`` removes what an earlier, different key left behind; the same key goes on with it.
+        """
+        if self._done.get(name) == key and result.exists():
+            self.console.print(f"{name}: found done ({result})")
+            return
+        begun = self._done.get(f"{name} begun")
+        if begun is not None and begun != key:
+            undo()
+        self._record(f"{name} begun", key)
+        self.console.print(f"{name}: working")
+        work()
+        self._record(name, key)
+        self.console.print(f"{name}: done ({result})")
+
+    def _record(self, name: str, key: str) -> None:
+        self._done[name] = key
+        write_text_atomically(self._path, json.dumps(self._done, indent=1) + "\n")
+
+    def _read(self) -> dict[str, str]:
+        try:
+            content = json.loads(self._path.read_text())
+        except (FileNotFoundError, json.JSONDecodeError):
+            return {}
+        return {str(name): str(key) for name, key in content.items()} if isinstance(content, dict) else {}
+
+
+def make_scene(capture: Path, out: Path, train: TrainConfig, lpips: LPIPS | None, console: Console) -> None:
+    """Check, carve, train and export ``capture`` into the scene file ``out``.
+
+    The stages' results lie in a folder beside ``out``, named after it. A changed input or setting
+    redoes the stages that depend on it; an interrupted one goes on where it stopped.
+    """
+    work = out.with_suffix(".work")
+    if work.exists() and not (work / "stages.json").exists() and any(work.iterdir()):
+        raise UserError(f"{work}: expected a folder made by fourd make, got another; move it or choose another -o")
+    work.mkdir(parents=True, exist_ok=True)
+    stages = Stages(work, console)
+    run = work / "run"
+    inputs = fingerprint(capture)
+    settings = asdict(train)
+    selection = {name: settings[name] for name in ("views", "test_views", "frames", "image_scale", "points")}
+    carve_key = _key(inputs, selection)
+    train_key = _key(carve_key, settings)
+    stages.run("check", inputs, lambda: _check(capture), capture, lambda: None)
+    stages.run("carve", carve_key, lambda: carve_run(capture, run, train), run / "hull", lambda: _remove(run))
+    stages.run(
+        "train",
+        train_key,
+        lambda: _train(capture, run, train, lpips, console),
+        run / "checkpoints",
+        lambda: _remove(run, keep="hull"),
+    )
+    stages.run("export", train_key, lambda: bake_run(load_run(run), out, console), out, lambda: None)
+
+
+def fingerprint(capture: Path) -> str:
+    """A key of the input files' names, sizes and times; contents are not read."""
+    entries = []
+    for pattern in INPUT_PATTERNS:
+        for path in sorted(capture.glob(pattern)):
+            status = path.stat()
+            entries.append(f"{path.relative_to(capture)} {status.st_size} {status.st_mtime_ns}")
+    return _key(str(capture.resolve()), *entries)
+
+
+def _check(capture: Path) -> None:
+    problems = check_capture(capture).problems
+    if problems:
+        more = f" (and {len(problems) - 1} more; fourd check lists them)" if len(problems) > 1 else ""
+        raise UserError(f"{problems[0]}{more}")
+
+
+def _train(capture: Path, run: Path, train: TrainConfig, lpips: LPIPS | None, console: Console) -> None:
+    opened = open_run(run) if (run / CONFIG_NAME).exists() else create_run(capture, run, train)
+    Trainer(opened, lpips, console, replace(opened.config.train)).train()
+
+
+def _remove(folder: Path, keep: str | None = None) -> None:
+    if not folder.exists():
+        return
+    for entry in folder.iterdir():
+        if entry.name == keep:
+            continue
+        if entry.is_dir():
+            shutil.rmtree(entry)
+        else:
+            entry.unlink()
+
+
+def _key(*parts: object) -> str:
+    text = "\n".join(part if isinstance(part, str) else json.dumps(part, sort_keys=True) for part in parts)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

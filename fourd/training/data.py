@@ -1,0 +1,105 @@
+"""Training pictures: each view of each frame cropped to its matte, in a bounded cache."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.capture import Capture
+from fourd.model.sources import SourceViews
+
+CROP_MARGIN_PX = 16
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera's picture of one frame, or the part of it around the object.
+
+    Attributes:
+        rgb: (H, W, 3) uint8.
+        matte: (H, W) uint8, 255 on the object.
+        camera: the camera of this part.
+        left, top: where the part begins in the whole picture, in pixels.
+    """
+
+    rgb: NDArray[np.uint8]
+    matte: NDArray[np.uint8]
+    camera: Camera
+    left: int
+    top: int
+
+    def target(self) -> tuple[Tensor, Tensor]:
+        """RGB (H, W, 3) times matte, and matte (H, W), both float32 in [0, 1]."""
+        matte = torch.from_numpy(self.matte).float() / 255
+        return torch.from_numpy(self.rgb).float() / 255 * matte[..., None], matte
+
+
+class ViewStore:
+    """Views of a capture, decoded when asked for; at most ``memory_mb`` of them are kept."""
+
+    def __init__(self, capture: Capture, crop: bool, memory_mb: int) -> None:
+        self.capture = capture
+        self.crop = crop
+        self._budget = memory_mb * 2**20
+        self._used = 0
+        self._kept: OrderedDict[tuple[int, int], View] = OrderedDict()
+
+    def view(self, camera: int, frame: int) -> View:
+        """The view of camera and frame (indices into the capture's selection)."""
+        key = (camera, frame)
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        view = self._decoded(camera, frame)
+        self._kept[key] = view
+        self._used += view.rgb.nbytes + view.matte.nbytes
+        while self._used > self._budget and len(self._kept) > 1:
+            _, dropped = self._kept.popitem(last=False)
+            self._used -= dropped.rgb.nbytes + dropped.matte.nbytes
+        return view
+
+    def sources(self, cameras: list[int], frame: int) -> SourceViews:
+        """The views of several cameras, padded to a common size that is a multiple of 4."""
+        views = [self.view(camera, frame) for camera in cameras]
+        height = _rounded_up(max(view.rgb.shape[0] for view in views))
+        width = _rounded_up(max(view.rgb.shape[1] for view in views))
+        images = torch.zeros(len(views), 3, height, width)
+        mattes = torch.zeros(len(views), height, width)
+        for i, view in enumerate(views):
+            rows, columns = view.matte.shape
+            images[i, :, :rows, :columns] = torch.from_numpy(view.rgb).permute(2, 0, 1) / 255
+            mattes[i, :rows, :columns] = torch.from_numpy(view.matte) / 255
+        padded = tuple(view.camera.cropped(0, 0, width, height) for view in views)
+        return SourceViews(images, mattes, None, padded)
+
+    def _decoded(self, camera: int, frame: int) -> View:
+        rgb, matte = self.capture.image(camera, frame), self.capture.mask(camera, frame)
+        whole = self.capture.cameras[camera]
+        left, top, width, height = 0, 0, whole.width, whole.height
+        if self.crop:
+            left, top, width, height = _matte_window(matte)
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        part = whole.cropped(left, top, width, height)
+        return View(rgb[rows, columns].copy(), matte[rows, columns].copy(), part, left, top)
+
+
+def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """(left, top, width, height) of the matte's box with a margin; a small corner where it is empty."""
+    height, width = matte.shape
+    left, top, box_width, box_height = cv2.boundingRect(matte)
+    if box_width == 0:
+        return 0, 0, min(16, width), min(16, height)
+    right, bottom = left + box_width + CROP_MARGIN_PX, top + box_height + CROP_MARGIN_PX
+    left, top = max(0, left - CROP_MARGIN_PX), max(0, top - CROP_MARGIN_PX)
+    return left, top, min(width, right) - left, min(height, bottom) - top
+
+
+def _rounded_up(size: int) -> int:
+    return -(-size // 4) * 4

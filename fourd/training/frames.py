@@ -1,0 +1,158 @@
+"""Each frame's own points and their optimiser state, in a bounded cache over files."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from fourd.files import atomic_path
+
+BETAS = (0.9, 0.99)
+EPSILON = 1e-15
+
+
+@dataclass
+class FramePoints:
+    """What belongs to one frame; N points, all float32.
+
+    Attributes:
+        xyz: (N, 3) world units.
+        radius: (N,) world units, as last evaluated; tells what hides what.
+        density: (N,) in (0, 1), likewise.
+        free: name -> the optimised tensors: "xyz" and, when explicit, "sh" (N, 48).
+        moments: name -> (2, N, C) Adam moments of the tensor of that name.
+        steps: (N,) Adam steps that each point has had.
+    """
+
+    radius: Tensor
+    density: Tensor
+    free: dict[str, Tensor]
+    moments: dict[str, Tensor]
+    steps: Tensor
+
+    @property
+    def xyz(self) -> Tensor:
+        return self.free["xyz"]
+
+    @classmethod
+    def fresh(cls, xyz: Tensor, radius: float, explicit_sh: bool) -> FramePoints:
+        """Points as carved, not yet trained."""
+        count = xyz.shape[0]
+        free = {"xyz": xyz.clone()}
+        if explicit_sh:
+            free["sh"] = torch.zeros(count, 48)
+        return cls(
+            radius=torch.full((count,), radius),
+            density=torch.full((count,), 0.99),
+            free=free,
+            moments={name: torch.zeros(2, *value.shape) for name, value in free.items()},
+            steps=torch.zeros(count),
+        )
+
+    def update(self, rows: Tensor, gradients: dict[str, Tensor], rates: dict[str, float]) -> None:
+        """Adam on ``rows`` (M,) alone (Kingma and Ba 2015): points out of sight keep their state.
+
+        ``gradients`` maps names to (M, C); ``rates`` to learning rates in the tensor's units.
+        """
+        self.steps[rows] += 1
+        steps = self.steps[rows][:, None]
+        for name, gradient in gradients.items():
+            moments = self.moments[name]
+            first = moments[0, rows].lerp(gradient, 1 - BETAS[0])
+            second = moments[1, rows].lerp(gradient.square(), 1 - BETAS[1])
+            moments[0, rows], moments[1, rows] = first, second
+            scale = (second / (1 - BETAS[1] ** steps)).sqrt() + EPSILON
+            self.free[name][rows] -= rates[name] * first / (1 - BETAS[0] ** steps) / scale
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Everything under flat names, for a file."""
+        named = {"radius": self.radius, "density": self.density, "steps": self.steps}
+        named.update({f"free.{name}": value for name, value in self.free.items()})
+        named.update({f"moments.{name}": value for name, value in self.moments.items()})
+        return named
+
+    @classmethod
+    def from_tensors(cls, named: dict[str, Tensor]) -> FramePoints:
+        """The inverse of :meth:`tensors`."""
+        return cls(
+            radius=named["radius"],
+            density=named["density"],
+            free=_below("free.", named),
+            moments=_below("moments.", named),
+            steps=named["steps"],
+        )
+
+    @property
+    def nbytes(self) -> int:
+        return sum(value.numel() * value.element_size() for value in self.tensors().values())
+
+
+class FrameStore:
+    """Points of all frames; those not in use lie in files, so that memory does not grow with frames."""
+
+    def __init__(
+        self, scratch: Path, frames: int, make: Callable[[int], FramePoints], memory_mb: int, saved: Path | None
+    ) -> None:
+        """Open a store.
+
+        Args:
+            scratch: folder for points that leave memory between checkpoints; emptied here.
+            frames: number of frames.
+            make: gives the points of a frame that was never trained.
+            memory_mb: bound on points kept in memory.
+            saved: a folder written by :meth:`save`, to go on from.
+        """
+        self._scratch = scratch
+        self._make = make
+        self._budget = memory_mb * 2**20
+        self._saved = saved
+        self._kept: OrderedDict[int, FramePoints] = OrderedDict()
+        self._spilled: set[int] = set()
+        self.frames = frames
+        scratch.mkdir(parents=True, exist_ok=True)
+        for stale in scratch.glob("*.safetensors"):
+            stale.unlink()
+
+    @property
+    def kept(self) -> int:
+        """Number of frames in memory."""
+        return len(self._kept)
+
+    def get(self, frame: int) -> FramePoints:
+        """The points of a frame, to be changed in place until the next call."""
+        if frame in self._kept:
+            self._kept.move_to_end(frame)
+            return self._kept[frame]
+        points = self._loaded(frame)
+        self._kept[frame] = points
+        while len(self._kept) > 1 and len(self._kept) * points.nbytes > self._budget:
+            oldest, dropped = self._kept.popitem(last=False)
+            save_file(dropped.tensors(), self._scratch / f"{oldest:06d}.safetensors")
+            self._spilled.add(oldest)
+        return points
+
+    def save(self, folder: Path) -> None:
+        """Write every frame below ``folder``, one at a time."""
+        for frame in range(self.frames):
+            points = self._kept.get(frame) or self._loaded(frame)
+            with atomic_path(folder / f"{frame:06d}.safetensors") as temporary:
+                save_file(points.tensors(), temporary)
+        self._saved = folder
+
+    def _loaded(self, frame: int) -> FramePoints:
+        name = f"{frame:06d}.safetensors"
+        if frame in self._spilled:
+            return FramePoints.from_tensors(load_file(self._scratch / name))
+        if self._saved is not None:
+            return FramePoints.from_tensors(load_file(self._saved / name))
+        return self._make(frame)
+
+
+def _below(prefix: str, named: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in named.items() if name.startswith(prefix)}

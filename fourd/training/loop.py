@@ -1,0 +1,192 @@
+"""The training loop: steps, progress, validation, checkpoints, and going on where a run stopped."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from fourd.errors import UserError
+from fourd.files import atomic_path
+from fourd.training.checkpoints import (
+    checkpoint_path,
+    latest_checkpoint,
+    load_checkpoint,
+    pack_optimizer,
+    restore,
+    save_checkpoint,
+    unpack_optimizer,
+)
+from fourd.training.config import TrainConfig
+from fourd.training.log import MetricsLog
+from fourd.training.losses import ImageLoss
+from fourd.training.lpips import LPIPS
+from fourd.training.metrics import psnr
+from fourd.training.render import Renderer
+from fourd.training.run import Run, drop_stale_points, points_folder
+from fourd.training.schedule import Sampler, budget_spent, rate_factor
+from fourd.training.step import Stepper
+
+LOG_EVERY = 10
+SMOOTHING = 0.97
+
+
+@dataclass(frozen=True)
+class TrainSummary:
+    """How training ended."""
+
+    steps: int
+    seconds: float
+    psnr: float
+
+
+class Trainer:
+    """Trains a run from its newest checkpoint, or from the start, until its budget is spent."""
+
+    def __init__(self, run: Run, lpips: LPIPS | None, console: Console, budget: TrainConfig) -> None:
+        """``budget`` gives max_steps and max_seconds: a resumed run may be given more of either."""
+        if budget.max_steps is None and budget.max_seconds is None:
+            raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; say when to stop")
+        self.run = run
+        self.config = budget
+        self.console = console
+        self.model = run.new_model()
+        self.views = run.view_store()
+        self.stepper = Stepper(self.model, budget, ImageLoss(budget.loss, lpips), self.views)
+        self.sampler = Sampler(budget, run.capture.cameras, run.training, run.capture.frame_count, run.focus)
+        self.done = 0
+        self.seconds = 0.0
+        self.psnr = 0.0
+        saved = self._restore()
+        drop_stale_points(run.checkpoints)
+        self.frames = run.frame_store(saved, "trainer")
+        self.renderer = Renderer(self.model, self.views, run.training, run.focus)
+        self._saved_step = self.done if saved is not None else -1
+
+    def train(self) -> TrainSummary:
+        """Run to the end of the budget; Ctrl-C saves a checkpoint and leaves a run to resume."""
+        log = MetricsLog(self.run.folder, resume_step=self.done)
+        try:
+            with self._progress() as progress:
+                task = progress.add_task("train", total=1.0, note="")
+                self._loop(log, lambda note: progress.update(task, completed=self._spent(), note=note))
+        finally:
+            log.close()
+        self._checkpoint()
+        shutil.rmtree(self.run.folder / "scratch", ignore_errors=True)
+        return TrainSummary(self.done, self.seconds, self.psnr)
+
+    def _loop(self, log: MetricsLog, show: Callable[[str], None]) -> None:
+        last_save, last_validation = self.seconds, self.seconds
+        while self._spent() < 1.0:
+            started = time.monotonic()
+            try:
+                self._step(log)
+            except KeyboardInterrupt:
+                self._checkpoint()
+                raise
+            self.seconds += time.monotonic() - started
+            show(f"step {self.done}  {self.psnr:.2f} dB")
+            if self._save_due(self.seconds - last_save):
+                self._checkpoint()
+                last_save = self.seconds
+            if self.seconds - last_validation >= self.config.validation_seconds:
+                self._validate(log)
+                last_validation = self.seconds
+
+    def _step(self, log: MetricsLog) -> None:
+        choice = self.sampler.choose(self.done)
+        factor = rate_factor(self.config.rates, self.done, self._spent())
+        points = self.frames.get(choice.frame)
+        moment = self.run.capture.time(choice.frame)
+        result = self.stepper.step(points, moment, choice, factor, self.done)
+        self.psnr = result.psnr if self.done == 0 else SMOOTHING * self.psnr + (1 - SMOOTHING) * result.psnr
+        self.done += 1
+        if self.done % LOG_EVERY == 0:
+            log.scalars(
+                self.done,
+                {
+                    "psnr": result.psnr,
+                    "psnr_smooth": self.psnr,
+                    "seconds": self.seconds,
+                    "rate_factor": factor,
+                    **{f"loss/{name}": value for name, value in result.terms.items()},
+                },
+            )
+
+    def _validate(self, log: MetricsLog) -> None:
+        """PSNR of one view at the middle frame, with a picture of truth and rendering side by side."""
+        judged = (self.run.test or self.run.training)[0]
+        frame = self.run.capture.frame_count // 2
+        view = self.views.view(judged, frame)
+        picture = self.renderer.render(self.frames.get(frame), frame, view.camera, self.config.layers, exclude=judged)
+        truth = view.target()[0].numpy()
+        value = float(psnr(torch.from_numpy(picture.rgb), torch.from_numpy(truth)))
+        log.scalars(self.done, {"validation/psnr": value, "seconds": self.seconds})
+        pair = (np.concatenate([truth, picture.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
+        log.image(self.done, "validation", pair)
+        path = self.run.folder / "validation" / f"{self.done:07d}.png"
+        with atomic_path(path) as temporary:
+            cv2.imwrite(str(temporary), cv2.cvtColor(pair, cv2.COLOR_RGB2BGR))
+
+    def _checkpoint(self) -> None:
+        """Points first, then the model's file, whose presence makes the checkpoint whole."""
+        if self.done == self._saved_step:
+            return
+        target = checkpoint_path(self.run.checkpoints, self.done)
+        self._save_points(points_folder(target))
+        tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        tensors.update(pack_optimizer(self.stepper.optimizer, "optimizer."))
+        state = {"seconds": self.seconds, "psnr": self.psnr}
+        save_checkpoint(self.run.checkpoints, self.done, tensors, state)
+        drop_stale_points(self.run.checkpoints)
+        self._saved_step = self.done
+
+    def _save_points(self, folder: Path) -> None:
+        try:
+            self.frames.save(folder)
+        except OSError as error:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise UserError(
+                f"{folder}: expected room for a checkpoint, got '{error}'; the checkpoint before it is good: "
+                f"free some space and add --resume"
+            ) from error
+
+    def _restore(self) -> Path | None:
+        found, note = latest_checkpoint(self.run.checkpoints)
+        if note:
+            self.console.print(note, style="yellow")
+        if found is None:
+            return None
+        self.done, tensors, state = load_checkpoint(found)
+        restore(self.model, tensors, "model.", found)
+        unpack_optimizer(self.stepper.optimizer, tensors, "optimizer.", found)
+        self.seconds = float(state["seconds"])
+        self.psnr = float(state["psnr"])
+        return points_folder(found)
+
+    def _spent(self) -> float:
+        return budget_spent(self.config, self.done, self.seconds)
+
+    def _save_due(self, seconds: float) -> bool:
+        if self.config.checkpoint_steps is not None:
+            return self.done % self.config.checkpoint_steps == 0
+        return seconds >= self.config.checkpoint_seconds
+
+    def _progress(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.percentage:>3.0f}%  {task.fields[note]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=self.console,
+        )

@@ -1,0 +1,237 @@
+"""The run folder: what was trained, on what, and where its checkpoints are.
+
+``config.yaml`` (written once), ``hull/`` (carved points), ``checkpoints/STEP.safetensors`` with
+``checkpoints/STEP.points/``, ``metrics.jsonl``, TensorBoard events and ``validation/``.
+"""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fourd.capture import Capture, open_capture
+from fourd.configs import load_overlay, save_config
+from fourd.errors import UserError
+from fourd.model import PointModel
+from fourd.seeding import Bounds, carve_capture, read_ply
+from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
+from fourd.training.config import TrainConfig
+from fourd.training.data import ViewStore
+from fourd.training.frames import FramePoints, FrameStore
+from fourd.training.render import Renderer
+
+CONFIG_NAME = "config.yaml"
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """What was measured on the capture before training; all in world units."""
+
+    lower: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Lower corner of the bounds."""
+    upper: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Upper corner of the bounds."""
+    spacing: float = 0.01
+    """Mean distance between neighbouring points."""
+    frame_count: int = 1
+    """Frames of the whole capture."""
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """The run's config.yaml."""
+
+    capture: Path = Path()
+    """The capture's folder, absolute."""
+    scene: SceneConfig = field(default_factory=SceneConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder that was opened: the capture it belongs to and who is held out.
+
+    Attributes:
+        folder: the run's folder.
+        config: its config.yaml.
+        capture: the selected views and frames of the capture, training and test.
+        training, test: indices into ``capture.cameras``.
+    """
+
+    folder: Path
+    config: RunConfig
+    capture: Capture
+    training: list[int]
+    test: list[int]
+
+    @property
+    def focus(self) -> NDArray[np.float64]:
+        """(3,) centre of the bounds: view angles are measured from here."""
+        return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
+
+    @property
+    def checkpoints(self) -> Path:
+        return self.folder / "checkpoints"
+
+    def new_model(self) -> PointModel:
+        """An untrained model, the same for the same config."""
+        torch.manual_seed(self.config.train.seed)
+        scene = self.config.scene
+        return PointModel(
+            self.config.train.model,
+            np.asarray(scene.lower),
+            np.asarray(scene.upper),
+            scene.spacing,
+            scene.frame_count,
+        )
+
+    def view_store(self) -> ViewStore:
+        """Training pictures by the config's crop and memory bound."""
+        train = self.config.train
+        return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
+
+    def frame_store(self, saved: Path | None, scratch_name: str) -> FrameStore:
+        """Points of every frame, from ``saved`` or else as carved."""
+        scratch = self.folder / "scratch" / scratch_name
+        return FrameStore(scratch, self.capture.frame_count, self.carved, self.config.train.memory_mb, saved)
+
+    def carved(self, frame: int) -> FramePoints:
+        """Points of a frame as carved, at most as many as the config asks for."""
+        train = self.config.train
+        number = self.capture.frame_numbers[frame]
+        xyz = read_ply(self.folder / "hull" / f"{number:06d}.ply").xyz
+        radius = train.model.radius_start * self.config.scene.spacing
+        explicit = train.model.sh == "explicit" and train.model.appearance != "ibr"
+        return FramePoints.fresh(torch.from_numpy(xyz[: train.points].copy()), radius, explicit)
+
+
+@dataclass(frozen=True)
+class TrainedRun:
+    """A run with its newest good checkpoint loaded."""
+
+    run: Run
+    step: int
+    model: PointModel
+    frames: FrameStore
+    renderer: Renderer
+
+
+def carve_run(capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
+    """Carve the training views of the selection into ``folder/hull``; goes on where an earlier call stopped.
+
+    Held-out views are not carved from: they must not shape what they judge.
+    """
+    capture, training, _ = _open_views(capture_path, train)
+    _require_masks(capture)
+    folder.mkdir(parents=True, exist_ok=True)
+    seeing = open_capture(
+        capture_path,
+        views=[capture.names[index] for index in training],
+        frames=train.frames,
+        scale=train.image_scale,
+    )
+    return carve_capture(seeing, folder / "hull", points=train.points)
+
+
+def create_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
+    """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
+
+    A folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
+    UserError when ``folder`` exists and is not a run, or is a run already.
+    """
+    if (folder / CONFIG_NAME).exists():
+        raise UserError(f"{folder}: expected a new folder, got a run; add --resume to go on with it, or name another")
+    if folder.exists() and (not folder.is_dir() or any(entry.name != "hull" for entry in folder.iterdir())):
+        raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
+    bounds = carve_run(capture_path, folder, train)
+    capture, _, _ = _open_views(capture_path, train)
+    first = read_ply(folder / "hull" / f"{capture.frame_numbers[0]:06d}.ply").xyz
+    scene = SceneConfig(
+        lower=_triple(bounds.lower),
+        upper=_triple(bounds.upper),
+        spacing=mean_spacing(first[: train.points]),
+        frame_count=max(capture.total_frames, 1),
+    )
+    save_config(RunConfig(capture_path.resolve(), scene, train), folder / CONFIG_NAME)
+    return open_run(folder)
+
+
+def open_run(folder: Path) -> Run:
+    """Open a run folder and its capture. Raises UserError when either is not what it should be."""
+    path = folder / CONFIG_NAME
+    if not path.is_file():
+        raise UserError(f"{folder}: expected a run (a folder with {CONFIG_NAME}), got none; make one with fourd train")
+    config = load_overlay(RunConfig(), path)
+    capture, training, test = _open_views(config.capture, config.train)
+    return Run(folder, config, capture, training, test)
+
+
+def load_run(folder: Path) -> TrainedRun:
+    """Open a run and load its newest good checkpoint, for evaluation, rendering and export."""
+    run = open_run(folder)
+    found, note = latest_checkpoint(run.checkpoints)
+    if found is None:
+        raise UserError(
+            f"{folder}: expected a trained run, got no good checkpoint {note}; go on with fourd train --resume"
+        )
+    step, tensors, _ = load_checkpoint(found)
+    model = run.new_model()
+    restore(model, tensors, "model.", found)
+    model.requires_grad_(False)
+    frames = run.frame_store(points_folder(found), "reader")
+    return TrainedRun(run, step, model, frames, Renderer(model, run.view_store(), run.training, run.focus))
+
+
+def points_folder(checkpoint: Path) -> Path:
+    """Where the points of a checkpoint file lie."""
+    return checkpoint.with_suffix(".points")
+
+
+def drop_stale_points(checkpoints: Path) -> None:
+    """Remove points whose checkpoint file is gone or was never finished."""
+    for folder in checkpoints.glob("*.points"):
+        if not folder.with_suffix(".safetensors").exists():
+            shutil.rmtree(folder)
+
+
+def mean_spacing(xyz: NDArray[np.float32]) -> float:
+    """Mean distance from a point to its fourth-nearest neighbour over two: the spacing of an even sheet.
+
+    The nearest neighbour alone would depend on how even the sampling is.
+    """
+    if xyz.shape[0] < 6:
+        return 0.01
+    distances, _ = cKDTree(xyz).query(xyz[:4096], k=5)
+    return float(distances[:, 1:].mean() / 1.2)
+
+
+def _open_views(path: Path, train: TrainConfig) -> tuple[Capture, list[int], list[int]]:
+    views = list(train.views) if train.views is not None else None
+    capture = open_capture(path, views=views, frames=train.frames, scale=train.image_scale)
+    unknown = [name for name in train.test_views if name not in capture.names]
+    if unknown:
+        raise UserError(f"--test-views: expected names among {', '.join(capture.names)}, got {', '.join(unknown)}")
+    test = [capture.names.index(name) for name in train.test_views]
+    training = [index for index in range(len(capture.names)) if index not in test]
+    if len(training) < 2:
+        raise UserError(
+            f"{path}: expected at least 2 training views, got {len(training)}; hold out fewer with --test-views"
+        )
+    return capture, training, test
+
+
+def _require_masks(capture: Capture) -> None:
+    if not capture.has_masks:
+        raise UserError(
+            f"{capture.path}: expected masks/CAM/FRAME.png for an object scene, got none; make mattes first"
+        )
+
+
+def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,137 @@
+"""One training step: render a view of a frame, compare, and move everything a little."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.model import PointModel
+from fourd.model.sources import SourceViews
+from fourd.raster import point_visibility, render_points
+from fourd.raster.arrays import render_points_numpy
+from fourd.training.config import TrainConfig
+from fourd.training.data import ViewStore
+from fourd.training.frames import FramePoints
+from fourd.training.losses import ImageLoss
+from fourd.training.schedule import Choice
+
+NEAR = 0.01
+
+
+@dataclass(frozen=True)
+class StepResult:
+    """What a step measured: each term's weighted value, and PSNR in dB of the rendered part."""
+
+    terms: dict[str, float]
+    psnr: float
+
+
+class Stepper:
+    """Holds the model and its optimiser; :meth:`step` trains on one view of one frame."""
+
+    def __init__(self, model: PointModel, config: TrainConfig, loss: ImageLoss, views: ViewStore) -> None:
+        self.model = model
+        self.config = config
+        self.loss = loss
+        self.views = views
+        planes = [p for name, p in model.named_parameters() if "planes" in name]
+        others = [p for name, p in model.named_parameters() if "planes" not in name]
+        self.optimizer = torch.optim.Adam(
+            [
+                {"params": planes, "lr": config.rates.planes, "base": config.rates.planes},
+                {"params": others, "lr": config.rates.mlps, "base": config.rates.mlps},
+            ],
+            betas=(0.9, 0.99),
+            eps=1e-15,
+            fused=True,
+        )
+        self.scene_size = float((model.upper - model.lower).max())
+
+    def step(self, points: FramePoints, time: float, choice: Choice, factor: float, number: int) -> StepResult:
+        """Train once; ``factor`` scales all rates, ``number`` names the step in errors.
+
+        Raises UserError naming the step and the loss's term when a value is not finite; nothing
+        is changed then.
+        """
+        view = self.views.view(choice.target, choice.frame)
+        target, matte = view.target()
+        rows = self._rows_in_sight(points, view.camera)
+        sources = self._sources(points, choice)
+        free = {name: value[rows].requires_grad_() for name, value in points.free.items()}
+        xyz = free["xyz"]
+        features = self.model.point_features(xyz, time)
+        radius, density = self.model.geometry(features)
+        displacement = self.model.displacement(xyz, time)
+        placed = xyz if displacement is None else xyz + displacement
+        colour = self.model.colour(placed, features, view.camera, sources, free.get("sh"))
+        render = render_points(placed, colour, radius, density, view.camera, layers=self.config.layers, near=NEAR)
+        background = torch.from_numpy(choice.background)
+        terms = self.loss.terms(render.features, render.alpha, target, matte, background)
+        if displacement is not None:
+            spacing = self.model.spacing
+            terms["residual"] = self.config.loss.residual * (displacement / spacing).square().mean()
+        _require_finite(terms, number)
+        self._apply(points, rows, free, terms, factor)
+        with torch.no_grad():
+            points.radius[rows], points.density[rows] = radius, density
+            error = float((render.features.clamp(0, 1) - target).square().mean())
+        psnr = -10 * math.log10(max(error, 1e-10))
+        return StepResult({name: float(value) for name, value in terms.items()}, psnr)
+
+    def _apply(
+        self, points: FramePoints, rows: Tensor, free: dict[str, Tensor], terms: dict[str, Tensor], factor: float
+    ) -> None:
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.stack(list(terms.values())).sum().backward()
+        for group in self.optimizer.param_groups:
+            group["lr"] = group["base"] * factor
+        self.optimizer.step()
+        rates = self.config.rates
+        gradients = {name: torch.nan_to_num(value.grad) for name, value in free.items() if value.grad is not None}
+        with torch.no_grad():
+            points.update(rows, gradients, {"xyz": rates.xyz * self.scene_size * factor, "sh": rates.sh * factor})
+
+    def _rows_in_sight(self, points: FramePoints, camera: Camera) -> Tensor:
+        if self.config.hidden_weight == 0:
+            return torch.arange(points.xyz.shape[0])
+        weight = point_visibility(
+            points.xyz, points.radius, points.density, camera, layers=self.config.layers, near=NEAR
+        )
+        return torch.nonzero(weight > self.config.hidden_weight)[:, 0]
+
+    def _sources(self, points: FramePoints, choice: Choice) -> SourceViews | None:
+        if self.config.model.appearance == "sh":
+            return None
+        return with_depth(self.views.sources(choice.sources, choice.frame), points, self.config.model.occlusion)
+
+
+def with_depth(sources: SourceViews, points: FramePoints, occlusion: bool) -> SourceViews:
+    """The same views with the depth of the frame's points in each, when occlusion is tested."""
+    if not occlusion:
+        return sources
+    depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]
+    return SourceViews(sources.images, sources.mattes, torch.stack(depths), sources.cameras)
+
+
+def surface_depth(points: FramePoints, camera: Camera) -> np.ndarray:
+    """(H, W) depth of the points as last evaluated, infinite where nothing covers half a pixel."""
+    ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
+    _, alpha, depth = render_points_numpy(
+        points.xyz.numpy(), ones, points.radius.numpy(), points.density.numpy(), camera, layers=4, near=NEAR
+    )
+    return np.where(alpha > 0.5, depth, np.float32(np.inf)).astype(np.float32)
+
+
+def _require_finite(terms: dict[str, Tensor], number: int) -> None:
+    bad = [name for name, value in terms.items() if not bool(torch.isfinite(value))]
+    if bad:
+        raise UserError(
+            f"step {number}: expected a finite loss, got {float(terms[bad[0]])} in the term '{bad[0]}'; "
+            f"the last checkpoint is good: go on from it with --resume and lower learning rates"
+        )

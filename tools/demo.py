@@ -1,0 +1,51 @@
+"""The demonstration behind ``make demo``: a synthetic capture, a scene made of it, a video, a few figures.
+
+Runs the same commands that a user would type, and prints them.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+import time
+from pathlib import Path
+
+from fourd.cli.main import main as fourd
+
+FOLDER = Path("demo")
+TEST_VIEWS = "03,09"
+
+
+def step(*words: object) -> None:
+    """Run a fourd command as typed; stop the demonstration when it fails."""
+    arguments = [str(word) for word in words]
+    print(f"\n$ fourd {shlex.join(arguments)}", flush=True)
+    code = fourd(arguments)
+    if code != 0:
+        sys.exit(code)
+
+
+def main() -> None:
+    """Make everything below demo/; what is done already is found done."""
+    started = time.monotonic()
+    capture, scene, video = FOLDER / "capture", FOLDER / "scene.4dv", FOLDER / "orbit.mp4"
+    figures, run = FOLDER / "eval.json", FOLDER / "scene.work" / "run"
+    if not (capture / "intri.yml").exists():
+        step("synth", capture, "--frames", 16, "--cameras", 16, "--size", 320)
+    step("make", capture, "-o", scene, "--test-views", TEST_VIEWS, "--max-seconds", 320)
+    step("eval", run, "--json", figures)
+    step("render", scene, "--path", "orbit", "--out", video, "--size", 512, 512)
+    scores = json.loads(figures.read_text())
+    megabytes = scene.stat().st_size / 2**20
+    print(
+        f"\nMade in {time.monotonic() - started:.0f} s: {scene} ({megabytes:.0f} MB) and {video}."
+        f"\nHeld-out cameras {TEST_VIEWS}: {scores['image']['psnr']:.2f} dB PSNR on the whole image, "
+        f"{scores['box']['psnr']:.2f} dB in the figure's box."
+        f"\nNext: open {video}; fourd render {scene} --path spiral --out spiral.mp4; "
+        f"fourd make YOUR_CAPTURE -o scene.4dv"
+    )
+
+
+if __name__ == "__main__":
+    main()
