@@ -60,7 +60,7 @@ def run(arguments: Arguments) -> None:
                 layers = trained.run.config.train.layers
                 rgb = trained.renderer.render(points, frame, camera, layers, exclude=index).rgb
             matte = capture.mask(index, frame)
-            truth = capture.image(index, frame) * (matte[..., None].astype(np.float32) / 255**2)
+            truth = (capture.image(index, frame) * (matte[..., None] / 255**2)).astype(np.float32)
             image, box = judge(rgb, truth, matte, lpips)
             pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box))
     evaluation = summarise(pictures)

@@ -71,7 +71,7 @@ def find_bounds(
     capture: MaskSource,
     *,
     agreement: float = 0.95,
-    least_views: float = 1 / 3,
+    least_views: float = 1 / 2,
     margin: float = 0.05,
     most_frames: int = 120,
 ) -> Bounds:
@@ -110,7 +110,7 @@ def hull_bounds(
     cameras: Sequence[Camera],
     *,
     agreement: float = 0.95,
-    least_views: float = 1 / 3,
+    least_views: float = 1 / 2,
     names: Sequence[str] | None = None,
     label: str = "masks",
 ) -> Bounds:

@@ -39,7 +39,7 @@ def carve_frame(
     *,
     points: int = 65536,
     agreement: float = 0.95,
-    least_views: float = 1 / 3,
+    least_views: float = 1 / 2,
     seed: int = 0,
     names: Sequence[str] | None = None,
     label: str = "masks",

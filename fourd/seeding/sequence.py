@@ -33,7 +33,7 @@ class CarveSettings:
 
     points: int = 65536
     agreement: float = 0.95
-    least_views: float = 1 / 3
+    least_views: float = 1 / 2
     seed: int = 0
 
 
@@ -43,7 +43,7 @@ def carve_capture(
     *,
     points: int = 65536,
     agreement: float = 0.95,
-    least_views: float = 1 / 3,
+    least_views: float = 1 / 2,
     seed: int = 0,
     show_progress: bool = True,
 ) -> Bounds:

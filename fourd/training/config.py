@@ -18,7 +18,7 @@ class LossConfig:
     """Weight of LPIPS (VGG-16), where its weights are at hand."""
     stand_in: float = 1e-2
     """Weight of 1 - SSIM, which takes LPIPS's place where its weights are not at hand."""
-    mask: float = 1e-2
+    mask: float = 1e-1
     """Weight of the squared difference between rendered alpha and matte."""
     residual: float = 1e-3
     """Weight of the mean squared displacement, in units of the point spacing."""
@@ -37,7 +37,7 @@ class RateConfig:
     """K-Planes."""
     mlps: float = 1e-3
     """MLPs and the image CNN."""
-    xyz: float = 3e-4
+    xyz: float = 2e-3
     """Points, times the scene's size."""
     sh: float = 5e-3
     """Explicit spherical harmonics."""
@@ -71,7 +71,9 @@ class TrainConfig:
     """Train on the box of the matte with a margin, or on whole images."""
     random_background: bool = True
     """Composite prediction and truth on a random colour each step, so that black hides no holes."""
-    hidden_weight: float = 1e-3
+    encoder_every: int = 4
+    """The image CNN learns in every n-th step: its backward pass is dear and it changes slowly."""
+    hidden_weight: float = 3e-2
     """Points whose largest weight in the view stays below this are skipped for the step; 0 skips none."""
     neighbour_pool: int = 5
     """Source views are drawn from this many nearest ones, so that unseen views are not strange."""
@@ -101,6 +103,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
         require(1 <= self.layers <= 64, f"layers: expected 1 to 64, got {self.layers}")
+        require(self.encoder_every >= 1, f"encoder_every: expected at least 1, got {self.encoder_every}")
         require(self.hidden_weight >= 0, f"hidden_weight: expected 0 or more, got {self.hidden_weight}")
         require(0 < self.image_scale <= 4, f"image_scale: expected more than 0, got {self.image_scale}")
         require(

@@ -69,7 +69,8 @@ class Stepper:
         radius, density = self.model.geometry(features)
         displacement = self.model.displacement(xyz, time)
         placed = xyz if displacement is None else xyz + displacement
-        colour = self.model.colour(placed, features, view.camera, sources, free.get("sh"))
+        train_encoder = number % self.config.encoder_every == 0
+        colour = self.model.colour(placed, features, view.camera, sources, free.get("sh"), train_encoder=train_encoder)
         render = render_points(placed, colour, radius, density, view.camera, layers=self.config.layers, near=NEAR)
         background = torch.from_numpy(choice.background)
         terms = self.loss.terms(render.features, render.alpha, target, matte, background)
@@ -82,7 +83,7 @@ class Stepper:
             points.radius[rows], points.density[rows] = radius, density
             error = float((render.features.clamp(0, 1) - target).square().mean())
         psnr = -10 * math.log10(max(error, 1e-10))
-        return StepResult({name: float(value) for name, value in terms.items()}, psnr)
+        return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
 
     def _apply(
         self, points: FramePoints, rows: Tensor, free: dict[str, Tensor], terms: dict[str, Tensor], factor: float
@@ -132,6 +133,6 @@ def _require_finite(terms: dict[str, Tensor], number: int) -> None:
     bad = [name for name, value in terms.items() if not bool(torch.isfinite(value))]
     if bad:
         raise UserError(
-            f"step {number}: expected a finite loss, got {float(terms[bad[0]])} in the term '{bad[0]}'; "
+            f"step {number}: expected a finite loss, got {float(terms[bad[0]].detach())} in the term '{bad[0]}'; "
             f"the last checkpoint is good: go on from it with --resume and lower learning rates"
         )

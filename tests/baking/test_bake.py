@@ -1,0 +1,59 @@
+"""Exporting a run: the scene shows what the run shows, and needs no torch to do it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fourd.baking import open_scene
+from fourd.baking.bake import bake_run
+from fourd.training.run import TrainedRun, load_run
+from tests.training.small import SMALL, quiet, trained_run, with_steps
+
+
+@pytest.fixture(scope="module")
+def trained(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainedRun:
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    return load_run(trained_run(ball_capture, folder, with_steps(SMALL, 12)).folder)
+
+
+@pytest.fixture(scope="module")
+def scene_path(trained: TrainedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scenes") / "scene.4dv"
+    bake_run(trained, path, quiet(), layers=SMALL.layers)
+    return path
+
+
+def test_the_scene_renders_as_the_run(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches blend weights, colours or radii that baking computes in another way than rendering does."""
+    scene = open_scene(scene_path)
+    for frame in range(3):
+        for camera in (trained.run.capture.cameras[3], trained.run.capture.cameras[6]):
+            live = trained.renderer.render(trained.frames.get(frame), frame, camera, SMALL.layers).rgb
+            baked = scene.render(camera, frame).rgb.clip(0, 1)
+            error = float(np.square(live - baked).mean())
+            assert -10 * np.log10(error) > 50
+
+
+def test_the_manifest_tells_held_out_cameras_apart(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches a held-out camera among the blended ones."""
+    manifest = open_scene(scene_path).manifest
+    assert "03" not in manifest.source_names
+    assert manifest.other_names == ("03",)
+
+
+def test_a_scene_plays_without_torch(scene_path: Path) -> None:
+    """Catches an import of torch on the way to a picture: viewers do not have to install it."""
+    code = (
+        "import sys\n"
+        "from fourd.baking import open_scene\n"
+        f"scene = open_scene({str(scene_path)!r})\n"
+        "scene.render(scene.manifest.cameras[0], 0)\n"
+        "assert 'torch' not in sys.modules, 'torch was imported'\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

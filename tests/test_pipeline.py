@@ -1,0 +1,49 @@
+"""``make_scene``: stages are done once, and again when what they depend on changes."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from fourd.errors import UserError
+from fourd.pipeline import make_scene
+from fourd.training.config import TrainConfig
+from tests.training.small import SMALL, with_steps
+
+
+def made(capture: Path, out: Path, config: TrainConfig) -> dict[str, bool]:
+    """Run everything; which stages were done now."""
+    text = io.StringIO()
+    make_scene(capture, out, config, None, Console(file=text, width=200))
+    lines = text.getvalue().splitlines()
+    return {name: f"{name}: working" in lines for name in ("check", "carve", "train", "export")}
+
+
+def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches stale results after a change, and work done twice without one."""
+    capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
+    shutil.copytree(ball_capture, capture)
+    config = with_steps(SMALL, 2)
+    assert all(made(capture, out, config).values())
+    assert not any(made(capture, out, config).values())
+    now = made(capture, out, replace(config, seed=5))
+    assert now == {"check": False, "carve": False, "train": True, "export": True}
+    out.unlink()
+    now = made(capture, out, replace(config, seed=5))
+    assert now == {"check": False, "carve": False, "train": False, "export": True}
+    os.utime(capture / "images" / "00" / "000001.png", (1, 1))
+    assert all(made(capture, out, replace(config, seed=5)).values())
+
+
+def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a work folder emptied though someone else's files were in it."""
+    (tmp_path / "scene.work").mkdir()
+    (tmp_path / "scene.work" / "mine.txt").write_text("mine")
+    with pytest.raises(UserError, match="expected a folder made by fourd make"):
+        make_scene(ball_capture, tmp_path / "scene.4dv", SMALL, None, Console(quiet=True))

@@ -1,0 +1,60 @@
+"""Every example in configs/ is an ablation switch that trains, renders and does what it says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from fourd.baking.bake import bake_run
+from fourd.configs import load_overlay
+from fourd.errors import UserError
+from fourd.training.run import load_run
+from tests.training.small import SMALL, quiet, trained_run, with_steps
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+NAMES = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "paper"])
+def test_the_switch_trains_and_is_baked(name: str, ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a combination that crashes, or one whose export differs in kind from its run."""
+    config = load_overlay(with_steps(SMALL, 3), CONFIGS / f"{name}.yaml")
+    assert config != with_steps(SMALL, 3), "an example that changes nothing"
+    run = trained_run(ball_capture, tmp_path / "run", config)
+    trained = load_run(run.folder)
+    camera = run.capture.cameras[3]
+    picture = trained.renderer.render(trained.frames.get(1), 1, camera, 8)
+    assert picture.alpha.max() > 0.5
+    if name == "continuous":
+        with pytest.raises(UserError, match=r"continuous: true; train with model.continuous: false"):
+            bake_run(trained, tmp_path / "scene.4dv", quiet())
+    else:
+        bake_run(trained, tmp_path / "scene.4dv", quiet())
+
+
+def parameters(name: str, ball_capture: Path, tmp_path: Path) -> set[str]:
+    config = load_overlay(with_steps(SMALL, 1), CONFIGS / f"{name}.yaml")
+    run = trained_run(ball_capture, tmp_path / name, config)
+    state = load_run(run.folder)
+    assert all(torch.isfinite(value).all() for value in state.model.state_dict().values())
+    return {key.split(".")[0] for key in state.model.state_dict()} | set(state.frames.get(0).free)
+
+
+def test_switches_remove_what_they_say(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches an ablation that still learns the part which it should lack."""
+    both = {"blend_head", "image_encoder", "harmonics_head"}
+    assert not {"blend_head", "image_encoder"} & parameters("sh_mlp_only", ball_capture, tmp_path)
+    assert "harmonics_head" not in parameters("ibr_only", ball_capture, tmp_path)
+    explicit = parameters("sh_explicit", ball_capture, tmp_path)
+    assert "harmonics_head" not in explicit
+    assert "sh" in explicit
+    assert both <= parameters("no_mask_loss", ball_capture, tmp_path)
+
+
+def test_the_configuration_page_is_the_code_s() -> None:
+    """Catches a key that was added, renamed or given another default while the docs stayed."""
+    from tools.configuration_page import PAGE, page
+
+    assert PAGE.read_text() == page(), "run tools/configuration_page.py"

@@ -1,0 +1,132 @@
+"""Training from the outside of the loop: what is saved, and going on from it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from fourd.errors import UserError
+from fourd.training.loop import Trainer
+from fourd.training.losses import ImageLoss
+from fourd.training.run import create_run, load_run, open_run
+from fourd.training.step import StepResult
+from tests.training.small import SMALL, quiet, train, trained_run, with_steps
+
+
+def contents(run: Path, step: int) -> dict[str, torch.Tensor]:
+    """All tensors of a checkpoint: the model's, the optimiser's and every frame's points."""
+    base = run / "checkpoints" / f"{step:08d}"
+    tensors = load_file(base.with_suffix(".safetensors"))
+    for path in sorted(base.with_suffix(".points").glob("*.safetensors")):
+        tensors |= {f"{path.stem}.{name}": value for name, value in load_file(path).items()}
+    return tensors
+
+
+def test_a_resumed_run_is_bit_for_bit_the_unbroken_one(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches state that a checkpoint forgets: Adam's moments, per-point steps, cached radii, random draws."""
+    config = replace(SMALL, max_steps=9)
+    whole = create_run(ball_capture, tmp_path / "whole", config)
+    train(whole, config)
+    broken = create_run(ball_capture, tmp_path / "broken", config)
+
+    trainer = Trainer(broken, None, quiet(), config)
+    take = trainer.stepper.step
+
+    def step_until_five(*arguments: Any) -> StepResult:
+        if arguments[-1] == 5:
+            raise InterruptedError
+        return take(*arguments)
+
+    monkeypatch.setattr(trainer.stepper, "step", step_until_five)
+    with pytest.raises(InterruptedError):
+        trainer.train()
+    train(open_run(tmp_path / "broken"), config)
+    expected, got = contents(tmp_path / "whole", 9), contents(tmp_path / "broken", 9)
+    assert expected.keys() == got.keys()
+    different = [name for name in expected if not torch.equal(expected[name], got[name])]
+    assert not different
+
+
+def test_a_value_that_is_not_finite_stops_and_names_step_and_term(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a run that trains on with NaN weights, or overwrites its last good checkpoint with them."""
+    run = create_run(ball_capture, tmp_path / "run", SMALL)
+    plain = ImageLoss.terms
+    calls = []
+
+    def poisoned(self: ImageLoss, *arguments: torch.Tensor) -> dict[str, torch.Tensor]:
+        terms = plain(self, *arguments)
+        calls.append(1)
+        return terms if len(calls) < 5 else terms | {"mask": terms["mask"] * float("nan")}
+
+    monkeypatch.setattr(ImageLoss, "terms", poisoned)
+    with pytest.raises(UserError, match=r"step 4: expected a finite loss, got nan in the term 'mask'") as caught:
+        train(run, SMALL)
+    assert "\n" not in str(caught.value)
+    assert load_run(tmp_path / "run").step == 3
+
+
+def test_training_teaches(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a step that changes nothing or makes things worse: from grey, 40 steps must gain."""
+    model = replace(SMALL.model, appearance="sh")
+    config = replace(with_steps(SMALL, 40), checkpoint_steps=100, model=model)
+    trained_run(ball_capture, tmp_path / "run", config)
+    lines = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    values = [line["psnr"] for line in lines if "psnr" in line]
+    assert len(values) == 4
+    assert values[-1] > values[0] + 1
+
+
+def test_config_of_the_run_is_what_was_asked_for(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches settings lost on the way to config.yaml, from which eval and export read them."""
+    run = create_run(ball_capture, tmp_path / "run", SMALL)
+    assert open_run(run.folder).config == run.config
+    assert run.config.train == SMALL
+    assert [run.capture.names[index] for index in run.test] == ["03"]
+
+
+def test_folders_that_are_no_place_for_a_run(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a run written over someone's files, and a second run over the first."""
+    (tmp_path / "diary.txt").write_text("mine")
+    with pytest.raises(UserError, match="expected a new or empty folder, got one that is not a run"):
+        create_run(ball_capture, tmp_path, SMALL)
+    create_run(ball_capture, tmp_path / "run", SMALL)
+    with pytest.raises(UserError, match="got a run; add --resume"):
+        create_run(ball_capture, tmp_path / "run", SMALL)
+    with pytest.raises(UserError, match="expected a trained run, got no good checkpoint"):
+        load_run(tmp_path / "run")
+
+
+@pytest.mark.slow
+def test_kill_at_any_moment_leaves_a_run_that_goes_on(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches files written in place: after kill -9 at several moments the run still resumes to its end."""
+    overlay = tmp_path / "small.yaml"
+    overlay.write_text(
+        "points: 1500\nlayers: 8\ncheckpoint_steps: 1\nmodel: {hidden: 16, planes: {levels: 2, base_resolution: 16}}\n"
+    )
+    run = tmp_path / "run"
+    command = [sys.executable, "-m", "fourd.cli.main", "train", str(ball_capture), "--out", str(run)]
+    first = ["--test-views", "03", "--config", str(overlay), "--max-steps", "2000"]
+    for delay in (6.0, 7.3, 8.1):
+        process = subprocess.Popen([*command, *(first if not run.exists() else ["--resume"])])
+        time.sleep(delay)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+    step = load_run(run).step
+    done = subprocess.run([*command, "--resume", "--max-steps", str(step + 3)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert load_run(run).step == step + 3

@@ -1,0 +1,81 @@
+"""Write docs/configuration.md from the config dataclasses: every key, its default and its docstring."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+
+from fourd.configs import to_yaml
+from fourd.files import write_text_atomically
+from fourd.training.config import TrainConfig
+
+PAGE = Path(__file__).parent.parent / "docs" / "configuration.md"
+HEAD = """# Configuration
+
+`fourd train --config FILE.yaml` lays a YAML file over the defaults below; flags override both. A key
+that does not exist is an error that names the nearest one. `configs/` holds small examples, one for
+each ablation:
+
+```yaml
+# 48 free SH numbers a point, on smaller images
+image_scale: 0.5
+model:
+  sh: explicit
+```
+
+This page is written by `tools/configuration_page.py` from the code.
+"""
+
+
+def page() -> str:
+    """The page's text."""
+    lines = [HEAD]
+    for path, config in _sections("", TrainConfig()):
+        notes = _notes(type(config))
+        lines += [f"## {path or 'Training'}", "", _first_line(config), "", "| key | default | |", "|---|---|---|"]
+        for item in dataclasses.fields(config):
+            value = getattr(config, item.name)
+            if not dataclasses.is_dataclass(value):
+                lines.append(f"| `{item.name}` | `{_shown(value)}` | {notes.get(item.name, '')} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _sections(path: str, config: object) -> Iterator[tuple[str, object]]:
+    yield path, config
+    assert dataclasses.is_dataclass(config)
+    for item in dataclasses.fields(config):
+        value = getattr(config, item.name)
+        if dataclasses.is_dataclass(value):
+            yield from _sections(f"{path}.{item.name}".lstrip("."), value)
+
+
+def _notes(kind: type) -> dict[str, str]:
+    """The strings below the fields of a dataclass, by field name."""
+    body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    assert isinstance(body, ast.ClassDef)
+    notes = {}
+    for field, note in zip(body.body, body.body[1:], strict=False):
+        if isinstance(field, ast.AnnAssign) and isinstance(note, ast.Expr) and isinstance(note.value, ast.Constant):
+            assert isinstance(field.target, ast.Name)
+            notes[field.target.id] = " ".join(str(note.value.value).split())
+    return notes
+
+
+def _first_line(config: object) -> str:
+    return (inspect.getdoc(type(config)) or "").splitlines()[0]
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(str, value))}]"
+    single = dataclasses.make_dataclass("single", [("value", object)])
+    return to_yaml(single(value)).removeprefix("value:").strip()
+
+
+if __name__ == "__main__":
+    write_text_atomically(PAGE, page())
