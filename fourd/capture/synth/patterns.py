@@ -1,0 +1,133 @@
+"""Colours of a surface as a function of the place within its own part, so that they move with the limb."""
+
+from __future__ import annotations
+
+import colorsys
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Colour = tuple[float, float, float]
+
+Kind = Literal["stripes", "hoops", "checks", "dots", "noise", "plain"]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Two colours and the rule that mixes them.
+
+    Attributes:
+        kind: stripes run slanted through the part; hoops lie across its axis; checks and dots go
+            around its axis; noise mixes softly.
+        first, second: RGB in [0, 1].
+        period: metres along the part's axis after which the pattern repeats.
+        around: repeats once around the axis (checks and dots).
+        phase: radians, shifts the pattern.
+        badge: a disc of this radius in metres on the front and the back, 0 for none.
+        badge_colour: RGB in [0, 1].
+    """
+
+    kind: Kind
+    first: Colour
+    second: Colour
+    period: float = 0.1
+    around: int = 6
+    phase: float = 0.0
+    badge: float = 0.0
+    badge_height: float = 0.0
+    badge_colour: Colour = (1.0, 1.0, 1.0)
+
+    def colours(self, xyz: Array) -> Array:
+        """(N, 3) RGB in [0, 1] at the part's own coordinates ``xyz`` (N, 3) in metres, axis along z."""
+        share = self._share(xyz)[:, None]
+        colours = np.asarray(self.first) * (1 - share) + np.asarray(self.second) * share
+        if self.badge:
+            distance = np.hypot(xyz[:, 1], xyz[:, 2] - self.badge_height)
+            for radius, colour in ((self.badge, self.badge_colour), (0.55 * self.badge, self.second)):
+                inside = np.clip((radius - distance) / 0.004 + 0.5, 0, 1)[:, None]
+                colours += (np.asarray(colour) - colours) * inside
+        return colours * self._shade(xyz)[:, None]
+
+    def _share(self, xyz: Array) -> Array:
+        """How much of the second colour, in [0, 1]."""
+        turn = 2 * np.pi / self.period
+        x, y, z = xyz.T
+        if self.kind == "plain":
+            return np.zeros(len(xyz))
+        if self.kind == "noise":
+            waves = np.sin(turn * (0.8 * x + 0.3 * y + 0.5 * z) + self.phase)
+            waves += np.sin(turn * (-0.4 * x + 0.7 * y + 0.6 * z) + 2.1 * self.phase)
+            waves += np.sin(turn * (0.3 * x - 0.6 * y + 0.9 * z) + 3.7 * self.phase)
+            return np.clip(0.5 + 0.55 * waves, 0, 1)
+        if self.kind == "stripes":
+            return _crisp(np.sin(turn * (0.25 * x + 0.5 * y + 0.83 * z) + self.phase))
+        along = np.sin(turn * z + self.phase)
+        if self.kind == "hoops":
+            return _crisp(along)
+        waves = along * np.sin(self.around * np.arctan2(y, x) + self.phase)
+        return _crisp(waves) if self.kind == "checks" else _crisp(np.abs(waves) - 0.45)
+
+    def _shade(self, xyz: Array) -> Array:
+        """Slow changes of brightness, so that no large patch is without features."""
+        return 0.95 + 0.05 * np.sin(xyz @ np.array([23.0, 31.0, 27.0]) + self.phase)
+
+
+def _crisp(waves: Array) -> Array:
+    """A sine made an edge that is soft over about a tenth of the period."""
+    return np.clip(0.5 + 2.5 * waves, 0, 1)
+
+
+def hsv(hue: float, saturation: float, value: float) -> Colour:
+    """RGB in [0, 1]; the hue counts in turns and wraps."""
+    return colorsys.hsv_to_rgb(hue % 1.0, saturation, value)
+
+
+@dataclass(frozen=True)
+class Wardrobe:
+    """Patterns of the figure's parts."""
+
+    shirt: Pattern
+    sleeve: Pattern
+    shorts: Pattern
+    sock: Pattern
+    shoe: Pattern
+    skin: Pattern
+    face: Pattern
+    hair: Pattern
+    band: Pattern
+    white: Pattern
+    dark: Pattern
+    mouth: Pattern
+
+
+def choose_wardrobe(rng: np.random.Generator) -> Wardrobe:
+    """A harmony of three hues over all clothes, drawn from ``rng``."""
+    hue = float(rng.uniform())
+    warm, cool, third = hsv(hue, 0.72, 0.9), hsv(hue + 0.45, 0.75, 0.55), hsv(hue + 0.17, 0.7, 0.95)
+    pale = hsv(hue + 0.08, 0.12, 0.97)
+    tan = hsv(0.065 + rng.uniform(-0.015, 0.015), rng.uniform(0.35, 0.55), rng.uniform(0.65, 0.92))
+    rosy = (min(tan[0] * 1.05, 1.0), tan[1] * 0.86, tan[2] * 0.8)
+    locks = hsv(rng.uniform(0.0, 0.11), rng.uniform(0.5, 0.85), rng.uniform(0.25, 0.6))
+    shirt: Kind = rng.choice(["stripes", "hoops", "checks"])
+    shorts: Kind = rng.choice(["checks", "dots", "noise"])
+
+    def phase() -> float:
+        return float(rng.uniform(0, 2 * np.pi))
+
+    return Wardrobe(
+        shirt=Pattern(shirt, warm, pale, 0.13, 7, phase(), 0.085, 0.17, cool),
+        sleeve=Pattern("hoops", warm, pale, 0.09, 4, phase()),
+        shorts=Pattern(shorts, cool, third, 0.12, 6, phase()),
+        sock=Pattern("hoops", pale, cool, 0.085, 4, phase()),
+        shoe=Pattern("stripes", third, warm, 0.09, 4, phase()),
+        skin=Pattern("noise", tan, rosy, 0.14, 4, phase()),
+        face=Pattern("noise", tan, rosy, 0.17, 4, phase()),
+        hair=Pattern("stripes", locks, (locks[0] * 0.6, locks[1] * 0.6, locks[2] * 0.6), 0.07, 5, phase()),
+        band=Pattern("checks", third, pale, 0.12, 5, phase()),
+        white=Pattern("plain", (0.97, 0.97, 0.97), (0.0, 0.0, 0.0)),
+        dark=Pattern("plain", (0.07, 0.07, 0.1), (0.0, 0.0, 0.0)),
+        mouth=Pattern("plain", (0.62, 0.14, 0.16), (0.0, 0.0, 0.0)),
+    )
