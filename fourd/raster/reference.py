@@ -45,7 +45,9 @@ def render_points_reference(
     parts = [_composite(splats, features, *part)[:3] for part in _pixel_chunks(splats, camera, layers)]
     colour, alpha, depth = (torch.cat(part) for part in zip(*parts, strict=True))
     shape = (camera.height, camera.width)
-    return colour.reshape(*shape, -1), alpha.reshape(shape), depth.reshape(shape)
+    # Where no point is left, the image still has a gradient, which is zero.
+    nothing = sum((array[:0].sum() for array in (features, radius, density)), start=xyz[:0].sum())
+    return colour.reshape(*shape, features.shape[1]) + nothing, alpha.reshape(shape) + nothing, depth.reshape(shape)
 
 
 @torch.no_grad()

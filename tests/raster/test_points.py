@@ -1,0 +1,241 @@
+"""The CPU kernel against the reference, and the reference against finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.raster import point_visibility, render_points
+from fourd.raster.arrays import point_visibility_numpy, render_points_numpy
+from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
+
+NEAR = 0.01
+SIMD = ("baseline", "avx2", "avx512")
+
+
+def render(cloud: Cloud, camera: Camera, layers: int, backend: str, **more: object) -> tuple[Tensor, Tensor, Tensor]:
+    out = render_points(*cloud.arrays, camera, layers=layers, near=NEAR, backend=backend, **more)  # type: ignore[arg-type]
+    return out.features, out.alpha, out.depth
+
+
+def gradients(
+    cloud: Cloud, camera: Camera, layers: int, backend: str, weights: tuple[Tensor, ...], **more: object
+) -> list[Tensor]:
+    """Of a random linear function of all three outputs."""
+    free = [array.clone().requires_grad_() for array in cloud.arrays]
+    out = render(Cloud(*free), camera, layers, backend, **more)
+    total = sum((part * weight).sum() for part, weight in zip(out, weights, strict=True))
+    return list(torch.autograd.grad(total, free))
+
+
+def output_weights(rng: np.random.Generator, camera: Camera, channels: int) -> tuple[Tensor, ...]:
+    shape = (camera.height, camera.width)
+    shapes = ((*shape, channels), shape, shape)
+    return tuple(torch.from_numpy(rng.normal(size=shape).astype(np.float32)) for shape in shapes)
+
+
+def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
+    """To 1e-4 of the array's largest gradient, which is the scale that rounding of its sums has."""
+    for name, value, wanted in zip(NAMES, got, expected, strict=True):
+        scale = float(wanted.abs().max()) if wanted.numel() else 0.0
+        worst = float((value - wanted).abs().max()) if wanted.numel() else 0.0
+        assert worst <= 1e-4 * scale, f"{name}: off by {worst:.3g} at a scale of {scale:.3g}"
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "layers", "channels"),
+    [
+        (600, (64, 48), 15, 3),
+        (600, (37, 53), 4, 1),
+        (300, (16, 16), 1, 3),
+        (300, (17, 15), 12, 8),
+        (200, (33, 31), 15, 32),
+        (200, (31, 7), 30, 5),
+        (1, (9, 9), 15, 3),
+        (0, (20, 10), 15, 3),
+        (400, (1, 1), 15, 2),
+        (2000, (100, 70), 15, 3),
+    ],
+)
+def test_kernel_equals_reference(
+    count: int, size: tuple[int, int], layers: int, channels: int, rng: np.random.Generator
+) -> None:
+    """Catches a point missed at a tile's border, ties in another order, a layer too many, a wrong derivative."""
+    camera = turned_camera(*size)
+    cloud = random_cloud(rng, count, channels)
+    for got, expected in zip(
+        render(cloud, camera, layers, "cpu"), render(cloud, camera, layers, "reference"), strict=True
+    ):
+        assert got.shape == expected.shape
+        assert float((got - expected).abs().max()) <= 1e-5
+    weights = output_weights(rng, camera, channels)
+    got_gradients = gradients(cloud, camera, layers, "cpu", weights)
+    assert_gradients_agree(got_gradients, gradients(cloud, camera, layers, "reference", weights))
+
+
+@pytest.mark.parametrize("simd", SIMD)
+def test_every_instruction_set(simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a vector path that is wrong on machines other than the developer's."""
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    camera = turned_camera(45, 38)
+    cloud = random_cloud(rng, 500, 3)
+    try:
+        got = render(cloud, camera, 15, "cpu")
+    except (RuntimeError, ValueError) as error:
+        pytest.skip(f"this processor lacks it: {error}")
+    for value, expected in zip(got, render(cloud, camera, 15, "reference"), strict=True):
+        assert float((value - expected).abs().max()) <= 1e-5
+    weights = output_weights(rng, camera, 3)
+    got_gradients = gradients(cloud, camera, 15, "cpu", weights)
+    assert_gradients_agree(got_gradients, gradients(cloud, camera, 15, "reference", weights))
+
+
+def test_the_same_bits_for_any_number_of_threads(rng: np.random.Generator) -> None:
+    """Catches sums whose order depends on scheduling: training could not be repeated."""
+    camera = turned_camera(70, 51)
+    cloud = random_cloud(rng, 1500, 3)
+    weights = output_weights(rng, camera, 3)
+    images = [render(cloud, camera, 15, "cpu", threads=threads) for threads in (1, 2, 3, 7)]
+    moved = [gradients(cloud, camera, 15, "cpu", weights, threads=threads) for threads in (1, 2, 3, 7)]
+    for image in images[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(image, images[0], strict=True))
+    for gradient in moved[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(gradient, moved[0], strict=True))
+
+
+def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
+    """Catches a derivative that autograd misses in the reference itself, since all else is held to it."""
+    camera = turned_camera(9, 7)
+    cloud = random_cloud(rng, 14, 2)
+    cloud = Cloud(
+        cloud.xyz + torch.from_numpy(rng.normal(0, 0.01, (14, 3)).astype(np.float32)),
+        cloud.features,
+        cloud.radius.clamp(0.2, 0.6),
+        cloud.density.clamp(0.1, 0.9),
+    ).to(torch.float64)
+    weights = tuple(weight.double() for weight in output_weights(rng, camera, 2))
+    exact = gradients(cloud, camera, 15, "reference", weights)
+    step = 1e-6
+    for place, (array, gradient) in enumerate(zip(cloud.arrays, exact, strict=True)):
+        numeric = torch.zeros_like(array)
+        for at in np.ndindex(*array.shape):
+            values = []
+            for sign in (1, -1):
+                moved = [other.clone() for other in cloud.arrays]
+                moved[place][at] += sign * step
+                out = render(Cloud(*moved), camera, 15, "reference")
+                values.append(sum(float((part * weight).sum()) for part, weight in zip(out, weights, strict=True)))
+            numeric[at] = (values[0] - values[1]) / (2 * step)
+        # A disc's rim that crosses a pixel centre within the step bends the function: those are few.
+        close = (numeric - gradient).abs() <= 1e-5 * (1 + gradient.abs())
+        assert float(close.double().mean()) > 0.97
+
+
+def test_bad_points_are_culled_and_spread_nowhere(rng: np.random.Generator) -> None:
+    """Catches one NaN that blackens a tile, or that reaches the gradients of its neighbours."""
+    camera = turned_camera(40, 30)
+    cloud, sound = spoilt_cloud(rng, 300)
+    clean = Cloud(*(array[sound] for array in cloud.arrays))
+    weights = output_weights(rng, camera, 3)
+    for backend in ("cpu", "reference"):
+        image, expected = render(cloud, camera, 15, backend), render(clean, camera, 15, backend)
+        for got, wanted in zip(image, expected, strict=True):
+            assert torch.isfinite(got).all()
+            assert float((got - wanted).abs().max()) <= 1e-6
+    moved = gradients(cloud, camera, 15, "cpu", weights)
+    assert all(torch.isfinite(gradient).all() for gradient in moved)
+    assert all(float(gradient[~sound].abs().max()) == 0 for gradient in moved)
+
+
+def test_a_single_point_by_hand() -> None:
+    """Catches a half-pixel shift: a disc of 2 pixels on the centre of pixel (row 4, column 6)."""
+    intrinsics = np.array([[10.0, 0, 6.5], [0, 10, 4.5], [0, 0, 1]])
+    camera = Camera(intrinsics, np.eye(3), np.zeros(3), 12, 9)
+    one = torch.ones(1)
+    out = render_points(torch.tensor([[0.0, 0, 2]]), torch.tensor([[0.5]]), one * 0.4, one * 0.8, camera)
+    assert float(out.alpha[4, 6]) == pytest.approx(0.8)
+    assert float(out.alpha[4, 7]) == pytest.approx(0.8 * 0.75)
+    assert float(out.features[5, 6, 0]) == pytest.approx(0.4 * 0.75)
+    assert float(out.alpha[6, 6]) == 0
+    assert float(out.depth[4, 6]) == pytest.approx(2)
+
+
+def test_background_and_its_gradient(rng: np.random.Generator) -> None:
+    """Catches a background that is added in full, or that gets no gradient."""
+    camera = turned_camera(30, 20)
+    cloud = random_cloud(rng, 100, 3)
+    background = torch.rand(3, requires_grad=True)
+    plain = render_points(*cloud.arrays, camera, near=NEAR)
+    out = render_points(*cloud.arrays, camera, near=NEAR, background=background)
+    assert torch.allclose(out.features, plain.features + (1 - plain.alpha)[..., None] * background.detach())
+    out.features.sum().backward()
+    assert background.grad is not None
+    assert torch.allclose(background.grad, (1 - plain.alpha).sum().expand(3), rtol=1e-4)
+
+
+def test_numpy_entry_equals_torch_entry(rng: np.random.Generator) -> None:
+    """Catches an entry point for scenes that drifts from the one that they were trained with."""
+    camera = turned_camera(50, 34)
+    cloud = random_cloud(rng, 400, 3)
+    arrays = [array.numpy() for array in cloud.arrays]
+    for got, expected in zip(
+        render_points_numpy(*arrays, camera, layers=12, near=NEAR), render(cloud, camera, 12, "cpu"), strict=True
+    ):
+        assert np.array_equal(got, expected.numpy())
+    seen = point_visibility_numpy(arrays[0], arrays[2], arrays[3], camera, layers=12, near=NEAR)
+    expected = point_visibility(cloud.xyz, cloud.radius, cloud.density, camera, layers=12, near=NEAR)
+    assert np.array_equal(seen, expected.numpy())
+
+
+def test_visibility_equals_reference(rng: np.random.Generator) -> None:
+    """Catches points that are called hidden though a pixel shows them."""
+    camera = turned_camera(50, 34)
+    cloud = random_cloud(rng, 500, 1)
+    values = [
+        point_visibility(cloud.xyz, cloud.radius, cloud.density, camera, layers=15, near=NEAR, backend=backend)
+        for backend in ("cpu", "reference")
+    ]
+    assert float((values[0] - values[1]).abs().max()) <= 1e-5
+
+
+def test_custom_ops_keep_torch_s_rules(rng: np.random.Generator) -> None:
+    """Catches an op that torch.compile or autograd would take wrongly: shapes, mutation, registration."""
+    from fourd.raster import native
+    from fourd.raster.validation import camera_numbers
+
+    camera = turned_camera(20, 14)
+    cloud = random_cloud(rng, 30, 3)
+    free = [array.clone().requires_grad_() for array in cloud.arrays]
+    torch.library.opcheck(native.render, (*free, camera_numbers(camera), 20, 14, 15, NEAR, 0.0, 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"features": torch.zeros(5, 33)}, r"features: expected shape \(5, C\) .* C from 1 to 32, got \(5, 33\)"),
+        ({"xyz": torch.zeros(5, 2)}, r"xyz: expected shape \(N, 3\), got \(5, 2\)"),
+        ({"radius": torch.zeros(4)}, r"radius: expected shape \(5,\) to match xyz, got \(4,\)"),
+        ({"density": torch.zeros(5).double()}, r"density: expected float32, got float64"),
+        ({"layers": 0}, r"layers: expected at least 1, got 0"),
+        ({"layers": 2.5}, r"layers: expected an integer, got float"),
+        ({"near": -1.0}, r"near: expected a finite distance above 0"),
+        ({"background": torch.zeros(2)}, r"background: expected shape \(3,\)"),
+        ({"backend": "gpu"}, r"backend: expected 'auto', 'reference', 'cpu' or 'cuda', got 'gpu'"),
+        ({"backend": "cuda"}, r"built without; move the tensors to the CPU, or use backend='reference'"),
+        ({"threads": -2}, r"threads: expected 0"),
+    ],
+)
+def test_wrong_arguments_are_named(change: dict[str, object], message: str) -> None:
+    """Catches an out-of-bounds read in C++ that a shape check should have stopped."""
+    arguments: dict[str, object] = {
+        "xyz": torch.zeros(5, 3),
+        "features": torch.zeros(5, 3),
+        "radius": torch.ones(5),
+        "density": torch.ones(5),
+        "camera": turned_camera(8, 8),
+    }
+    with pytest.raises((TypeError, ValueError, RuntimeError), match=message):
+        render_points(**(arguments | change))  # type: ignore[arg-type]
