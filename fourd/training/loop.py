@@ -10,7 +10,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -26,10 +25,10 @@ from fourd.training.checkpoints import (
     unpack_optimizer,
 )
 from fourd.training.config import TrainConfig
+from fourd.training.evaluate import judge
 from fourd.training.log import MetricsLog
 from fourd.training.losses import ImageLoss
 from fourd.training.lpips import LPIPS
-from fourd.training.metrics import psnr
 from fourd.training.render import Renderer
 from fourd.training.run import Run, drop_stale_points, points_folder
 from fourd.training.schedule import Sampler, budget_spent, rate_factor
@@ -37,6 +36,7 @@ from fourd.training.step import Stepper
 
 LOG_EVERY = 10
 SMOOTHING = 0.97
+VALIDATED = 4
 
 
 @dataclass(frozen=True)
@@ -123,15 +123,19 @@ class Trainer:
             )
 
     def _validate(self, log: MetricsLog) -> None:
-        """PSNR of one view at the middle frame, with a picture of truth and rendering side by side."""
-        judged = (self.run.test or self.run.training)[0]
+        """Mean PSNR in the mattes' boxes of held-out (or else training) views at the middle frame; a picture of one."""
         frame = self.run.capture.frame_count // 2
-        view = self.views.view(judged, frame)
-        picture = self.renderer.render(self.frames.get(frame), frame, view.camera, self.config.layers, exclude=judged)
-        truth = view.target()[0].numpy()
-        value = float(psnr(torch.from_numpy(picture.rgb), torch.from_numpy(truth)))
-        log.scalars(self.done, {"validation/psnr": value, "seconds": self.seconds})
-        pair = (np.concatenate([truth, picture.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
+        points = self.frames.get(frame)
+        values = []
+        pair = np.zeros((1, 1, 3), np.uint8)
+        for judged in (self.run.test or self.run.training)[:VALIDATED]:
+            view = self.views.view(judged, frame)
+            picture = self.renderer.render(points, frame, view.camera, self.config.layers, exclude=judged)
+            truth = view.target()[0].numpy()
+            image, box = judge(picture.rgb, truth, view.matte, None)
+            values.append((box or image).psnr)
+            pair = (np.concatenate([truth, picture.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
+        log.scalars(self.done, {"validation/psnr": float(np.mean(values)), "seconds": self.seconds})
         log.image(self.done, "validation", pair)
         path = self.run.folder / "validation" / f"{self.done:07d}.png"
         with atomic_path(path) as temporary:
