@@ -1,0 +1,108 @@
+"""The commands one after another on a small synthetic capture, as a user types them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from fourd.cli.main import main
+
+OVERLAY = """\
+points: 3000
+checkpoint_steps: 20
+model: {hidden: 16, planes: {levels: 2, features: 4, base_resolution: 16}}
+"""
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("cli") / "capture"
+    assert main(["synth", str(folder), "--frames", "3", "--cameras", "9", "--size", "96"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(capture: Path) -> Path:
+    """A scene made in one command; its run lies beside it."""
+    scene, overlay = capture.parent / "scene.4dv", capture.parent / "small.yaml"
+    overlay.write_text(OVERLAY)
+    words = ["make", capture, "-o", scene, "--config", overlay, "--test-views", "02,05", "--max-steps", "40"]
+    assert main([str(word) for word in words]) == 0
+    return scene
+
+
+def test_check_finds_a_synthetic_capture_good(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a generator and a checker that disagree about what a capture is."""
+    assert main(["check", str(capture), "--deep"]) == 0
+    assert "Good to use" in capsys.readouterr().out
+
+
+def test_eval_tells_the_same_of_run_and_scene(made: Path, tmp_path: Path) -> None:
+    """Catches an export that loses quality: at most 0.1 dB."""
+    run = made.with_suffix(".work") / "run"
+    assert main(["eval", str(run), "--json", str(tmp_path / "run.json")]) == 0
+    assert main(["eval", str(run), "--scene", str(made), "--json", str(tmp_path / "scene.json")]) == 0
+    live, baked = (json.loads((tmp_path / name).read_text()) for name in ("run.json", "scene.json"))
+    assert live["cameras"] == ["02", "05"]
+    assert live["frames"] == [0, 1, 2]
+    assert live["box"]["lpips"] is None
+    assert live["box"]["psnr"] > 15
+    assert baked["box"]["psnr"] > live["box"]["psnr"] - 0.1
+
+
+def test_render_views_paths_and_video(made: Path, tmp_path: Path) -> None:
+    """Catches pictures of the wrong size, in the wrong place, or empty."""
+    run = made.with_suffix(".work") / "run"
+    assert main(["render", str(run), "--out", str(tmp_path / "run"), "--views", "02", "--frames", "1:2"]) == 0
+    assert main(["render", str(made), "--out", str(tmp_path / "scene"), "--views", "02", "--frames", "1:2"]) == 0
+    live, baked = (cv2.imread(str(tmp_path / name / "02" / "000001.png")) for name in ("run", "scene"))
+    assert live is not None
+    assert baked is not None
+    assert live.shape == (96, 96, 3)
+    assert float(np.abs(live.astype(float) - baked).mean()) < 1
+    video = tmp_path / "orbit.mp4"
+    words = ["render", made, "--out", video, "--path", "orbit", "--steps", "5", "--size", "64", "48"]
+    assert main([str(word) for word in words]) == 0
+    with av.open(str(video)) as container:
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 5
+    assert frames[0].shape == (48, 64, 3)
+    assert frames[0].max() > 100
+
+
+def test_info_knows_what_was_made(capture: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a format that info was not told about."""
+    run = made.with_suffix(".work") / "run"
+    for path, title in (
+        (made, "a 4D scene"),
+        (capture, "a multi-view capture"),
+        (run, "a training run"),
+        (run / "hull" / "000000.ply", "points"),
+        (next(run.glob("checkpoints/*.safetensors")), "a checkpoint"),
+    ):
+        assert main(["info", str(path)]) == 0
+        assert title in " ".join(capsys.readouterr().out.split())
+
+
+def test_help_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a command that the list names and that cannot be imported."""
+    from fourd.cli.main import COMMANDS
+
+    for command in COMMANDS:
+        with pytest.raises(SystemExit) as ended:
+            main([command, "--help"])
+        assert ended.value.code == 0
+        assert f"usage: fourd {command}" in capsys.readouterr().out
+
+
+def test_usage_errors_are_one_line_and_exit_2(capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a traceback, or a page of usage, for a mistyped command."""
+    assert main(["trian"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "did you mean 'train'?" in error
