@@ -135,11 +135,13 @@ def sample(image: NDArray[np.float32] | NDArray[np.uint8], x: Floats, y: Floats,
     Returns (N[, C]) of the image's dtype.
     """
     count = x.size
+    if count == 0:
+        return np.zeros((0, *image.shape[2:]), image.dtype)
     rows = -(-count // ROW)
     maps = np.zeros((2, rows * ROW if rows > 1 else count), dtype=np.float32)
     limit = np.float32(1 << 14)
     np.clip(x - np.float32(0.5), -limit, limit, out=maps[0, :count])
     np.clip(y - np.float32(0.5), -limit, limit, out=maps[1, :count])
-    map_x, map_y = maps[0].reshape(max(rows, 1), -1), maps[1].reshape(max(rows, 1), -1)
+    map_x, map_y = maps[0].reshape(rows, -1), maps[1].reshape(rows, -1)
     values = cv2.remap(image, map_x, map_y, method, borderMode=cv2.BORDER_REPLICATE)
     return values.reshape(-1, *image.shape[2:])[:count]

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from safetensors import SafetensorError
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
@@ -29,6 +30,7 @@ from fourd.training.evaluate import judge
 from fourd.training.log import MetricsLog
 from fourd.training.losses import ImageLoss
 from fourd.training.lpips import LPIPS
+from fourd.training.memory import TRIM_EVERY, release_freed_memory
 from fourd.training.render import Renderer
 from fourd.training.run import Run, drop_stale_points, points_folder
 from fourd.training.schedule import Sampler, budget_spent, rate_factor
@@ -93,6 +95,8 @@ class Trainer:
             except KeyboardInterrupt:
                 self._checkpoint()
                 raise
+            if self.done % TRIM_EVERY == 0:
+                release_freed_memory()
             self.seconds += time.monotonic() - started
             show(f"step {self.done}  {self.psnr:.2f} dB")
             if self._save_due(self.seconds - last_save):
@@ -157,7 +161,7 @@ class Trainer:
     def _save_points(self, folder: Path) -> None:
         try:
             self.frames.save(folder)
-        except OSError as error:
+        except (OSError, SafetensorError) as error:
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(
                 f"{folder}: expected room for a checkpoint, got '{error}'; the checkpoint before it is good: "

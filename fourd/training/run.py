@@ -27,6 +27,8 @@ from fourd.training.frames import FramePoints, FrameStore
 from fourd.training.render import Renderer
 
 CONFIG_NAME = "config.yaml"
+DECODED_MB = 32
+"""Of whole pictures: the crops that training uses have a cache of their own."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,7 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
         views=[capture.names[index] for index in training],
         frames=train.frames,
         scale=train.image_scale,
+        cache_mb=DECODED_MB,
     )
     return carve_capture(seeing, folder / "hull", points=train.points)
 
@@ -213,7 +216,7 @@ def mean_spacing(xyz: NDArray[np.float32]) -> float:
 
 def _open_views(path: Path, train: TrainConfig) -> tuple[Capture, list[int], list[int]]:
     views = list(train.views) if train.views is not None else None
-    capture = open_capture(path, views=views, frames=train.frames, scale=train.image_scale)
+    capture = open_capture(path, views=views, frames=train.frames, scale=train.image_scale, cache_mb=DECODED_MB)
     unknown = [name for name in train.test_views if name not in capture.names]
     if unknown:
         raise UserError(f"--test-views: expected names among {', '.join(capture.names)}, got {', '.join(unknown)}")

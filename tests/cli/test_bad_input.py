@@ -1,0 +1,137 @@
+"""Wrong input from outside: exit code 2, one line on stderr that names the file, and nothing lost."""
+
+from __future__ import annotations
+
+import re
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from safetensors.torch import load_file
+
+from fourd.baking.bake import bake_run
+from fourd.cli.main import main
+from fourd.training.run import Run, load_run
+from tests.training.small import quiet, trained_run
+
+SMALL_MODEL = "model: {hidden: 16, planes: {levels: 2, features: 4, base_resolution: 16}}\npoints: 1500\n"
+
+
+@pytest.fixture(scope="module")
+def trained(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    return trained_run(ball_capture, tmp_path_factory.mktemp("bad") / "run")
+
+
+@pytest.fixture(scope="module")
+def scene(trained: Run) -> Path:
+    path = trained.folder.parent / "scene.4dv"
+    bake_run(load_run(trained.folder), path, quiet())
+    return path
+
+
+def complaint(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line that a command ends with."""
+    assert main([str(word) for word in words]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fourd ")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def test_a_mistyped_config_key(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a setting that is silently ignored."""
+    overlay = tmp_path / "my.yaml"
+    overlay.write_text("model:\n  neighbors: 3\n")
+    words = ["train", ball_capture, "--out", tmp_path / "run", "--config", overlay, "--max-steps", 1]
+    line = complaint(capsys, *words)
+    assert re.search(r"my.yaml.*neighbors.*neighbours", line)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_is_no_run(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches someone's folder filled with checkpoints."""
+    (tmp_path / "thesis.tex").write_text("mine")
+    line = complaint(capsys, "train", ball_capture, "--out", tmp_path, "--max-steps", 1)
+    assert "expected a new or empty folder, got one that is not a run; name another with --out" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    assert "expected a run (a folder with config.yaml), got none" in complaint(capsys, "eval", tmp_path)
+
+
+def test_a_scene_cut_short(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a crash in a viewer after an interrupted download."""
+    cut = tmp_path / "cut.4dv"
+    cut.write_bytes(scene.read_bytes()[:-1000])
+    for words in (("info", cut), ("render", cut, "--out", tmp_path / "out", "--path", "orbit")):
+        assert "cut.4dv" in complaint(capsys, *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_checkpoint_of_another_model(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches weights that are loaded by shape luck, or a torch traceback."""
+    other = Path(shutil.copytree(trained.folder, tmp_path / "run"))
+    config = other / "config.yaml"
+    config.write_text(re.sub(r"hidden: 16", "hidden: 24", config.read_text()))
+    line = complaint(capsys, "eval", other)
+    assert "expected a checkpoint of this model, got one of another" in line
+    assert "safetensors" in line
+
+
+@pytest.mark.parametrize("kind", ["missing", "truncated", "mask size"])
+def test_broken_captures(kind: str, ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches training on half a picture; all else that the reader refuses is tested there."""
+    capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
+    picture = capture / "images" / "05" / "000001.png"
+    if kind == "missing":
+        picture.unlink()
+    elif kind == "truncated":
+        picture.write_bytes(picture.read_bytes()[:-100])
+    else:
+        picture = capture / "masks" / "05" / "000001.png"
+        cv2.imwrite(str(picture), np.zeros((10, 10), np.uint8))
+    line = complaint(capsys, "make", capture, "-o", tmp_path / "scene.4dv", "--max-steps", 1)
+    assert str(picture) in line or "000001.png" in line
+    assert not (tmp_path / "scene.4dv").exists()
+
+
+def test_an_empty_hull_names_the_views_that_disagree(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches an empty point cloud that training then chokes on."""
+    capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
+    for frame in range(3):
+        for camera in ("02", "05"):
+            matte = np.zeros((64, 64), np.uint8)
+            matte[2:8, 2:8] = 255
+            cv2.imwrite(str(capture / "masks" / camera / f"{frame:06d}.png"), matte)
+    line = complaint(capsys, "carve", capture, "-o", tmp_path / "hulls", "--agreement", "1.0")
+    assert "02" in line
+    assert "05" in line
+    assert "hull" in line
+
+
+def test_a_full_disk_keeps_the_checkpoint_before(trained: Run, tmp_path: Path) -> None:
+    """Catches a checkpoint overwritten in place: files may grow to 40 kB here, less than one needs."""
+    run = Path(shutil.copytree(trained.folder, tmp_path / "run"))
+    capture = str(trained.capture.path)
+    before = load_file(run / "checkpoints" / "00000006.safetensors")
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+
+    code = (
+        "import signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "from fourd.cli.main import main; sys.exit(main(sys.argv[1:]))"
+    )
+    words = [sys.executable, "-c", code, "train", capture, "--out", str(run), "--resume", "--max-steps", "9"]
+    done = subprocess.run(words, capture_output=True, text=True, preexec_fn=limit)
+    assert done.returncode == 2, done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("fourd train: ")
+    assert "checkpoint" in last
+    assert load_run(run).step == 6
+    after = load_file(run / "checkpoints" / "00000006.safetensors")
+    assert all((before[name] == after[name]).all() for name in before)
