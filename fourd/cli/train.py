@@ -40,6 +40,8 @@ class Arguments:
     """Scale of the images; 0.5 halves both sides."""
     points: int | None = None
     """Points of each frame."""
+    points_from: Path | None = None
+    """Folder with your own FRAME.ply (six digits) of each frame, in world units, in place of carving."""
     max_seconds: float | None = None
     """Stop after this many seconds of training (carving before it is not counted)."""
     max_steps: int | None = None
@@ -61,7 +63,7 @@ def run(arguments: Arguments) -> None:
     if arguments.resume:
         opened = open_run(arguments.out)
     else:
-        opened = create_run(arguments.capture, arguments.out, overlaid(arguments))
+        opened = create_run(arguments.capture, arguments.out, overlaid(arguments), arguments.points_from)
     budget = opened.config.train
     if arguments.resume and (arguments.max_steps is not None or arguments.max_seconds is not None):
         budget = replace(budget, max_steps=arguments.max_steps, max_seconds=arguments.max_seconds)

@@ -19,7 +19,7 @@ from fourd.capture import Capture, open_capture
 from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
 from fourd.model import PointModel
-from fourd.seeding import Bounds, carve_capture, read_ply
+from fourd.seeding import Bounds, carve_capture, read_ply, write_ply
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
 from fourd.training.data import ViewStore
@@ -142,17 +142,39 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
     return carve_capture(seeing, folder / "hull", points=train.points)
 
 
-def create_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
+def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
+    """Take the user's own FRAME.ply of each selected frame from ``source`` into ``folder/hull``.
+
+    Where a file has more points than the config asks for, an even draw of them is kept. The bounds
+    are those of all points, with a margin of 5% of the longest side.
+    """
+    capture, _, _ = _open_views(capture_path, train)
+    rng = np.random.default_rng(train.seed)
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    for number in capture.frame_numbers:
+        xyz, rgb = read_ply(source / f"{number:06d}.ply")
+        if len(xyz) == 0:
+            raise UserError(f"{source / f'{number:06d}.ply'}: expected points, got none; leave the frame out")
+        kept = rng.permutation(len(xyz))[: train.points]
+        write_ply(folder / "hull" / f"{number:06d}.ply", xyz[kept], rgb[kept])
+        lower, upper = np.minimum(lower, xyz.min(axis=0)), np.maximum(upper, xyz.max(axis=0))
+    return Bounds(lower, upper).padded(0.05)
+
+
+def create_run(capture_path: Path, folder: Path, train: TrainConfig, points_from: Path | None = None) -> Run:
     """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
 
-    A folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
+    With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved. A folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
     UserError when ``folder`` exists and is not a run, or is a run already.
     """
     if (folder / CONFIG_NAME).exists():
         raise UserError(f"{folder}: expected a new folder, got a run; add --resume to go on with it, or name another")
     if folder.exists() and (not folder.is_dir() or any(entry.name != "hull" for entry in folder.iterdir())):
         raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
-    bounds = carve_run(capture_path, folder, train)
+    if points_from is None:
+        bounds = carve_run(capture_path, folder, train)
+    else:
+        bounds = adopt_points(points_from, capture_path, folder, train)
     capture, _, _ = _open_views(capture_path, train)
     first = read_ply(folder / "hull" / f"{capture.frame_numbers[0]:06d}.ply").xyz
     scene = SceneConfig(

@@ -12,11 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import load_file
 
 from fourd.errors import UserError
+from fourd.seeding import read_ply, write_ply
 from fourd.training.loop import Trainer
 from fourd.training.losses import ImageLoss
 from fourd.training.run import create_run, load_run, open_run
@@ -109,6 +111,22 @@ def test_folders_that_are_no_place_for_a_run(ball_capture: Path, tmp_path: Path)
         create_run(ball_capture, tmp_path / "run", SMALL)
     with pytest.raises(UserError, match="expected a trained run, got no good checkpoint"):
         load_run(tmp_path / "run")
+
+
+def test_points_of_one_s_own(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches bounds or points that still come from carving when the user brought better ones."""
+    rng = np.random.default_rng(0)
+    for frame in range(3):
+        xyz = rng.normal(0, 0.2, (2000, 3)).astype(np.float32)
+        write_ply(tmp_path / "mine" / f"{frame:06d}.ply", xyz, np.zeros((2000, 3), np.uint8))
+    run = create_run(ball_capture, tmp_path / "run", SMALL, tmp_path / "mine")
+    first = run.carved(0).xyz.numpy()
+    assert len(first) == SMALL.points
+    mine = read_ply(tmp_path / "mine" / "000000.ply").xyz
+    assert {tuple(point) for point in first.tolist()} <= {tuple(point) for point in mine.tolist()}
+    (tmp_path / "mine" / "000002.ply").unlink()
+    with pytest.raises(UserError, match=r"mine/000002.ply"):
+        create_run(ball_capture, tmp_path / "other", SMALL, tmp_path / "mine")
 
 
 @pytest.mark.slow
