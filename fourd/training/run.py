@@ -164,7 +164,8 @@ def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainCon
 def create_run(capture_path: Path, folder: Path, train: TrainConfig, points_from: Path | None = None) -> Run:
     """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
 
-    With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved. A folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
+    With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved. A
+    folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
     UserError when ``folder`` exists and is not a run, or is a run already.
     """
     if (folder / CONFIG_NAME).exists():
