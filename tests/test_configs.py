@@ -1,0 +1,61 @@
+"""YAML overlays on typed dataclasses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fourd.configs import load_overlay, save_config, to_yaml
+from fourd.errors import UserError
+from fourd.training.config import TrainConfig
+
+
+def overlay(tmp_path: Path, text: str) -> TrainConfig:
+    path = tmp_path / "my.yaml"
+    path.write_text(text)
+    return load_overlay(TrainConfig(), path)
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    """Catches a field that is written in a form which reading takes for something else."""
+    config = TrainConfig(test_views=("03", "1e3"), frames="1:24", max_seconds=5.0, views=("05",))
+    save_config(config, tmp_path / "a.yaml")
+    assert load_overlay(TrainConfig(), tmp_path / "a.yaml") == config
+    assert "test_views" in to_yaml(config)
+
+
+def test_yaml_1_1_surprises(tmp_path: Path) -> None:
+    """Catches 05 read as a number, 1:24 as 84, 1e-3 as text."""
+    config = overlay(tmp_path, "test_views: [05, 1e3]\nframes: 1:24\nrates: {xyz: 1e-3}\n")
+    assert config.test_views == ("05", "1e3")
+    assert config.frames == "1:24"
+    assert config.rates.xyz == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("model: {neighbors: 3}", r"my\.yaml.*neighbors.*neighbours"),
+        ("points: many", r"my\.yaml.*points.*many"),
+        ("test_views: [05, no]", r"my\.yaml.*test_views.*'no'; put it in quotes"),
+        ("points: 1.5", r"my\.yaml.*points"),
+        ("model: 3", r"my\.yaml.*model"),
+        ("model: {sh: wavelets}", r"my\.yaml.*sh.*wavelets"),
+        ("model: {radius_start: 90}", r"my\.yaml.*radius_range"),
+        ("points: 3\npoints: 4", r"my\.yaml.*points"),
+        ("[1, 2]", r"my\.yaml"),
+        ("a: [", r"my\.yaml"),
+        ("points: !!python/object/apply:os.system ['true']", r"my\.yaml"),
+    ],
+)
+def test_mistakes_are_named(text: str, message: str, tmp_path: Path) -> None:
+    """Catches a setting that is ignored, coerced, or run."""
+    with pytest.raises(UserError, match=message) as caught:
+        overlay(tmp_path, text)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_such_file(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=r"none\.yaml"):
+        load_overlay(TrainConfig(), tmp_path / "none.yaml")
