@@ -38,16 +38,16 @@ class Stages:
         ``undo`` removes what an earlier, different key left behind; the same key goes on with it.
         """
         if self._done.get(name) == key and result.exists():
-            self.console.print(f"{name}: found done ({result})")
+            self.console.print(f"{name}: found done ({result})", soft_wrap=True)
             return
         begun = self._done.get(f"{name} begun")
         if begun is not None and begun != key:
             undo()
         self._record(f"{name} begun", key)
-        self.console.print(f"{name}: working")
+        self.console.print(f"{name}: working", soft_wrap=True)
         work()
         self._record(name, key)
-        self.console.print(f"{name}: done ({result})")
+        self.console.print(f"{name}: done ({result})", soft_wrap=True)
 
     def _record(self, name: str, key: str) -> None:
         self._done[name] = key

@@ -144,7 +144,7 @@ def open_capture(
     """
     path = Path(path)
     if not 0 < scale <= 4:
-        raise UserError(f"--image-scale: expected a factor above 0 and at most 4, got {scale:g}")
+        raise UserError(f"--scale: expected a factor above 0 and at most 4, got {scale:g}")
     if not path.is_dir():
         raise UserError(f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}")
     calibrations = read_calibration(path)

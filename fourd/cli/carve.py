@@ -59,7 +59,8 @@ def run(arguments: Arguments) -> None:
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
     Console(stderr=True).print(
         f"{folder}: {capture.frame_count} frames x {arguments.points} points; "
-        f"bounds ({lower}) to ({upper}), world units"
+        f"bounds ({lower}) to ({upper}), world units",
+        soft_wrap=True,
     )
 
 

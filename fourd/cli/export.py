@@ -40,5 +40,6 @@ def run(arguments: Arguments) -> None:
     size = arguments.out.stat().st_size / 2**20
     console.print(
         f"{arguments.out}: {trained.run.capture.frame_count} frames, {size:.1f} MB; "
-        f"next: fourd render {arguments.out} --path orbit --out orbit.mp4"
+        f"next: fourd render {arguments.out} --path orbit --out orbit.mp4",
+        soft_wrap=True,
     )

@@ -52,9 +52,9 @@ def run(arguments: Arguments) -> None:
     """Run every stage that is not done."""
     console = Console(stderr=True)
     given: dict[str, Any] = {field.name: getattr(arguments, field.name) for field in fields(arguments)}
-    if arguments.max_seconds is None and arguments.max_steps is None and arguments.config is None:
-        given["max_seconds"] = DEFAULT_SECONDS
-    config = train.overlaid(train.Arguments(**given))
+    config = train.overlaid(train.Arguments(**given), DEFAULT_SECONDS)
     lpips = load_lpips(arguments.lpips_weights)
     make_scene(arguments.capture, arguments.out, config, lpips, console)
-    console.print(f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4")
+    console.print(
+        f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True
+    )

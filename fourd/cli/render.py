@@ -59,7 +59,7 @@ def run(arguments: Arguments) -> None:
         written = _write_views(arguments, playable, frames, console)
     else:
         written = _write_path(arguments, playable, frames, console)
-    console.print(f"{arguments.out}: {written} pictures")
+    console.print(f"{arguments.out}: {written} pictures", soft_wrap=True)
 
 
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], console: Console) -> int:

@@ -34,7 +34,7 @@ def run(arguments: Arguments) -> None:
     settings = Settings(arguments.frames, arguments.cameras, arguments.size, arguments.seed, arguments.gloss)
     console = Console(stderr=True)
     if is_finished(arguments.out, settings):
-        console.print(f"{arguments.out}: done already with these settings")
+        console.print(f"{arguments.out}: done already with these settings", soft_wrap=True)
         return
     make_synthetic(
         arguments.out,
@@ -44,4 +44,4 @@ def run(arguments: Arguments) -> None:
         seed=settings.seed,
         gloss=settings.gloss,
     )
-    console.print(f"{arguments.out}: {settings.cameras} cameras x {settings.frames} frames")
+    console.print(f"{arguments.out}: {settings.cameras} cameras x {settings.frames} frames", soft_wrap=True)

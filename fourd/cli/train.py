@@ -71,12 +71,13 @@ def run(arguments: Arguments) -> None:
     summary = Trainer(opened, lpips, console, budget).train()
     console.print(
         f"{arguments.out}: {summary.steps} steps, {time.monotonic() - started:.0f} s, "
-        f"{summary.psnr:.2f} dB on training views; next: fourd eval {arguments.out}"
+        f"{summary.psnr:.2f} dB on training views; next: fourd eval {arguments.out}",
+        soft_wrap=True,
     )
 
 
-def overlaid(arguments: Arguments) -> TrainConfig:
-    """Defaults, then the config file, then the flags that were given."""
+def overlaid(arguments: Arguments, seconds: float | None = None) -> TrainConfig:
+    """Defaults, then the config file, then the flags that were given; ``seconds`` where none of these ends it."""
     config = TrainConfig() if arguments.config is None else load_overlay(TrainConfig(), arguments.config)
     given: dict[str, Any] = {
         "scene": arguments.scene,
@@ -93,6 +94,8 @@ def overlaid(arguments: Arguments) -> TrainConfig:
         config = replace(config, **{name: value for name, value in given.items() if value is not None})
     except ValueError as error:
         raise UserError(f"{arguments.config or 'fourd train'}: {error}") from error
+    if config.max_steps is None and config.max_seconds is None and seconds is not None:
+        return replace(config, max_seconds=seconds)
     if config.max_steps is None and config.max_seconds is None:
         raise UserError("--max-steps, --max-seconds: expected one of them, got neither; say when to stop")
     return config

@@ -236,7 +236,7 @@ def test_broken_captures_are_told_in_one_line(
         ({"frames": "2:9"}, r"--frames: expected A:B with 0 <= A < B <= 3, since the capture has 3 frames, got '2:9'"),
         ({"frames": "a"}, r"--frames: expected A:B"),
         ({"frames": "2:2"}, r"--frames: "),
-        ({"scale": 0.0}, r"scale: expected a factor above 0"),
+        ({"scale": 0.0}, r"--scale: expected a factor above 0"),
     ],
 )
 def test_wrong_selections_are_told(ball_capture: Path, arguments: dict[str, object], message: str) -> None:
