@@ -75,6 +75,8 @@ class TrainConfig:
     """The image CNN learns in every n-th step: its backward pass is dear and it changes slowly."""
     hidden_weight: float = 3e-2
     """Points whose largest weight in the view stays below this are skipped for the step; 0 skips none."""
+    keep_in_hull: bool = True
+    """Undo steps that take a point out of the silhouette in the views at hand: stops stray points."""
     neighbour_pool: int = 5
     """Source views are drawn from this many nearest ones, so that unseen views are not strange."""
     image_scale: float = 1.0

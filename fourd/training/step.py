@@ -8,15 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.model import PointModel
-from fourd.model.sources import SourceViews
+from fourd.model.sources import SourceViews, project_points
 from fourd.raster import point_visibility, render_points
 from fourd.raster.arrays import render_points_numpy
 from fourd.training.config import TrainConfig
-from fourd.training.data import ViewStore
+from fourd.training.data import View, ViewStore
 from fourd.training.frames import FramePoints
 from fourd.training.losses import ImageLoss
 from fourd.training.schedule import Choice
@@ -80,6 +81,8 @@ class Stepper:
         _require_finite(terms, number)
         self._apply(points, rows, free, terms, factor)
         with torch.no_grad():
+            if self.config.keep_in_hull:
+                keep_in_hull(points, rows, xyz.detach(), self._seen_by(view, sources))
             points.radius[rows], points.density[rows] = radius, density
             error = float((render.features.clamp(0, 1) - target).square().mean())
         psnr = -10 * math.log10(max(error, 1e-10))
@@ -106,10 +109,40 @@ class Stepper:
         )
         return torch.nonzero(weight > self.config.hidden_weight)[:, 0]
 
+    def _seen_by(self, view: View, sources: SourceViews | None) -> list[tuple[Camera, Tensor]]:
+        """The step's target and source views with their mattes."""
+        seen = [(view.camera, torch.from_numpy(view.matte).float() / 255)]
+        if sources is not None:
+            seen += list(zip(sources.cameras, sources.mattes, strict=True))
+        return seen
+
     def _sources(self, points: FramePoints, choice: Choice) -> SourceViews | None:
         if self.config.model.appearance == "sh":
             return None
         return with_depth(self.views.sources(choice.sources, choice.frame), points, self.config.model.occlusion)
+
+
+def keep_in_hull(points: FramePoints, rows: Tensor, before: Tensor, views: list[tuple[Camera, Tensor]]) -> None:
+    """Undo the moves that took points out of a view's silhouette, which the object cannot have left.
+
+    ``rows`` (M,) were at ``before`` (M, 3); ``views`` are pinholes with their mattes (H, W) in [0, 1].
+    Points that were outside already may move, and a view that does not see a point has no say.
+    """
+    moved = points.xyz[rows]
+    left = torch.zeros(len(rows), dtype=torch.bool)
+    for camera, matte in views:
+        left |= _inside(moved, camera, matte, beyond=True).logical_not() & _inside(before, camera, matte, beyond=False)
+    points.free["xyz"][rows] = torch.where(left[:, None], before, moved)
+
+
+def _inside(xyz: Tensor, camera: Camera, matte: Tensor, beyond: bool) -> Tensor:
+    """Whether the matte covers each point (N, 3) by half; ``beyond`` where its image ends."""
+    pixels, depth = project_points(xyz, (camera,))
+    size = torch.tensor([matte.shape[1], matte.shape[0]], dtype=pixels.dtype)
+    grid = (2 * pixels / size - 1)[:, None]
+    covered = functional.grid_sample(matte[None, None], grid, align_corners=False, padding_mode="border")[0, 0, 0]
+    within = ((grid[0, 0].abs() < 1).all(dim=-1)) & (depth[0] > 0)
+    return torch.where(within, covered >= 0.5, beyond)
 
 
 def with_depth(sources: SourceViews, points: FramePoints, occlusion: bool) -> SourceViews:
