@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import torch
 
+from fourd.cameras import Camera
 from fourd.training.frames import FramePoints, FrameStore
+from fourd.training.step import keep_in_hull
 
 
 def fresh(count: int = 6, seed: int = 0) -> FramePoints:
@@ -55,3 +58,22 @@ def test_a_saved_store_is_read_again_and_later_changes_are_not_in_it(tmp_path: P
     again = FrameStore(tmp_path / "other", 3, lambda frame: fresh(10, frame), 16, tmp_path / "saved")
     assert float(again.get(1).xyz[0, 0]) == 7
     assert torch.equal(again.get(2).xyz, fresh(10, 2).xyz)
+
+
+def test_points_may_not_leave_a_silhouette() -> None:
+    """Catches stray points beside the object; and a rule that freezes points which mattes never held."""
+    camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), np.eye(3), np.zeros(3), 20, 20)
+    matte = torch.zeros(20, 20)
+    matte[5:15, 5:15] = 1
+    before = torch.tensor([[0.0, 0, 1], [0.0, 0, 1], [-0.45, 0, 1], [0.2, 0, 1], [0.0, 0, 1]])
+    moved = torch.tensor([[0.1, 0, 1], [0.4, 0, 1], [-0.4, 0, 1], [5.0, 0, 1], [0.0, 0, -1]])
+    points = FramePoints.fresh(torch.zeros(9, 3), 0.1, False)
+    rows = torch.tensor([1, 3, 4, 6, 8])
+    points.free["xyz"][rows] = moved
+    keep_in_hull(points, rows, before, [(camera, matte)])
+    got = points.xyz[rows]
+    assert torch.equal(got[0], moved[0]), "a move within the silhouette"
+    assert torch.equal(got[1], before[1]), "a move out of it"
+    assert torch.equal(got[2], moved[2]), "outside before and after"
+    assert torch.equal(got[3], moved[3]), "a move out of the image, which says nothing"
+    assert torch.equal(got[4], moved[4]), "behind the camera, likewise"
