@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-NATIVE := $(shell find csrc -type f)
+NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*')
 
 .PHONY: help install demo test test-slow lint clean
 
@@ -12,6 +12,7 @@ help:
 	@echo "make test       the test suite"
 	@echo "make test-slow  the tests that take longer than a few seconds each"
 	@echo "make lint       ruff and mypy"
+	@echo "make sanitize   the C++ kernels under ASan, UBSan and TSan"
 	@echo "make clean      remove the environment and everything built"
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
@@ -38,3 +39,5 @@ lint: install
 
 clean:
 	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache
+
+include make/sanitize.mk

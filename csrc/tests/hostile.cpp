@@ -1,0 +1,125 @@
+// Runs the kernels on small random and hostile inputs, for sanitizer builds: whatever a point holds, nothing is
+// read or written out of bounds, no thread races another, and what comes out is finite.
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
+#include <random>
+#include <vector>
+
+#include "points/points.h"
+#include "shade/shade.h"
+
+namespace {
+
+using Random = std::mt19937;
+using Floats = std::vector<float>;
+
+constexpr float kNothing = std::numeric_limits<float>::quiet_NaN();
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+constexpr float kHostile[] = {kNothing, kInfinity, -kInfinity, 3e38f, -3e38f, 1e-42f, 0.0f, -0.0f, -1.0f};
+
+float uniform(Random& random, float low, float high) {
+    return std::uniform_real_distribution<float>(low, high)(random);
+}
+
+int whole(Random& random, int low, int high) { return std::uniform_int_distribution<int>(low, high)(random); }
+
+void expect_finite(const Floats& values, const char* what, unsigned seed) {
+    for (const float value : values) {
+        if (std::isfinite(value)) continue;
+        std::fprintf(stderr, "seed %u: %s: expected finite values, got %g\n", seed, what, static_cast<double>(value));
+        std::exit(1);
+    }
+}
+
+Floats random_floats(Random& random, std::size_t count, float low, float high, float hostile_share) {
+    Floats values(count);
+    for (float& value : values) {
+        value = uniform(random, low, high);
+        if (uniform(random, 0, 1) < hostile_share) value = kHostile[whole(random, 0, 8)];
+    }
+    return values;
+}
+
+fourd::points::Settings random_settings(Random& random, const char* simd) {
+    fourd::points::Settings settings{};
+    const int width = whole(random, 1, 70), height = whole(random, 1, 50);
+    const float focal = uniform(random, 1, 100);
+    const float intrinsics[9] = {focal, 0, width / 2.0f, 0, focal, height / 2.0f, 0, 0, 1};
+    const float rotation[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+    const float translation[3] = {0, 0, uniform(random, -1, 4)};
+    for (int i = 0; i < 9; ++i) settings.camera.intrinsics[i] = intrinsics[i];
+    for (int i = 0; i < 9; ++i) settings.camera.rotation[i] = rotation[i];
+    for (int i = 0; i < 3; ++i) settings.camera.translation[i] = translation[i];
+    settings.camera.width = width;
+    settings.camera.height = height;
+    settings.near = 0.01f;
+    settings.layers = whole(random, 1, 30);
+    settings.threads = whole(random, 1, 4);
+    settings.simd = simd;
+    return settings;
+}
+
+void run_points(unsigned seed, const char* simd) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 400));
+    const std::size_t channels = static_cast<std::size_t>(whole(random, 1, 32));
+    const float hostile = seed % 2 ? 0.2f : 0.0f;
+    const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, hostile);
+    const Floats features = random_floats(random, channels * count, -1, 1, 0);
+    const Floats radius = random_floats(random, count, 0, whole(random, 0, 3) ? 0.2f : 5.0f, hostile);
+    const Floats density = random_floats(random, count, 0, 1, hostile);
+    fourd::points::Settings settings = random_settings(random, simd);
+    const fourd::points::Cloud cloud{xyz.data(), features.data(), radius.data(), density.data(), count,
+                                     static_cast<int>(channels)};
+    const std::size_t pixels = static_cast<std::size_t>(settings.camera.width) * settings.camera.height;
+    Floats image(pixels * channels), alpha(pixels), depth(pixels), seen(count);
+    fourd::points::render(cloud, settings, {image.data(), alpha.data(), depth.data()});
+    expect_finite(image, "features", seed);
+    expect_finite(alpha, "alpha", seed);
+    expect_finite(depth, "depth", seed);
+    fourd::points::visibility(cloud, settings, seen.data());
+    expect_finite(seen, "visibility", seed);
+    const Floats up_image = random_floats(random, pixels * channels, -1, 1, 0);
+    const Floats up_plane = random_floats(random, pixels, -1, 1, 0);
+    Floats to_xyz(3 * count), to_features(channels * count), to_radius(count), to_density(count);
+    const float* up_depth = seed % 3 ? up_plane.data() : nullptr;
+    fourd::points::render_backward(cloud, settings, {up_image.data(), up_plane.data(), up_depth},
+                                   {to_xyz.data(), to_features.data(), to_radius.data(), to_density.data()});
+    expect_finite(to_features, "gradient of features", seed);
+    expect_finite(to_density, "gradient of density", seed);
+}
+
+void run_shade(unsigned seed) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 700));
+    const std::size_t views = static_cast<std::size_t>(whole(random, 0, 9));
+    const Floats xyz = random_floats(random, 3 * count, -1, 1, 0);
+    std::vector<std::uint16_t> sh(48 * count), weights(views * count);
+    std::vector<std::uint8_t> rgb(3 * views * count);
+    for (auto& value : sh) value = static_cast<std::uint16_t>(whole(random, 0, 0x7bff));
+    for (auto& value : weights) value = static_cast<std::uint16_t>(whole(random, 0, 0x6400));
+    for (auto& value : rgb) value = static_cast<std::uint8_t>(whole(random, 0, 255));
+    std::vector<std::int32_t> chosen;
+    for (std::size_t view = 0; view < views; view += 2) chosen.push_back(static_cast<std::int32_t>(view));
+    const fourd::shade::Points points{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views};
+    const fourd::shade::Settings settings{chosen.data(), static_cast<int>(chosen.size()), {0.5, 0.1, -3.0}, 0.25f, 0.0f,
+                                          whole(random, 1, 4)};
+    Floats out(3 * count);
+    fourd::shade::shade(points, settings, out.data());
+    expect_finite(out, "colours", seed);
+}
+
+}  // namespace
+
+int main(int count, char** words) {
+    const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(words[1])) : 200;
+    for (const char* simd : {"baseline", "avx2", "avx512"}) {
+        if (!fourd::points::simd_available(simd)) continue;
+        for (unsigned seed = 0; seed < runs; ++seed) run_points(seed, simd);
+        std::printf("points, %s: %u inputs\n", simd, runs);
+    }
+    for (unsigned seed = 0; seed < runs; ++seed) run_shade(seed);
+    std::printf("shade: %u inputs\n", runs);
+}
