@@ -6,6 +6,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <initializer_list>
 #include <optional>
 #include <stdexcept>
@@ -45,10 +46,16 @@ points::Cloud cloud_of(const In& xyz, const In& features, const In& radius, cons
     return {xyz.data(), features.data(), radius.data(), density.data(), count, static_cast<int>(channels)};
 }
 
+// An image's side; one that an int does not hold becomes 0, which settings_of refuses.
+int whole(std::size_t side) { return side <= 0x7fffffff ? static_cast<int>(side) : 0; }
+
 // camera: K, R (row-major) and T, 21 numbers.
 points::Settings settings_of(const std::vector<double>& camera, int width, int height, int layers, double near,
                              double transmittance_min, int threads, const std::string& simd) {
-    if (camera.size() != 21 || width < 1 || height < 1 || layers < 1 || !(near > 0) || threads < 1) {
+    constexpr int kLongestSide = 1 << 18;  // tiles are counted in an int
+    constexpr int kMostThreads = 256;
+    const bool sized = width >= 1 && height >= 1 && width <= kLongestSide && height <= kLongestSide;
+    if (camera.size() != 21 || !sized || layers < 1 || !(near > 0) || threads < 1) {
         throw std::invalid_argument("camera, width, height, layers, near, threads: out of range");
     }
     points::Settings settings;
@@ -60,7 +67,7 @@ points::Settings settings_of(const std::vector<double>& camera, int width, int h
     settings.near = static_cast<float>(near);
     settings.layers = layers;
     settings.transmittance_min = static_cast<float>(transmittance_min);
-    settings.threads = threads;
+    settings.threads = std::min(threads, kMostThreads);
     settings.simd = simd.c_str();
     return settings;
 }
@@ -73,8 +80,8 @@ void render(const In& xyz, const In& features, const In& radius, const In& densi
     const std::size_t height = out_alpha.shape(0), width = out_alpha.shape(1);
     require(out_features, {height, width, static_cast<std::size_t>(cloud.channels)}, "out_features");
     require(out_depth, {height, width}, "out_depth");
-    const points::Settings settings = settings_of(camera, static_cast<int>(width), static_cast<int>(height), layers,
-                                                  near, transmittance_min, threads, simd);
+    const points::Settings settings =
+        settings_of(camera, whole(width), whole(height), layers, near, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
     points::render(cloud, settings, {out_features.data(), out_alpha.data(), out_depth.data()});
 }
@@ -93,8 +100,8 @@ void render_backward(const In& xyz, const In& features, const In& radius, const 
     require(out_features, {cloud.count, channels}, "out_features");
     require(out_radius, {cloud.count}, "out_radius");
     require(out_density, {cloud.count}, "out_density");
-    const points::Settings settings = settings_of(camera, static_cast<int>(width), static_cast<int>(height), layers,
-                                                  near, 0.0, threads, simd);
+    const points::Settings settings =
+        settings_of(camera, whole(width), whole(height), layers, near, 0.0, threads, simd);
     nb::gil_scoped_release release;
     points::render_backward(
         cloud, settings,
