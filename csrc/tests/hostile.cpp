@@ -87,6 +87,8 @@ void run_points(unsigned seed, const char* simd) {
     const float* up_depth = seed % 3 ? up_plane.data() : nullptr;
     fourd::points::render_backward(cloud, settings, {up_image.data(), up_plane.data(), up_depth},
                                    {to_xyz.data(), to_features.data(), to_radius.data(), to_density.data()});
+    expect_finite(to_xyz, "gradient of xyz", seed);
+    expect_finite(to_radius, "gradient of radius", seed);
     expect_finite(to_features, "gradient of features", seed);
     expect_finite(to_density, "gradient of density", seed);
 }
