@@ -1,0 +1,27 @@
+"""README's programs run as they stand there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def test_the_library_example_runs() -> None:
+    """Catches an example that the code has moved away from: it is the first thing a programmer tries."""
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    example = next(block for block in blocks if "render_points" in block)
+    names: dict[str, object] = {}
+    exec(compile(example, "README.md", "exec"), names)
+    gradient = names["xyz"].grad  # type: ignore[attr-defined]
+    assert gradient is not None
+    assert float(gradient.abs().sum()) > 0
+
+
+@pytest.mark.parametrize("link", re.findall(r"\]\(((?:docs|configs|tools)/[^)]*)\)", README.read_text()))
+def test_links_lead_somewhere(link: str) -> None:
+    """Catches a page or a picture that was renamed or never committed."""
+    assert (README.parent / link).is_file()
