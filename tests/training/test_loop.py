@@ -83,14 +83,14 @@ def test_a_value_that_is_not_finite_stops_and_names_step_and_term(
 
 
 def test_training_teaches(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a step that changes nothing or makes things worse: from grey, 40 steps must gain."""
+    """Catches a step that changes nothing or makes things worse: from grey, 200 steps must gain."""
     model = replace(SMALL.model, appearance="sh")
-    config = replace(with_steps(SMALL, 40), checkpoint_steps=100, model=model)
+    config = replace(with_steps(SMALL, 200), checkpoint_steps=1000, model=model)
     trained_run(ball_capture, tmp_path / "run", config)
     lines = [json.loads(line) for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
     values = [line["psnr"] for line in lines if "psnr" in line]
-    assert len(values) == 4
-    assert values[-1] > values[0] + 1
+    assert len(values) == 20
+    assert np.mean(values[-5:]) > np.mean(values[:2]) + 0.5
 
 
 def test_config_of_the_run_is_what_was_asked_for(ball_capture: Path, tmp_path: Path) -> None:
