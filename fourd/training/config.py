@@ -67,6 +67,8 @@ class TrainConfig:
     """Points of each frame."""
     layers: int = 15
     """Points composited a pixel while training (K)."""
+    least_layers: int = 8
+    """Each step draws K from this to layers, so that surfaces close within the fewer layers of an exported scene."""
     crop: Literal["mask", "full"] = "mask"
     """Train on the box of the matte with a margin, or on whole images."""
     random_background: bool = True
@@ -106,6 +108,7 @@ class TrainConfig:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
         require(1 <= self.layers <= 64, f"layers: expected 1 to 64, got {self.layers}")
         require(self.encoder_every >= 1, f"encoder_every: expected at least 1, got {self.encoder_every}")
+        require(self.least_layers >= 1, f"least_layers: expected at least 1, got {self.least_layers}")
         require(self.hidden_weight >= 0, f"hidden_weight: expected 0 or more, got {self.hidden_weight}")
         require(0 < self.image_scale <= 4, f"image_scale: expected more than 0, got {self.image_scale}")
         require(

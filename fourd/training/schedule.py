@@ -12,12 +12,13 @@ from fourd.training.config import RateConfig, TrainConfig
 
 @dataclass(frozen=True)
 class Choice:
-    """What one step renders: indices of a frame, the target camera and its source cameras."""
+    """What one step renders: indices of a frame, the target camera and its source cameras; K; the colour behind."""
 
     frame: int
     target: int
     sources: list[int]
     background: np.ndarray
+    layers: int
 
 
 class Sampler:
@@ -48,7 +49,8 @@ class Sampler:
         count = min(self._config.model.neighbours, len(pool))
         sources = sorted(draw.choice(len(pool), size=count, replace=False).tolist())
         background = draw.random(3) if self._config.random_background else np.zeros(3)
-        return Choice(frame, target, [pool[i] for i in sources], background.astype(np.float32))
+        layers = int(draw.integers(min(self._config.least_layers, self._config.layers), self._config.layers + 1))
+        return Choice(frame, target, [pool[i] for i in sources], background.astype(np.float32), layers)
 
 
 def source_pool(

@@ -72,7 +72,7 @@ class Stepper:
         placed = xyz if displacement is None else xyz + displacement
         train_encoder = number % self.config.encoder_every == 0
         colour = self.model.colour(placed, features, view.camera, sources, free.get("sh"), train_encoder=train_encoder)
-        render = render_points(placed, colour, radius, density, view.camera, layers=self.config.layers, near=NEAR)
+        render = render_points(placed, colour, radius, density, view.camera, layers=choice.layers, near=NEAR)
         background = torch.from_numpy(choice.background)
         terms = self.loss.terms(render.features, render.alpha, target, matte, background)
         if displacement is not None:

@@ -16,6 +16,7 @@ SMALL = TrainConfig(
     model=ModelConfig(planes=PlanesConfig(levels=2, features=4, base_resolution=16), hidden=16),
     points=1500,
     layers=8,
+    least_layers=6,
     test_views=("03",),
     max_steps=6,
     checkpoint_steps=3,
