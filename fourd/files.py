@@ -31,6 +31,11 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
         temporary.chmod(0o666 & ~umask)
         os.replace(temporary, target)
         _fsync_folder(target.parent)
+    except OSError as error:
+        if error.filename not in (None, name) or error.errno is None:
+            raise
+        # Under the name that the user knows.
+        raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
         temporary.unlink(missing_ok=True)
 

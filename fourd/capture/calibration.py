@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +39,21 @@ class Calibration:
         return Camera(self.intrinsics, self.rotation, self.translation, width, height, self.distortion)
 
 
+@dataclass(frozen=True)
+class Survey:
+    """All that the calibration files say.
+
+    Attributes:
+        names: cameras of intri.yml, also those whose values are at fault.
+        calibrations: the good ones, by name.
+        faults: what is wrong, in the order found.
+    """
+
+    names: tuple[str, ...]
+    calibrations: dict[str, Calibration]
+    faults: tuple[UserError, ...]
+
+
 def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     """Calibrations of ``folder``'s cameras by name, in the order of intri.yml's ``names``.
 
@@ -49,16 +65,40 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
         UserError: naming the file and the key, when a file is missing or no FileStorage, a value
             is missing, of another shape or not finite, or a rotation is none.
     """
-    folder = Path(folder)
-    with _Storage(folder / INTRINSICS_NAME) as intri, _Storage(folder / EXTRINSICS_NAME) as extri:
-        names = intri.names()
-        for name in extri.names(required=False):
+    survey = survey_calibration(folder)
+    if survey.faults:
+        raise survey.faults[0]
+    return survey.calibrations
+
+
+def survey_calibration(folder: Path | str) -> Survey:
+    """Read as read_calibration does, and go on after faults to find all of them; raises nothing for these."""
+    faults: list[UserError] = []
+    with ExitStack() as stack:
+        storages = []
+        for file in (INTRINSICS_NAME, EXTRINSICS_NAME):
+            try:
+                storages.append(stack.enter_context(_Storage(Path(folder) / file)))
+            except UserError as error:
+                faults.append(error)
+        if len(storages) < 2:
+            return Survey((), {}, tuple(faults))
+        intri, extri = storages
+        try:
+            names, others = intri.names(), extri.names(required=False)
+        except UserError as error:
+            return Survey((), {}, (error,))
+        for name in others:
             if name not in names:
-                raise UserError(
-                    f"{intri.path}: expected camera '{name}' of {EXTRINSICS_NAME}, got no such name; "
-                    "add it or drop it there"
-                )
-        return {name: _one(name, intri, extri) for name in names}
+                fault = f"expected camera '{name}' of {EXTRINSICS_NAME}, got no such name; add it or drop it there"
+                faults.append(UserError(f"{intri.path}: {fault}"))
+        calibrations = {}
+        for name in names:
+            try:
+                calibrations[name] = _one(name, intri, extri)
+            except UserError as error:
+                faults.append(error)
+        return Survey(tuple(names), calibrations, tuple(faults))
 
 
 def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:

@@ -12,7 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from fourd.cameras import Camera
-from fourd.capture.calibration import Calibration, read_calibration
+from fourd.capture.calibration import Calibration, survey_calibration
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
 from fourd.capture.layout import camera_folders, frame_order, missing_frame, pictures
 from fourd.errors import UserError
@@ -25,6 +25,9 @@ NO_OBJECT = 1e-4
 ALL_OBJECT = 0.98
 FAR_OFF = 0.5
 """A camera whose axis misses the common focus by more than this share of its distance looks elsewhere."""
+
+PARALLEL = 1e-4
+"""Mean squared sine of the axes to a common direction, below which they meet nowhere that can be told: 0.6 degrees."""
 
 Track = Callable[[Sequence[Path]], Iterable[Path]]
 
@@ -65,7 +68,9 @@ def check_capture(path: Path | str, *, deep: bool = False, track: Track | None =
     """
     path = Path(path)
     if not path.is_dir():
-        fault = f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}"
+        fault = (
+            f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}; check the path"
+        )
         return Report((fault,), (), (), 0, {}, False, 0, 0.0, None, 0)
     return _Check(path, deep, track or (lambda files: files)).report()
 
@@ -82,18 +87,20 @@ class _Check:
         self.nbytes = 0
 
     def report(self) -> Report:
-        calibrations = self._try(read_calibration, self.path) or {}
-        names = self._names(calibrations)
-        images = {name: self._try(pictures, self.path / "images" / name) or {} for name in names}
-        masks = {name: self._try(pictures, self.path / "masks" / name) or {} for name in names}
-        stems = frame_order(set().union(*images.values()))
+        survey = survey_calibration(self.path)
+        self.problems += [str(fault) for fault in survey.faults]
+        calibrations = survey.calibrations
+        names = self._names(survey.names)
+        images = {name: self._try(pictures, self.path / "images" / name) for name in names}
+        masks = {name: self._try(pictures, self.path / "masks" / name) for name in names}
+        stems = frame_order(set().union(*(found for found in images.values() if found)))
         has_masks = any(masks.values())
         for name in names:
             self._files(name, "images", images[name], stems)
             if has_masks:
                 self._files(name, "masks", masks[name], stems)
-        jobs = [self.path / "images" / name / file for name in names for file in images[name].values()]
-        jobs += [self.path / "masks" / name / file for name in names for file in masks[name].values()]
+        jobs = [self.path / "images" / name / file for name in names for file in (images[name] or {}).values()]
+        jobs += [self.path / "masks" / name / file for name in names for file in (masks[name] or {}).values()]
         looked_at = self._sampled(names, masks)
         for file in self.track(jobs):
             self._picture(file, calibrations.get(file.parent.name), file in looked_at)
@@ -122,38 +129,46 @@ class _Check:
             self.problems.append(str(error))
             return None
 
-    def _names(self, calibrations: dict[str, Calibration]) -> list[str]:
+    def _names(self, calibrated: Sequence[str]) -> list[str]:
         folders = camera_folders(self.path / "images")
         if not folders:
             self.problems.append(f"{self.path / 'images'}: expected a folder of pictures for each camera, got none")
-        for name in folders if calibrations else []:
-            if name not in calibrations:
+        for name in folders if calibrated else []:
+            if name not in calibrated:
                 self.problems.append(
                     f"{self.path / 'intri.yml'}: expected camera '{name}', since images/{name} exists, got no such "
                     "name; calibrate it or leave it out with --views"
                 )
-        for name in calibrations:
+        for name in calibrated:
             if name not in folders:
                 self.problems.append(
                     f"{self.path / 'images' / name}: expected the pictures of camera '{name}' of intri.yml, got no "
                     "such folder; restore it or leave it out with --views"
                 )
-        return [name for name in folders if name in calibrations or not calibrations]
+        return [name for name in folders if name in calibrated or not calibrated]
 
-    def _files(self, name: str, kind: str, found: dict[str, str], stems: list[str]) -> None:
+    def _files(self, name: str, kind: str, found: dict[str, str] | None, stems: list[str]) -> None:
+        """The faults of a camera's folder; those of a folder that could not be listed are told already."""
         folder = self.path / kind / name
+        if found is None:
+            return
         if not found:
             self.problems.append(f"{folder}: expected pictures (FRAME.jpg or .png), got none; restore them")
             return
         error = missing_frame(folder, found, stems)
         if error is not None:
             self.problems.append(str(error))
+        surplus = sorted(set(found) - set(stems))
+        if surplus:
+            self.warnings.append(
+                f"{folder / found[surplus[0]]}: no picture of that frame ({len(surplus)} such here); not used"
+            )
 
-    def _sampled(self, names: list[str], masks: dict[str, dict[str, str]]) -> set[Path]:
+    def _sampled(self, names: list[str], masks: dict[str, dict[str, str] | None]) -> set[Path]:
         """Mattes whose content is looked at: some of each camera, evenly spread."""
         chosen = set()
         for name in names:
-            files = sorted(masks[name].values())
+            files = sorted((masks[name] or {}).values())
             places = np.linspace(0, len(files) - 1, min(LOOKED_AT, len(files))).astype(int)
             chosen |= {self.path / "masks" / name / files[place] for place in places}
         return chosen
@@ -217,6 +232,8 @@ class _Check:
             if twins[tuple(np.round(camera.centre, 6))] > 1:
                 self.warnings.append(f"{self.path / 'extri.yml'}: camera '{name}' stands where another one does")
         focus = nearest_to_axes(list(cameras.values()))
+        if focus is None:
+            return 0.0
         for name, camera in cameras.items():
             towards = focus - camera.centre
             along = float(towards @ camera.forward)
@@ -232,9 +249,11 @@ def _is_distorted(calibration: Calibration) -> bool:
     return calibration.distortion is not None and bool(calibration.distortion.any())
 
 
-def nearest_to_axes(cameras: Sequence[Camera]) -> np.ndarray:
-    """(3,) point nearest to the cameras' optical axes, in the least-squares sense."""
+def nearest_to_axes(cameras: Sequence[Camera]) -> np.ndarray | None:
+    """(3,) point nearest to the cameras' optical axes, in the least-squares sense; None where these are parallel."""
     across = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
+    if np.linalg.eigvalsh(np.mean(across, axis=0))[0] < PARALLEL:
+        return None
     right = sum((p @ camera.centre for p, camera in zip(across, cameras, strict=True)), np.zeros(3))
     return np.linalg.lstsq(np.sum(across, axis=0), right, rcond=None)[0]
 

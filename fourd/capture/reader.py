@@ -146,7 +146,9 @@ def open_capture(
     if not 0 < scale <= 4:
         raise UserError(f"--scale: expected a factor above 0 and at most 4, got {scale:g}")
     if not path.is_dir():
-        raise UserError(f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}")
+        raise UserError(
+            f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}; check the path"
+        )
     calibrations = read_calibration(path)
     names = _usable_names(path, calibrations, views)
     found = {name: pictures(path / "images" / name) for name in names}

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fourd.capture.check import Report, check_capture, shown
+from fourd.errors import UserError
 
 MOST_LINES = 20
 
@@ -28,21 +29,24 @@ class Arguments:
     """Decode every picture, which finds damaged ones."""
 
 
-def run(arguments: Arguments) -> int:
-    """Check and print."""
+def run(arguments: Arguments) -> None:
+    """Check and print; raises UserError, which tells the first problem, when there are any."""
     console = Console()
     report = check_capture(arguments.capture, deep=arguments.deep, track=_tracked)
     console.print(_facts(arguments.capture, report))
     for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", report.warnings)):
         for line in shown(lines, MOST_LINES):
             console.print(Text(f"{title}: ", style).append(line, "default"), soft_wrap=True)
-    if not report.problems:
-        console.print(Text("Good to use", "green"), f"next: fourd make {arguments.capture} -o scene.4dv", sep="; ")
-    return 2 if report.problems else 0
+    if report.problems:
+        more = len(report.problems) - 1
+        raise UserError(report.problems[0] + (f" (and {more} more, listed above)" if more else ""))
+    next_command = f"next: fourd make {arguments.capture} -o scene.4dv"
+    console.print(Text("Good to use", "green"), next_command, sep="; ", soft_wrap=True)
 
 
 def _tracked(files: Sequence[Path]) -> Iterable[Path]:
-    return track(files, description="check", console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    return track(files, description="check", console=console, transient=True, disable=not console.is_terminal)
 
 
 def _facts(path: Path, report: Report) -> Table:

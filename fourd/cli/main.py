@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Sequence
 
 from rich.console import Console
 
+from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
 
 COMMANDS = ("make", "synth", "check", "carve", "train", "eval", "export", "render", "info")
+
+USERS_DISK = (
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.EFBIG,
+    errno.EEXIST,
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.ENAMETOOLONG,
+)
+"""What the system refuses for reasons that the user can mend and our code cannot."""
 
 HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
@@ -44,6 +60,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except UserError as error:
         print(f"fourd {words[0]}: {error}", file=sys.stderr)
         return 2
+    except OSError as error:
+        if error.errno not in USERS_DISK:
+            raise
+        reason = (error.strerror or "").lower()
+        got = f"expected to read and write there, got '{reason}'; make room or name another place"
+        print(f"fourd {words[0]}: {error.filename or 'the disk'}: {got}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         Console(stderr=True).print(f"fourd {words[0]}: stopped; what was finished is kept")
         return 130
@@ -61,13 +84,14 @@ def _run(command: str, words: list[str]) -> int:
         hint = f"did you mean '{near[0]}'?" if near else "see fourd --help"
         raise UserError(f"expected a command among {', '.join(COMMANDS)}, got '{command}'; {hint}")
     module = importlib.import_module(f"fourd.cli.{command}")
-    arguments = tyro.cli(
-        module.Arguments,
-        prog=f"fourd {command}",
-        args=words,
-        description=module.__doc__,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )
+    with one_line_of_usage():
+        arguments = tyro.cli(
+            module.Arguments,
+            prog=f"fourd {command}",
+            args=words,
+            description=module.__doc__,
+            config=(tyro.conf.OmitArgPrefixes,),
+        )
     code = module.run(arguments)
     return 0 if code is None else int(code)
 

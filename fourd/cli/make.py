@@ -50,7 +50,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Run every stage that is not done."""
-    console = Console(stderr=True)
+    console = Console()  # stderr is kept for the one line that tells of wrong input
     given: dict[str, Any] = {field.name: getattr(arguments, field.name) for field in fields(arguments)}
     config = train.overlaid(train.Arguments(**given), DEFAULT_SECONDS)
     lpips = load_lpips(arguments.lpips_weights)

@@ -17,7 +17,7 @@ from rich.progress import track
 from fourd.baking.playable import Playable, open_playable, select_frames, view
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.files import atomic_path
+from fourd.files import write_bytes_atomically
 from fourd.viewer.paths import fit, interpolate, orbit, ring_order, spiral
 from fourd.viewer.video import write_video
 
@@ -114,5 +114,6 @@ def _sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
 
 
 def _write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
-    with atomic_path(path) as temporary:
-        cv2.imwrite(str(temporary), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    # Not imwrite: it says nothing when the disk is full.
+    _, content = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    write_bytes_atomically(path, content.tobytes())

@@ -56,14 +56,15 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Carve, train, and say how it ended."""
-    console = Console(stderr=True)
+    console = Console()  # stderr is kept for the one line that tells of wrong input
     lpips = load_lpips(arguments.lpips_weights)
-    if lpips is None:
-        console.print("LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)")
     if arguments.resume:
         opened = open_run(arguments.out)
     else:
         opened = create_run(arguments.capture, arguments.out, overlaid(arguments), arguments.points_from)
+    if lpips is None:
+        note = "LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)"
+        console.print(note, soft_wrap=True)
     budget = opened.config.train
     if arguments.resume and (arguments.max_steps is not None or arguments.max_seconds is not None):
         budget = replace(budget, max_steps=arguments.max_steps, max_seconds=arguments.max_seconds)
@@ -93,7 +94,7 @@ def overlaid(arguments: Arguments, seconds: float | None = None) -> TrainConfig:
     try:
         config = replace(config, **{name: value for name, value in given.items() if value is not None})
     except ValueError as error:
-        raise UserError(f"{arguments.config or 'fourd train'}: {error}") from error
+        raise UserError(f"{arguments.config}: {error}" if arguments.config else str(error)) from error
     if config.max_steps is None and config.max_seconds is None and seconds is not None:
         return replace(config, max_seconds=seconds)
     if config.max_steps is None and config.max_seconds is None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from fourd.capture import Capture, open_capture
+from fourd.capture.layout import chosen_views
 from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
 from fourd.model import PointModel
@@ -240,10 +241,8 @@ def mean_spacing(xyz: NDArray[np.float32]) -> float:
 def _open_views(path: Path, train: TrainConfig) -> tuple[Capture, list[int], list[int]]:
     views = list(train.views) if train.views is not None else None
     capture = open_capture(path, views=views, frames=train.frames, scale=train.image_scale, cache_mb=DECODED_MB)
-    unknown = [name for name in train.test_views if name not in capture.names]
-    if unknown:
-        raise UserError(f"--test-views: expected names among {', '.join(capture.names)}, got {', '.join(unknown)}")
-    test = [capture.names.index(name) for name in train.test_views]
+    held_out = chosen_views(train.test_views, capture.names, "--test-views") if train.test_views else []
+    test = [capture.names.index(name) for name in held_out]
     training = [index for index in range(len(capture.names)) if index not in test]
     if len(training) < 2:
         raise UserError(
