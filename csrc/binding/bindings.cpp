@@ -1,13 +1,22 @@
 // The Python face of csrc: bindings convert and check shapes, the kernels know no framework.
 #include "binding/bindings.h"
 
+#include <nanobind/stl/string.h>
+
 #include <algorithm>
+#include <string>
 #include <thread>
+
+#include "common/simd.h"
 
 NB_MODULE(_native, module) {
     module.doc() = "fourd's native kernels (internal; use fourd.raster and fourd.baking)";
     module.def("max_threads", [] { return std::max(1u, std::thread::hardware_concurrency()); },
                "Number of threads that kernels use when the caller names none.");
+    module.def("simd_default", &fourd::simd_default, "The widest instruction set this machine runs.");
+    module.def("simd_available", [](const std::string& name) { return fourd::simd_available(name.c_str()); });
+    fourd::bind_planes(module);
+    fourd::bind_play(module);
     fourd::bind_points(module);
     fourd::bind_shade(module);
 }

@@ -5,6 +5,8 @@
 
 namespace fourd {
 
+void bind_planes(nanobind::module_& module);
+void bind_play(nanobind::module_& module);
 void bind_points(nanobind::module_& module);
 void bind_shade(nanobind::module_& module);
 

@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "binding/bindings.h"
+#include "binding/convert.h"
 #include "points/points.h"
 
 namespace nb = nanobind;
@@ -46,32 +47,6 @@ points::Cloud cloud_of(const In& xyz, const In& features, const In& radius, cons
     return {xyz.data(), features.data(), radius.data(), density.data(), count, static_cast<int>(channels)};
 }
 
-// An image's side; one that an int does not hold becomes 0, which settings_of refuses.
-int whole(std::size_t side) { return side <= 0x7fffffff ? static_cast<int>(side) : 0; }
-
-// camera: K, R (row-major) and T, 21 numbers.
-points::Settings settings_of(const std::vector<double>& camera, int width, int height, int layers, double near,
-                             double transmittance_min, int threads, const std::string& simd) {
-    constexpr int kLongestSide = 1 << 18;  // tiles are counted in an int
-    constexpr int kMostThreads = 256;
-    const bool sized = width >= 1 && height >= 1 && width <= kLongestSide && height <= kLongestSide;
-    if (camera.size() != 21 || !sized || layers < 1 || !(near > 0) || threads < 1) {
-        throw std::invalid_argument("camera, width, height, layers, near, threads: out of range");
-    }
-    points::Settings settings;
-    for (int i = 0; i < 9; ++i) settings.camera.intrinsics[i] = static_cast<float>(camera[i]);
-    for (int i = 0; i < 9; ++i) settings.camera.rotation[i] = static_cast<float>(camera[9 + i]);
-    for (int i = 0; i < 3; ++i) settings.camera.translation[i] = static_cast<float>(camera[18 + i]);
-    settings.camera.width = width;
-    settings.camera.height = height;
-    settings.near = static_cast<float>(near);
-    settings.layers = layers;
-    settings.transmittance_min = static_cast<float>(transmittance_min);
-    settings.threads = std::min(threads, kMostThreads);
-    settings.simd = simd.c_str();
-    return settings;
-}
-
 void render(const In& xyz, const In& features, const In& radius, const In& density, const std::vector<double>& camera,
             int layers, double near, double transmittance_min, int threads, const std::string& simd,
             const Out& out_features, const Out& out_alpha, const Out& out_depth) {
@@ -81,7 +56,7 @@ void render(const In& xyz, const In& features, const In& radius, const In& densi
     require(out_features, {height, width, static_cast<std::size_t>(cloud.channels)}, "out_features");
     require(out_depth, {height, width}, "out_depth");
     const points::Settings settings =
-        settings_of(camera, whole(width), whole(height), layers, near, transmittance_min, threads, simd);
+        points_settings(camera, width, height, layers, near, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
     points::render(cloud, settings, {out_features.data(), out_alpha.data(), out_depth.data()});
 }
@@ -101,7 +76,7 @@ void render_backward(const In& xyz, const In& features, const In& radius, const 
     require(out_radius, {cloud.count}, "out_radius");
     require(out_density, {cloud.count}, "out_density");
     const points::Settings settings =
-        settings_of(camera, whole(width), whole(height), layers, near, 0.0, threads, simd);
+        points_settings(camera, width, height, layers, near, 0.0, threads, simd);
     nb::gil_scoped_release release;
     points::render_backward(
         cloud, settings,
@@ -109,8 +84,8 @@ void render_backward(const In& xyz, const In& features, const In& radius, const 
         {out_xyz.data(), out_features.data(), out_radius.data(), out_density.data()});
 }
 
-void visibility(const In& xyz, const In& radius, const In& density, const std::vector<double>& camera, int width,
-                int height, int layers, double near, int threads, const std::string& simd, const Out& out) {
+void visibility(const In& xyz, const In& radius, const In& density, const std::vector<double>& camera,
+                std::size_t width, std::size_t height, int layers, double near, int threads, const std::string& simd, const Out& out) {
     const std::size_t count = radius.size();
     if (count > 0x7fffffff) throw std::invalid_argument("radius: unexpected shape");
     require(xyz, {count, 3}, "xyz");
@@ -118,7 +93,7 @@ void visibility(const In& xyz, const In& radius, const In& density, const std::v
     require(density, {count}, "density");
     require(out, {count}, "out");
     const points::Cloud cloud = {xyz.data(), nullptr, radius.data(), density.data(), count, 0};
-    const points::Settings settings = settings_of(camera, width, height, layers, near, 0.0, threads, simd);
+    const points::Settings settings = points_settings(camera, width, height, layers, near, 0.0, threads, simd);
     nb::gil_scoped_release release;
     points::visibility(cloud, settings, out.data());
 }
@@ -132,8 +107,6 @@ void bind_points(nb::module_& module) {
                nb::arg("simd"), nb::arg("grad_features"), nb::arg("grad_alpha"), nb::arg("grad_depth").none(),
                nb::arg("out_xyz"), nb::arg("out_features"), nb::arg("out_radius"), nb::arg("out_density"));
     module.def("point_visibility", &visibility);
-    module.def("simd_default", &points::simd_default, "The widest instruction set this machine runs.");
-    module.def("simd_available", [](const std::string& name) { return points::simd_available(name.c_str()); });
 }
 
 }  // namespace fourd

@@ -2,7 +2,9 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 
+#include "common/simd.h"
 #include "points/maths.h"
 
 namespace fourd::points {
@@ -22,13 +24,19 @@ struct Settings {
     int layers;               // K, at least 1
     float transmittance_min;  // a pixel ends where its transmittance is this or less; 0 is exact
     int threads;              // at least 1; the result does not depend on it
-    const char* simd;         // "baseline", "avx2", "avx512" or "" for the widest this machine runs
+    Simd simd;                // one that this machine runs
 };
 
 struct Image {
     float* features;  // (height, width, channels)
     float* alpha;     // (height, width)
     float* depth;     // (height, width), 0 where alpha is 0
+};
+
+// A picture of three channels.
+struct Canvas {
+    std::uint8_t* rgba;   // (height, width, 4): colours over the background, and alpha; rounded
+    float background[3];  // in [0, 1]
 };
 
 struct ImageGradient {
@@ -53,11 +61,5 @@ void render_backward(const Cloud& cloud, const Settings& settings, const ImageGr
 // out (count,): the largest weight (transmittance * alpha) that each point has in any pixel.
 // cloud.features is not read.
 void visibility(const Cloud& cloud, const Settings& settings, float* out);
-
-// The instruction set that a Settings::simd of "" means here.
-const char* simd_default();
-
-// Whether this machine runs the instruction set of that name.
-bool simd_available(const char* name);
 
 }  // namespace fourd::points

@@ -6,32 +6,13 @@
 #include <cmath>
 #include <cstring>
 
+#include "common/half.h"
+#include "common/inline.h"
 #include "shade/shade.h"
-
-#if defined(__GNUC__)
-#define FOURD_INLINE inline __attribute__((always_inline))
-#else
-#define FOURD_INLINE inline
-#endif
 
 namespace fourd::shade {
 
 constexpr int kBlock = 64;  // points whose intermediate values stay in the first-level cache
-
-// IEEE half to float by moving bits: the exponents differ by 112, and the multiplication by 2^112
-// puts subnormals right as well. Infinity and NaN come out finite (65536 and above).
-FOURD_INLINE float from_half(std::uint16_t half) {
-    const std::uint32_t shifted = static_cast<std::uint32_t>(half & 0x7fff) << 13;
-    float magnitude;
-    std::memcpy(&magnitude, &shifted, sizeof magnitude);
-    magnitude *= 5.192296858534828e33f;  // 2^112
-    std::uint32_t bits;
-    std::memcpy(&bits, &magnitude, sizeof bits);
-    bits |= static_cast<std::uint32_t>(half & 0x8000) << 16;
-    float value;
-    std::memcpy(&value, &bits, sizeof value);
-    return value;
-}
 
 // tanh to 4e-7: a rational function (Eigen's coefficients) on the interval where float tanh is not 1.
 FOURD_INLINE float fast_tanh(float x) {

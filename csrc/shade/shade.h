@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "common/simd.h"
+
 namespace fourd::shade {
 
 constexpr int kTerms = 16;       // real spherical harmonics of degree 3
@@ -26,9 +28,13 @@ struct Settings {
     float sh_range;              // colour += sh_base + sh_range * tanh(sh . Y(d))
     float sh_base;
     int threads;                 // at least 1; the result does not depend on it
+    Simd simd;                   // one that this machine runs
 };
 
 // out (count, 3). The same bits whatever the number of threads.
 void shade(const Points& points, const Settings& settings, float* out);
+
+// The same for points begin to end, on the caller's thread; out is still by point.
+void shade_some(const Points& points, const Settings& settings, std::size_t begin, std::size_t end, float* out);
 
 }  // namespace fourd::shade

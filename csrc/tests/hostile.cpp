@@ -7,6 +7,7 @@
 #include <random>
 #include <vector>
 
+#include "planes/planes.h"
 #include "points/points.h"
 #include "shade/shade.h"
 
@@ -57,7 +58,7 @@ fourd::points::Settings random_settings(Random& random, const char* simd) {
     settings.near = 0.01f;
     settings.layers = whole(random, 1, 30);
     settings.threads = whole(random, 1, 4);
-    settings.simd = simd;
+    settings.simd = fourd::simd_named(simd);
     return settings;
 }
 
@@ -93,7 +94,36 @@ void run_points(unsigned seed, const char* simd) {
     expect_finite(to_density, "gradient of density", seed);
 }
 
-void run_shade(unsigned seed) {
+void run_planes(unsigned seed, const char* simd) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 700));
+    const int features = whole(random, 0, 2) ? 8 : whole(random, 1, 64);
+    const Floats coordinates = random_floats(random, 4 * count, -1.2f, 1.2f, seed % 2 ? 0.2f : 0.0f);
+    std::vector<Floats> values, gradients;
+    std::vector<fourd::planes::Plane> planes;
+    std::vector<float*> targets;
+    for (int k = whole(random, 1, 7); k > 0; --k) {
+        const int columns = whole(random, 2, 40), rows = whole(random, 2, 40);
+        const std::size_t size = static_cast<std::size_t>(columns) * rows * features;
+        values.push_back(random_floats(random, size, -1, 1, 0));
+        gradients.emplace_back(size);
+        planes.push_back({nullptr, columns, rows, whole(random, 0, 3), whole(random, 0, 3)});
+    }
+    for (std::size_t k = 0; k < planes.size(); ++k) {
+        planes[k].values = values[k].data();
+        targets.push_back(gradients[k].data());
+    }
+    const fourd::planes::Query query{planes.data(), static_cast<int>(planes.size()), features, coordinates.data(), count,
+                                     whole(random, 1, 4), fourd::simd_named(simd)};
+    Floats out(count * planes.size() * features), to_coordinates(4 * count);
+    fourd::planes::sample(query, out.data());
+    expect_finite(out, "samples", seed);
+    fourd::planes::sample_backward(query, out.data(), targets.data(), whole(random, 0, 2) ? to_coordinates.data() : nullptr);
+    for (const Floats& gradient : gradients) expect_finite(gradient, "gradient of planes", seed);
+    expect_finite(to_coordinates, "gradient of coordinates", seed);
+}
+
+void run_shade(unsigned seed, const char* simd) {
     Random random(seed);
     const std::size_t count = static_cast<std::size_t>(whole(random, 0, 700));
     const std::size_t views = static_cast<std::size_t>(whole(random, 0, 9));
@@ -107,7 +137,7 @@ void run_shade(unsigned seed) {
     for (std::size_t view = 0; view < views; view += 2) chosen.push_back(static_cast<std::int32_t>(view));
     const fourd::shade::Points points{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views};
     const fourd::shade::Settings settings{chosen.data(), static_cast<int>(chosen.size()), {0.5, 0.1, -3.0}, 0.25f, 0.0f,
-                                          whole(random, 1, 4)};
+                                          whole(random, 1, 4), fourd::simd_named(simd)};
     Floats out(3 * count);
     fourd::shade::shade(points, settings, out.data());
     expect_finite(out, "colours", seed);
@@ -118,10 +148,12 @@ void run_shade(unsigned seed) {
 int main(int count, char** words) {
     const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(words[1])) : 200;
     for (const char* simd : {"baseline", "avx2", "avx512"}) {
-        if (!fourd::points::simd_available(simd)) continue;
-        for (unsigned seed = 0; seed < runs; ++seed) run_points(seed, simd);
-        std::printf("points, %s: %u inputs\n", simd, runs);
+        if (!fourd::simd_available(simd)) continue;
+        for (unsigned seed = 0; seed < runs; ++seed) {
+            run_points(seed, simd);
+            run_planes(seed, simd);
+            run_shade(seed, simd);
+        }
+        std::printf("points, planes and shade, %s: %u inputs each\n", simd, runs);
     }
-    for (unsigned seed = 0; seed < runs; ++seed) run_shade(seed);
-    std::printf("shade: %u inputs\n", runs);
 }

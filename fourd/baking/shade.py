@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera, nearest_views
-from fourd.raster.validation import thread_count
+from fourd.raster.validation import simd_name, thread_count
 
 _CHUNK = 1 << 15
 
@@ -44,6 +44,7 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
         manifest.sh_range,
         manifest.sh_base,
         thread_count(threads),
+        simd_name(),
     )
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from fourd.model.config import PlanesConfig
+from fourd.model.plane_lookup import sample_planes
 
 SPACE_PAIRS = ((0, 1), (0, 2), (1, 2))
 TIME_PAIRS = ((0, 3), (1, 3), (2, 3))
@@ -18,7 +18,8 @@ class KPlanes(nn.Module):
     Coordinates are (N, 4) float32 in [-1, 1] for x, y, z and t; those outside are clamped to
     the border. Both space and time put their first and last samples on the borders
     (align_corners), so that with F frames the time planes have one row a frame.
-    The result is (N, out_features), differentiable in the planes and the coordinates.
+    The result is (N, out_features), differentiable in the planes and the coordinates. A plane is
+    (rows, columns, features), so that what a point reads lies together.
     """
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
@@ -43,26 +44,17 @@ class KPlanes(nn.Module):
 
     def forward(self, coordinates: Tensor) -> Tensor:
         """(N, 4) coordinates in [-1, 1] -> (N, out_features)."""
-        grids = [coordinates[:, list(pair)].reshape(1, 1, -1, 2) for pair in self.pairs]
-        levels = []
-        for level in range(self.config.levels):
-            start = level * len(self.pairs)
-            samples = [
-                functional.grid_sample(self.planes[start + i][None], grid, align_corners=True, padding_mode="border")
-                for i, grid in enumerate(grids)
-            ]
-            levels.append(self._joined([sample[0, :, 0] for sample in samples]))
-        return torch.cat(levels, dim=0).T
+        axes = [axis for pair in self.pairs for axis in pair] * self.config.levels
+        samples = sample_planes(coordinates, list(self.planes), axes)
+        if self.config.reduction == "concat":
+            return samples
+        apart = samples.reshape(-1, self.config.levels, len(self.pairs), self.config.features)
+        joined = apart.sum(dim=2) if self.config.reduction == "sum" else apart.prod(dim=2)
+        return joined.flatten(1)
 
     def _initial(self, cells_x: int, cells_y: int, is_time: bool) -> Tensor:
-        shape = (self.config.features, cells_y, cells_x)
+        shape = (cells_y, cells_x, self.config.features)
         if self.config.reduction == "product":
             # A product must start away from zero or no plane learns; K-Planes starts time at one.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)
-
-    def _joined(self, samples: list[Tensor]) -> Tensor:
-        if self.config.reduction == "concat":
-            return torch.cat(samples, dim=0)
-        stacked = torch.stack(samples)
-        return stacked.sum(dim=0) if self.config.reduction == "sum" else stacked.prod(dim=0)

@@ -38,7 +38,7 @@ def test_lookup_equals_plain_bilinear_interpolation(reduction: str, rng: np.rand
         for level in range(2):
             samples = []
             for i, (first, second) in enumerate(field.pairs):
-                plane = field.planes[level * 6 + i].detach().numpy()
+                plane = field.planes[level * 6 + i].detach().numpy().transpose(2, 0, 1)
                 samples.append(bilinear(plane, point[first], point[second]))
             joined = {"concat": np.concatenate, "sum": sum, "product": lambda s: np.prod(s, axis=0)}[reduction]
             expected.append(joined(samples))
@@ -84,6 +84,6 @@ def test_one_frame_has_usable_time_planes() -> None:
 
 def test_the_longest_side_gets_the_resolution() -> None:
     field = KPlanes(PlanesConfig(levels=1, base_resolution=64), (2.0, 1.0, 0.5), frame_count=10)
-    assert [tuple(plane.shape[1:]) for plane in field.planes] == [
+    assert [tuple(plane.shape[:2]) for plane in field.planes] == [
         (32, 64), (16, 64), (16, 32), (10, 64), (10, 32), (10, 16),
     ]  # fmt: skip

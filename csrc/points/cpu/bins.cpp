@@ -1,23 +1,9 @@
 #include "points/cpu/bins.h"
 
 #include <algorithm>
-#include <cstring>
-#include <vector>
 
 namespace fourd::points {
 namespace {
-
-// What is sorted: the depth's bits, which order like the depth since it is positive, and the point.
-struct Item {
-    std::uint32_t key;
-    std::uint32_t point;
-};
-
-// A run of items: each thread's part of a sorting pass. Parts are merged in order, so the
-// result is the same for any number of them.
-struct Run {
-    std::size_t begin, end;
-};
 
 struct Range {
     int first, last;
@@ -25,7 +11,19 @@ struct Range {
 
 Range tile_range(int first, int last) { return {first / kTile, last / kTile}; }
 
-std::vector<Run> split(std::size_t count, int parts) {
+// Calls visit(tile) for each tile that a splat reaches.
+template <typename Visit>
+void for_each_tile(const Splat& splat, int columns, Visit visit) {
+    const Range across = tile_range(splat.column_first, splat.column_last);
+    const Range down = tile_range(splat.row_first, splat.row_last);
+    for (int row = down.first; row <= down.last; ++row) {
+        for (int column = across.first; column <= across.last; ++column) visit(row * columns + column);
+    }
+}
+
+}  // namespace
+
+std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
     std::vector<Run> runs;
     for (int part = 0; part < parts; ++part) {
         runs.push_back({count * part / parts, count * (part + 1) / parts});
@@ -33,48 +31,24 @@ std::vector<Run> split(std::size_t count, int parts) {
     return runs;
 }
 
-std::uint32_t bits_of(float value) {
-    std::uint32_t bits;
-    std::memcpy(&bits, &value, sizeof bits);
-    return bits;
-}
-
-// Projects every point; the items of visible ones lie at the beginning of each returned run.
-std::vector<Run> project_all(const Cloud& cloud, const Settings& settings, Team& team, Bins& bins, Item* items) {
+// The items of visible points lie at the beginning of each returned run.
+std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& settings, Team& team) {
+    const TileKernels& kernels = tile_kernels(settings.simd);
     std::vector<Run> runs = split(cloud.count, team.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         Run& run = runs[part];
-        std::size_t end = run.begin;
-        for (std::size_t i = run.begin; i < run.end; ++i) {
-            Splat& splat = bins.splats[i];
-            const bool visible = project(settings.camera, settings.near, cloud.xyz + 3 * i, cloud.radius[i],
-                                         cloud.density[i], &splat);
-            bins.visible[i] = visible;
-            if (visible) items[end++] = {bits_of(splat.z), static_cast<std::uint32_t>(i)};
-        }
-        run.end = end;
+        run.end = run.begin + kernels.project(cloud, settings, run.begin, run.end, unsorted_.data(),
+                                              items_.data() + run.begin);
     });
+    visible_ = 0;
+    for (const Run& run : runs) visible_ += run.end - run.begin;
     return runs;
 }
 
-struct KeyRange {
-    std::uint32_t low = ~0u, high = 0;
-};
-
-KeyRange key_range(const std::vector<Run>& runs, const Item* items) {
-    KeyRange range;
-    for (const Run& run : runs) {
-        for (std::size_t i = run.begin; i < run.end; ++i) {
-            range.low = std::min(range.low, items[i].key);
-            range.high = std::max(range.high, items[i].key);
-        }
-    }
-    return range;
-}
-
-// One stable pass of the radix sort, by the digit of (key - low) at shift.
-void radix_pass(const std::vector<Run>& runs, const Item* from, Item* to, std::uint32_t low, int shift,
-                int bits, Team& team) {
+// One stable pass of the radix sort from items_ to spare_, by the digit of (key - low) at shift.
+void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team) {
+    const Item* const from = items_.data();
+    Item* const to = spare_.data();
     const std::size_t digits = std::size_t{1} << bits;
     const std::uint32_t mask = static_cast<std::uint32_t>(digits - 1);
     std::vector<std::uint32_t> places(runs.size() * digits, 0);
@@ -97,94 +71,98 @@ void radix_pass(const std::vector<Run>& runs, const Item* from, Item* to, std::u
             to[place[((from[i].key - low) >> shift) & mask]++] = from[i];
         }
     });
+    std::swap(items_, spare_);
 }
 
-// Sorts the runs by key, stably; returns whichever of the two buffers holds the result.
-const Item* sort_items(std::vector<Run> runs, std::size_t count, Item* items, Item* spare, Team& team) {
-    const KeyRange range = key_range(runs, items);
+// Sorts the runs of items_ by key, stably; they end up side by side.
+void Bins::sort(std::vector<Run> runs, Team& team) {
+    std::uint32_t low = ~0u, high = 0;
+    for (const Run& run : runs) {
+        for (std::size_t i = run.begin; i < run.end; ++i) {
+            low = std::min(low, items_[i].key);
+            high = std::max(high, items_[i].key);
+        }
+    }
     int bits = 0;
-    while (count > 0 && bits < 32 && ((range.high - range.low) >> bits) != 0) ++bits;
+    while (visible_ > 0 && bits < 32 && ((high - low) >> bits) != 0) ++bits;
     constexpr int kMostBits = 12;  // a histogram of 4096 counters stays in the first cache
     const int passes = std::max(1, (bits + kMostBits - 1) / kMostBits);
     const int digit = std::max(1, (bits + passes - 1) / passes);
     for (int pass = 0; pass < passes; ++pass) {
-        radix_pass(runs, items, spare, range.low, pass * digit, digit, team);
-        std::swap(items, spare);
-        runs = split(count, team.size());
+        radix_pass(runs, low, pass * digit, digit, team);
+        runs = split(visible_, team.size());
     }
-    return items;
 }
 
-// Calls visit(tile) for each tile that a splat reaches.
-template <typename Visit>
-void for_each_tile(const Splat& splat, int columns, Visit visit) {
-    const Range across = tile_range(splat.column_first, splat.column_last);
-    const Range down = tile_range(splat.row_first, splat.row_last);
-    for (int row = down.first; row <= down.last; ++row) {
-        for (int column = across.first; column <= across.last; ++column) visit(row * columns + column);
-    }
+// Lays the splats side by side in their order, so that all that follows reads straight through.
+void Bins::rank_splats(Team& team) {
+    constexpr std::size_t kAhead = 16;
+    const std::vector<Run> runs = split(visible_, team.size());
+    team.run(static_cast<int>(runs.size()), [&](int part, int) {
+        for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
+            if (rank + kAhead < runs[part].end) __builtin_prefetch(unsorted_.data() + items_[rank + kAhead].point);
+            points_[rank] = items_[rank].point;
+            splats_[rank] = unsorted_[items_[rank].point];
+        }
+    });
 }
 
 // Counts each part's entries by tile, then lets each part write its own after those before it.
-void fill_tiles(const Item* items, std::size_t count, Team& team, Bins& bins) {
-    const std::size_t tiles = static_cast<std::size_t>(bins.tiles());
-    const std::vector<Run> runs = split(count, team.size());
-    std::vector<std::size_t> places(runs.size() * tiles, 0);
+void Bins::fill_tiles(Team& team) {
+    const std::size_t count = static_cast<std::size_t>(tiles());
+    const std::vector<Run> runs = split(visible_, team.size());
+    std::vector<std::size_t> places(runs.size() * count, 0);
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
-        std::size_t* counts = places.data() + part * tiles;
-        for (std::size_t i = runs[part].begin; i < runs[part].end; ++i) {
-            for_each_tile(bins.splats[items[i].point], bins.columns, [&](int tile) { ++counts[tile]; });
+        std::size_t* counts = places.data() + part * count;
+        for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
+            for_each_tile(splats_[rank], columns_, [&](int tile) { ++counts[tile]; });
         }
     });
     std::size_t total = 0;
-    for (std::size_t tile = 0; tile < tiles; ++tile) {
-        bins.tile_begin[tile] = total;
+    for (std::size_t tile = 0; tile < count; ++tile) {
+        tile_begin_[tile] = total;
         for (std::size_t part = 0; part < runs.size(); ++part) {
-            std::size_t& place = places[part * tiles + tile];
+            std::size_t& place = places[part * count + tile];
             const std::size_t here = place;
             place = total;
             total += here;
         }
     }
-    bins.tile_begin[tiles] = total;
-    bins.entries = Buffer<std::uint32_t>(total);
+    tile_begin_[count] = total;
+    entries_.require(total);
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
-        std::size_t* place = places.data() + part * tiles;
-        for (std::size_t i = runs[part].begin; i < runs[part].end; ++i) {
-            const std::uint32_t point = items[i].point;
-            for_each_tile(bins.splats[point], bins.columns, [&](int tile) { bins.entries[place[tile]++] = point; });
+        std::size_t* place = places.data() + part * count;
+        for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
+            for_each_tile(splats_[rank], columns_,
+                          [&](int tile) { entries_[place[tile]++] = static_cast<std::uint32_t>(rank); });
         }
     });
 }
 
-}  // namespace
-
-std::size_t Bins::reach(std::size_t point) const {
-    const Range across = tile_range(splats[point].column_first, splats[point].column_last);
-    const Range down = tile_range(splats[point].row_first, splats[point].row_last);
+std::size_t Bins::reach(std::size_t rank) const {
+    const Range across = tile_range(splats_[rank].column_first, splats_[rank].column_last);
+    const Range down = tile_range(splats_[rank].row_first, splats_[rank].row_last);
     return static_cast<std::size_t>(across.last - across.first + 1) * (down.last - down.first + 1);
 }
 
-std::size_t Bins::rank(std::size_t point, int column, int row) const {
-    const Range across = tile_range(splats[point].column_first, splats[point].column_last);
-    const int top = splats[point].row_first / kTile;
+std::size_t Bins::place(std::size_t rank, int column, int row) const {
+    const Range across = tile_range(splats_[rank].column_first, splats_[rank].column_last);
+    const int top = splats_[rank].row_first / kTile;
     return static_cast<std::size_t>(row - top) * (across.last - across.first + 1) + (column - across.first);
 }
 
-Bins bin_points(const Cloud& cloud, const Settings& settings, Team& team) {
-    Bins bins;
-    bins.columns = (settings.camera.width + kTile - 1) / kTile;
-    bins.rows = (settings.camera.height + kTile - 1) / kTile;
-    bins.splats = Buffer<Splat>(cloud.count);
-    bins.visible = Buffer<std::uint8_t>(cloud.count);
-    bins.tile_begin = Buffer<std::size_t>(static_cast<std::size_t>(bins.tiles()) + 1);
-    Buffer<Item> items(cloud.count), spare(cloud.count);
-    const std::vector<Run> runs = project_all(cloud, settings, team, bins, items.data());
-    std::size_t count = 0;
-    for (const Run& run : runs) count += run.end - run.begin;
-    const Item* sorted = sort_items(runs, count, items.data(), spare.data(), team);
-    fill_tiles(sorted, count, team, bins);
-    return bins;
+void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
+    columns_ = (settings.camera.width + kTile - 1) / kTile;
+    rows_ = (settings.camera.height + kTile - 1) / kTile;
+    unsorted_.require(cloud.count);
+    splats_.require(cloud.count);
+    points_.require(cloud.count);
+    items_.require(cloud.count);
+    spare_.require(cloud.count);
+    tile_begin_.require(static_cast<std::size_t>(tiles()) + 1);
+    sort(project_all(cloud, settings, team), team);
+    rank_splats(team);
+    fill_tiles(team);
 }
 
 }  // namespace fourd::points

@@ -2,28 +2,54 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "common/buffer.h"
 #include "common/team.h"
+#include "points/cpu/tiles.h"
 #include "points/points.h"
 
 namespace fourd::points {
 
-constexpr int kTile = 16;  // a row of a tile is one vector of lanes.h
+// Visible points are known by their rank: 0 is the nearest, ties are in the order of their indices.
+// The buffers are kept from one picture to the next, and may be larger than what they hold.
+class Bins {
+  public:
+    // Projects, sorts and bins; what was here before is forgotten.
+    void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-struct Bins {
-    int columns = 0, rows = 0;       // tiles across and down
-    Buffer<Splat> splats;            // by point; culled points are not initialised
-    Buffer<std::uint8_t> visible;    // by point
-    Buffer<std::size_t> tile_begin;  // (columns * rows + 1,) into entries
-    Buffer<std::uint32_t> entries;   // points of each tile, nearest first, ties by index
+    int columns() const { return columns_; }  // tiles across
+    int tiles() const { return columns_ * rows_; }
+    std::size_t visible() const { return visible_; }  // how many points are
+    const Splat* splats() const { return splats_.data(); }             // by rank
+    const std::uint32_t* points() const { return points_.data(); }     // by rank: the point's index
+    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,) into entries
+    const std::uint32_t* entries() const { return entries_.data(); }   // ranks of each tile's points, ascending
 
-    int tiles() const { return columns * rows; }
-    // How many tiles a visible point reaches, and which of them a tile is for it, counted row by row.
-    std::size_t reach(std::size_t point) const;
-    std::size_t rank(std::size_t point, int column, int row) const;
+    // How many tiles a point reaches, and which of them a tile is for it, counted row by row.
+    std::size_t reach(std::size_t rank) const;
+    std::size_t place(std::size_t rank, int column, int row) const;
+
+  private:
+    // A run of items: each thread's part of a pass. Parts are merged in order, so the result is the
+    // same for any number of them.
+    struct Run {
+        std::size_t begin, end;
+    };
+
+    static std::vector<Run> split(std::size_t count, int parts);
+    std::vector<Run> project_all(const Cloud& cloud, const Settings& settings, Team& team);
+    void radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team);
+    void sort(std::vector<Run> runs, Team& team);
+    void rank_splats(Team& team);
+    void fill_tiles(Team& team);
+
+    int columns_ = 0, rows_ = 0;
+    std::size_t visible_ = 0;
+    Buffer<Splat> unsorted_, splats_;
+    Buffer<Item> items_, spare_;
+    Buffer<std::uint32_t> points_, entries_;
+    Buffer<std::size_t> tile_begin_;
 };
-
-Bins bin_points(const Cloud& cloud, const Settings& settings, Team& team);
 
 }  // namespace fourd::points

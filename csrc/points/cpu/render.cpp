@@ -1,63 +1,31 @@
 #include <algorithm>
 #include <cstring>
-#include <vector>
 
-#include "points/cpu/bins.h"
-#include "points/cpu/tiles.h"
+#include "points/cpu/workspace.h"
 
 namespace fourd::points {
 namespace {
 
-Tile tile_at(const Cloud& cloud, const Settings& settings, const Bins& bins, int index) {
-    Tile tile;
-    tile.splats = bins.splats.data();
-    tile.features = cloud.features;
-    tile.entries = bins.entries.data() + bins.tile_begin[index];
-    tile.count = bins.tile_begin[index + 1] - bins.tile_begin[index];
-    tile.channels = cloud.channels;
-    tile.layers = settings.layers;
-    tile.transmittance_min = settings.transmittance_min;
-    tile.column = index % bins.columns * kTile;
-    tile.row = index / bins.columns * kTile;
-    tile.width = settings.camera.width;
-    tile.height = settings.camera.height;
-    return tile;
-}
-
 // Each entry of the bins has a slot for what its tile finds out about its point. A point's slots
 // lie side by side, so that they are merged in one order whatever thread filled them.
-struct Slots {
-    Buffer<std::size_t> begin;  // by point, and the end
-};
-
-Slots assign_slots(const Cloud& cloud, const Bins& bins) {
-    Slots slots{Buffer<std::size_t>(cloud.count + 1)};
+Buffer<std::size_t> assign_slots(const Bins& bins) {
+    Buffer<std::size_t> begin(bins.visible() + 1);
     std::size_t total = 0;
-    for (std::size_t i = 0; i < cloud.count; ++i) {
-        slots.begin[i] = total;
-        if (bins.visible[i]) total += bins.reach(i);
+    for (std::size_t rank = 0; rank < bins.visible(); ++rank) {
+        begin[rank] = total;
+        total += bins.reach(rank);
     }
-    slots.begin[cloud.count] = total;
-    return slots;
+    begin[bins.visible()] = total;
+    return begin;
 }
 
 // The slots of a tile's entries.
-void slots_of_tile(const Tile& tile, const Bins& bins, const Slots& slots, Buffer<std::size_t>& out) {
+void slots_of_tile(const Tile& tile, const Bins& bins, const Buffer<std::size_t>& begin, Buffer<std::size_t>& out) {
     out.require(tile.count);
     for (std::size_t entry = 0; entry < tile.count; ++entry) {
-        const std::uint32_t point = tile.entries[entry];
-        out[entry] = slots.begin[point] + bins.rank(point, tile.column / kTile, tile.row / kTile);
+        const std::uint32_t rank = tile.entries[entry];
+        out[entry] = begin[rank] + bins.place(rank, tile.column / kTile, tile.row / kTile);
     }
-}
-
-// How often the tile's entries meet its rows, at most.
-std::size_t count_visits(const Tile& tile) {
-    std::size_t visits = 0;
-    for (std::size_t entry = 0; entry < tile.count; ++entry) {
-        const Splat& splat = tile.splats[tile.entries[entry]];
-        visits += std::min(splat.row_last, tile.row + kTile - 1) - std::max(splat.row_first, tile.row) + 1;
-    }
-    return visits;
 }
 
 struct Scratch {
@@ -68,49 +36,108 @@ struct Scratch {
 
 constexpr std::size_t kPointsPerTask = 4096;
 
-int tasks_of(std::size_t count) { return static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask); }
+// Calls work(begin, end) for parts of the ranks.
+template <typename Work>
+void for_ranks(const Bins& bins, Team& team, const Work& work) {
+    team.run(static_cast<int>((bins.visible() + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
+        const std::size_t begin = task * kPointsPerTask;
+        work(begin, std::min(bins.visible(), begin + kPointsPerTask));
+    });
+}
+
+void clear(const Cloud& cloud, const CloudGradient& out) {
+    std::fill_n(out.xyz, 3 * cloud.count, 0.0f);
+    std::fill_n(out.features, cloud.channels * cloud.count, 0.0f);
+    std::fill_n(out.radius, cloud.count, 0.0f);
+    std::fill_n(out.density, cloud.count, 0.0f);
+}
 
 // Sums a point's slots in order and carries them to the point.
-void gather_gradient(const Cloud& cloud, const Settings& settings, const Bins& bins, const Slots& slots,
-                     const float* sums, std::size_t point, const CloudGradient& out) {
+void gather_gradient(const Cloud& cloud, const Settings& settings, const Bins& bins, const Buffer<std::size_t>& slots,
+                     const float* sums, std::size_t rank, const CloudGradient& out) {
     const int width = 5 + cloud.channels;
     float total[5 + 32] = {};
-    for (std::size_t slot = slots.begin[point]; slot < slots.begin[point + 1]; ++slot) {
+    for (std::size_t slot = slots[rank]; slot < slots[rank + 1]; ++slot) {
         for (int k = 0; k < width; ++k) total[k] += sums[slot * width + k];
     }
+    const std::size_t point = bins.points()[rank];
     std::memcpy(out.features + point * cloud.channels, total + 5, cloud.channels * sizeof(float));
-    if (bins.visible[point]) {
-        const SplatGradient gradient = {total[0], total[1], total[2], total[3], total[4]};
-        project_backward(settings.camera, bins.splats[point], gradient, cloud.density[point], out.xyz + 3 * point,
-                         out.radius + point, out.density + point);
-    } else {
-        std::fill_n(out.xyz + 3 * point, 3, 0.0f);
-        out.radius[point] = out.density[point] = 0.0f;
-    }
+    const SplatGradient gradient = {total[0], total[1], total[2], total[3], total[4]};
+    project_backward(settings.camera, bins.splats()[rank], gradient, cloud.density[point], out.xyz + 3 * point,
+                     out.radius + point, out.density + point);
 }
 
 }  // namespace
 
+void Workspace::fill(const Cloud& cloud, const Settings& settings, Team& team) {
+    bins.fill(cloud, settings, team);
+}
+
+void Workspace::rank_features(const Cloud& cloud, Team& team) {
+    const std::size_t channels = static_cast<std::size_t>(cloud.channels);
+    features.require(bins.visible() * channels);
+    for_ranks(bins, team, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t rank = begin; rank < end; ++rank) {
+            const float* from = cloud.features + channels * bins.points()[rank];
+            std::copy_n(from, channels, features.data() + channels * rank);
+        }
+    });
+}
+
+Tile Workspace::tile(const Settings& settings, int channels, int index) const {
+    Tile out;
+    out.splats = bins.splats();
+    out.features = features.data();
+    out.entries = bins.entries() + bins.tile_begin()[index];
+    out.count = bins.tile_begin()[index + 1] - bins.tile_begin()[index];
+    out.channels = channels;
+    out.layers = settings.layers;
+    out.transmittance_min = settings.transmittance_min;
+    out.column = index % bins.columns() * kTile;
+    out.row = index / bins.columns() * kTile;
+    out.width = settings.camera.width;
+    out.height = settings.camera.height;
+    return out;
+}
+
+std::size_t count_visits(const Tile& tile) {
+    std::size_t visits = 0;
+    for (std::size_t entry = 0; entry < tile.count; ++entry) {
+        const Splat& splat = tile.splats[tile.entries[entry]];
+        const int left = std::max(splat.column_first - tile.column, 0) / kBlock;
+        const int right = std::min(splat.column_last - tile.column, kTile - 1) / kBlock;
+        const int top = std::max(splat.row_first - tile.row, 0) / kBlock;
+        const int bottom = std::min(splat.row_last - tile.row, kTile - 1) / kBlock;
+        visits += static_cast<std::size_t>(right - left + 1) * (bottom - top + 1);
+    }
+    return visits;
+}
+
 void render(const Cloud& cloud, const Settings& settings, const Image& out) {
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
-    const Bins bins = bin_points(cloud, settings, team);
-    team.run(bins.tiles(), [&](int index, int) { kernels.render(tile_at(cloud, settings, bins, index), out); });
+    Workspace space;
+    space.fill(cloud, settings, team);
+    space.rank_features(cloud, team);
+    team.run(space.bins.tiles(),
+             [&](int index, int) { kernels.render(space.tile(settings, cloud.channels, index), out); });
 }
 
 void render_backward(const Cloud& cloud, const Settings& settings, const ImageGradient& gradient,
                      const CloudGradient& out) {
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
-    const Bins bins = bin_points(cloud, settings, team);
-    const Slots slots = assign_slots(cloud, bins);
+    Workspace space;
+    space.fill(cloud, settings, team);
+    space.rank_features(cloud, team);
+    const Buffer<std::size_t> slots = assign_slots(space.bins);
     const std::size_t width = 5 + cloud.channels;
-    Buffer<float> sums(bins.entries.size() * width);
+    Buffer<float> sums(slots[space.bins.visible()] * width);
     std::vector<Scratch> scratches(team.size());
-    team.run(bins.tiles(), [&](int index, int worker) {
-        const Tile tile = tile_at(cloud, settings, bins, index);
+    team.run(space.bins.tiles(), [&](int index, int worker) {
+        const Tile tile = space.tile(settings, cloud.channels, index);
         Scratch& scratch = scratches[worker];
-        slots_of_tile(tile, bins, slots, scratch.slots);
+        slots_of_tile(tile, space.bins, slots, scratch.slots);
         for (std::size_t entry = 0; entry < tile.count; ++entry) {
             std::fill_n(sums.data() + scratch.slots[entry] * width, width, 0.0f);
         }
@@ -120,10 +147,10 @@ void render_backward(const Cloud& cloud, const Settings& settings, const ImageGr
         kernels.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data()},
                                 scratch.slots.data(), sums.data());
     });
-    team.run(tasks_of(cloud.count), [&](int task, int) {
-        const std::size_t end = std::min(cloud.count, (task + 1) * kPointsPerTask);
-        for (std::size_t point = task * kPointsPerTask; point < end; ++point) {
-            gather_gradient(cloud, settings, bins, slots, sums.data(), point, out);
+    clear(cloud, out);
+    for_ranks(space.bins, team, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t rank = begin; rank < end; ++rank) {
+            gather_gradient(cloud, settings, space.bins, slots, sums.data(), rank, out);
         }
     });
 }
@@ -131,21 +158,23 @@ void render_backward(const Cloud& cloud, const Settings& settings, const ImageGr
 void visibility(const Cloud& cloud, const Settings& settings, float* out) {
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
-    const Bins bins = bin_points(cloud, settings, team);
-    const Slots slots = assign_slots(cloud, bins);
-    Buffer<float> weights(bins.entries.size());
+    Workspace space;
+    space.fill(cloud, settings, team);
+    const Buffer<std::size_t> slots = assign_slots(space.bins);
+    Buffer<float> weights(slots[space.bins.visible()]);
     std::vector<Scratch> scratches(team.size());
-    team.run(bins.tiles(), [&](int index, int worker) {
-        const Tile tile = tile_at(cloud, settings, bins, index);
+    team.run(space.bins.tiles(), [&](int index, int worker) {
+        const Tile tile = space.tile(settings, 0, index);
         Scratch& scratch = scratches[worker];
-        slots_of_tile(tile, bins, slots, scratch.slots);
+        slots_of_tile(tile, space.bins, slots, scratch.slots);
         for (std::size_t entry = 0; entry < tile.count; ++entry) weights[scratch.slots[entry]] = 0.0f;
         kernels.visibility(tile, scratch.slots.data(), weights.data());
     });
-    for (std::size_t point = 0; point < cloud.count; ++point) {
+    std::fill_n(out, cloud.count, 0.0f);
+    for (std::size_t rank = 0; rank < space.bins.visible(); ++rank) {
         float best = 0.0f;
-        for (std::size_t slot = slots.begin[point]; slot < slots.begin[point + 1]; ++slot) best = std::max(best, weights[slot]);
-        out[point] = best;
+        for (std::size_t slot = slots[rank]; slot < slots[rank + 1]; ++slot) best = std::max(best, weights[slot]);
+        out[space.bins.points()[rank]] = best;
     }
 }
 

@@ -1,4 +1,5 @@
-// What is done to one tile: compiled once for each instruction set, chosen when the program runs.
+// What is done to runs of points and to single tiles: compiled once for each instruction set, chosen when
+// the program runs.
 #pragma once
 
 #include <cstddef>
@@ -8,10 +9,20 @@
 
 namespace fourd::points {
 
+constexpr int kTile = 16;    // pixels across and down
+constexpr int kBlock = 4;    // a tile is made of blocks of 4 x 4 pixels, one vector of lanes.h each
+constexpr int kBlocks = 16;  // of a tile, row by row
+
+// What is sorted: the depth's bits, which order like the depth since it is positive, and the point.
+struct Item {
+    std::uint32_t key;
+    std::uint32_t point;
+};
+
 struct Tile {
-    const Splat* splats;           // by point
-    const float* features;         // by point, channels each
-    const std::uint32_t* entries;  // the tile's points, nearest first
+    const Splat* splats;           // by rank
+    const float* features;         // by rank, channels each
+    const std::uint32_t* entries;  // ranks of the tile's points, nearest first
     std::size_t count;             // of entries
     int channels;
     int layers;
@@ -20,15 +31,22 @@ struct Tile {
     int width, height;  // of the image
 };
 
-// Where the backward pass remembers what it met on its way forward, one visit (an entry in a row of
-// the tile that hits a pixel) after the other; room for the tile's every entry in its every row.
+// Where the backward pass remembers what it met on its way forward, one visit (an entry that hits a
+// pixel of a block) after the other; room for count_visits of the tile.
 struct Visits {
     float* transmittance;  // 16 a visit: before the entry, negative where the pixel was not hit
-    std::uint64_t* tags;   // 16 * entry + row
+    std::uint64_t* tags;   // 16 * entry + block
 };
 
 struct TileKernels {
+    // Projects points begin to end into splats, by index, and lists the visible ones; returns how many.
+    std::size_t (*project)(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end,
+                           Splat* splats, Item* items);
+
     void (*render)(const Tile& tile, const Image& out);
+
+    // Three channels over a background, as bytes.
+    void (*draw)(const Tile& tile, const Canvas& out);
 
     // sums: by slot, one SplatGradient and the features' gradient (5 + channels floats), zero before.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
@@ -44,7 +62,9 @@ extern const TileKernels tile_kernels_avx2;
 extern const TileKernels tile_kernels_avx512;
 #endif
 
-// The kernels for a Settings::simd; throws std::invalid_argument if this machine cannot run them.
-const TileKernels& tile_kernels(const char* simd);
+const TileKernels& tile_kernels(Simd simd);
+
+// How often the tile's entries meet its blocks, at most.
+std::size_t count_visits(const Tile& tile);
 
 }  // namespace fourd::points

@@ -1,0 +1,50 @@
+// Drawing of baked frames: fourd/baking/player.py says what is computed.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <array>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "binding/bindings.h"
+#include "binding/convert.h"
+#include "play/play.h"
+
+namespace nb = nanobind;
+
+namespace fourd {
+namespace {
+
+using Picture = nb::ndarray<std::uint8_t, nb::shape<-1, -1, 4>, nb::c_contig, nb::device::cpu>;
+
+void draw(play::Player& player, const XyzArray& xyz, const HalfArray& radius, const HalfArray& density,
+          const HarmonicsArray& sh, const WeightsArray& weights, const ColoursArray& rgb, const ChosenArray& chosen,
+          const CentreArray& centre, float sh_range, float sh_base, const std::vector<double>& camera, int layers,
+          double near, double transmittance_min, const std::vector<float>& background, int threads,
+          const std::string& simd, const Picture& out) {
+    const play::Frame frame{shade_points(xyz, sh, weights, rgb), radius.data(), density.data()};
+    if (radius.shape(0) != frame.points.count || density.shape(0) != frame.points.count || background.size() != 3) {
+        throw std::invalid_argument("radius, density, background: unexpected shape");
+    }
+    const shade::Settings shading =
+        shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, threads, simd);
+    const points::Settings settings =
+        points_settings(camera, out.shape(1), out.shape(0), layers, near, transmittance_min, threads, simd);
+    nb::gil_scoped_release release;
+    player.draw(frame, settings, shading, {out.data(), {background[0], background[1], background[2]}});
+}
+
+}  // namespace
+
+void bind_play(nb::module_& module) {
+    nb::class_<play::Player>(module, "Player", "Draws baked frames; not to be shared between threads.")
+        .def(nb::init<>())
+        .def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
+             nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
+             nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
+             nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+}
+
+}  // namespace fourd

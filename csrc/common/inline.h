@@ -1,0 +1,8 @@
+// Inlining that a function's own instruction set depends on: what it calls takes that set only as part of it.
+#pragma once
+
+#if defined(__GNUC__)
+#define FOURD_INLINE inline __attribute__((always_inline))
+#else
+#define FOURD_INLINE inline
+#endif

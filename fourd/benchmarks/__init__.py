@@ -1,0 +1,1 @@
+"""Speed of kernels and stages, against their references and against other programs found installed."""

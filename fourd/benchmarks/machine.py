@@ -1,0 +1,73 @@
+"""What a benchmark ran on."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+
+from fourd.raster.loading import native
+from fourd.raster.validation import simd_name, thread_count
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The machine and the programs, in words and numbers."""
+
+    processor: str
+    threads: int
+    simd: str
+    system: str
+    python: str
+    torch: str
+    fourd: str
+    commit: str | None
+    """Of the source folder, with "+" where files were changed since; None when there is none."""
+
+    def __str__(self) -> str:
+        built = self.fourd if self.commit is None else f"{self.fourd} ({self.commit})"
+        return f"{self.processor}, {self.threads} threads, {self.simd}; torch {self.torch}, fourd {built}"
+
+
+def this_machine() -> Machine:
+    """Describe where this program runs."""
+    return Machine(
+        processor=_processor(),
+        threads=thread_count(0, torch.get_num_threads()),
+        simd=simd_name() or native().simd_default(),
+        system=f"{platform.system()} {platform.machine()}",
+        python=platform.python_version(),
+        torch=torch.__version__,
+        fourd=version("fourd"),
+        commit=_commit(),
+    )
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _commit() -> str | None:
+    folder = Path(__file__).resolve().parents[2]
+    if not (folder / ".git").exists():
+        return None
+    try:
+        described = subprocess.run(
+            ["git", "-C", str(folder), "describe", "--always", "--dirty=+", "--exclude=*"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return described.stdout.strip()

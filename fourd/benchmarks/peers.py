@@ -1,0 +1,47 @@
+"""Other programs that composite points, where they are installed: none is required."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fourd.benchmarks.timing import Work
+from fourd.cameras import Camera
+
+
+def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool) -> Work | None:
+    """PyTorch3D's point rasteriser and alpha compositor on the same points; None where it is not installed."""
+    try:
+        rasterizer: Any = import_module("pytorch3d.renderer.points.rasterize_points")
+        structures: Any = import_module("pytorch3d.structures")
+        compositor: Any = import_module("pytorch3d.renderer.compositing")
+    except ImportError:
+        return None
+    focal = float(view.intrinsics[1, 1])
+    rotation = torch.from_numpy(view.rotation).float()
+    translation = torch.from_numpy(view.translation).float()
+    size = torch.tensor([view.width, view.height], dtype=torch.float32)
+
+    def work() -> object:
+        free = {name: array.requires_grad_(backward) for name, array in cloud.items()}
+        xyz_camera = free["xyz"] @ rotation.T + translation
+        depth = xyz_camera[:, 2:]
+        pixels = xyz_camera @ torch.from_numpy(view.intrinsics[:2].T).float() / depth
+        # Its normalised coordinates point left and up, and are scaled by the shorter side.
+        placed = torch.cat([(size - 2 * pixels) / size.min(), depth], dim=1)
+        radius = (2 * focal / size.min()) * free["radius"] / depth[:, 0]
+        clouds = structures.Pointclouds(points=[placed], features=[free["features"]])
+        found, _, squares = rasterizer.rasterize_points(
+            clouds, (view.height, view.width), radius.detach(), points_per_pixel=layers
+        )
+        falloff = 1 - squares / radius[found.clamp(min=0)] ** 2
+        alpha = (free["density"][found.clamp(min=0)] * falloff).clamp(min=0) * (found >= 0)
+        image = compositor.alpha_composite(
+            found.long().permute(0, 3, 1, 2), alpha.permute(0, 3, 1, 2), free["features"].T
+        )
+        return torch.autograd.grad(image.sum(), list(free.values())) if backward else image
+
+    return work

@@ -1,0 +1,53 @@
+"""Timings as a table for people and as JSON for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+
+from rich.table import Table
+
+from fourd.benchmarks.machine import Machine
+from fourd.benchmarks.timing import Timing
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Row:
+    """A case that was timed, with those that do the same work."""
+
+    name: str
+    timing: Timing
+    rivals: dict[str, Timing]
+
+
+def table(rows: Iterable[Row]) -> Table:
+    """For a terminal."""
+    shown = Table(box=None, pad_edge=False)
+    shown.add_column("work", max_width=70)
+    for title in ("ms", "units", "against"):
+        shown.add_column(title, justify="right" if title != "against" else "left")
+    for row in rows:
+        shown.add_row(row.name, f"{row.timing.ms:.1f}", f"{row.timing.units:.3f}", _against(row))
+    return shown
+
+
+def markdown(rows: Iterable[Row], machine: Machine) -> str:
+    """For a document."""
+    lines = [str(machine), "", "| work | ms | units | against |", "|---|---|---|---|"]
+    lines += [f"| {row.name} | {row.timing.ms:.1f} | {row.timing.units:.3f} | {_against(row)} |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def to_json(rows: Iterable[Row], machine: Machine) -> str:
+    """For programs: milliseconds, units and runs of every row and rival."""
+    content = {"format": "fourd-bench", "version": FORMAT_VERSION, "machine": asdict(machine)}
+    return json.dumps({**content, "rows": [asdict(row) for row in rows]}, indent=1) + "\n"
+
+
+def _against(row: Row) -> str:
+    return "; ".join(
+        f"{name} {rival.ms:,.0f} ms ({rival.units / row.timing.units:,.1f} x)" for name, rival in row.rivals.items()
+    )

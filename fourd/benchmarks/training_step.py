@@ -1,0 +1,47 @@
+"""Whole training steps on a synthetic capture: reading aside, all that a step of `fourd train` does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.console import Console
+
+from fourd.benchmarks.timing import Work
+from fourd.capture.synth import make_synthetic
+from fourd.training.config import TrainConfig
+from fourd.training.loop import Trainer
+from fourd.training.run import Run, create_run
+
+POINTS = 65_536
+SIZE = 512
+CAMERAS = 6
+
+
+def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
+    """Named steps: by the defaults, and on whole pictures with every point.
+
+    The capture lies in a temporary folder until ``resources`` is closed.
+    """
+    folder = Path(resources.enter_context(TemporaryDirectory(prefix="fourd-bench-")))
+    make_synthetic(folder / "capture", frames=1, cameras=CAMERAS, size=SIZE, seed=0, gloss=0.3)
+    default = TrainConfig(points=POINTS, max_steps=10_000)
+    whole = replace(default, crop="full", hidden_weight=0.0, least_layers=default.layers)
+    size = f"{POINTS:,} points, {SIZE} x {SIZE}, {default.model.neighbours} source views"
+    for name, config in (("the figure's box, points in sight", default), ("whole pictures, all points", whole)):
+        run = create_run(folder / "capture", folder / name.split(",")[0], config)
+        for learning in (False, True):
+            encoder = "image CNN learning" if learning else "image CNN frozen"
+            yield f"training step, {size}: {name}, {encoder}", _step(run, config, learning)
+
+
+def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
+    """The same step again and again, at rates so small that the scene stays as it is."""
+    trainer = Trainer(run, None, Console(quiet=True), config)
+    choice = trainer.sampler.choose(1)
+    points = trainer.frames.get(choice.frame)
+    number = 0 if learning else 1
+    return lambda: trainer.stepper.step(points, 0.0, choice, 1e-6, number)

@@ -1,0 +1,84 @@
+"""Synthetic inputs of any size, the same for the same size."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.cameras import Camera, look_at
+
+SEED = 4
+RADIUS_IN_SPACINGS = 1.3
+
+
+def figure_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """A closed surface of even points: xyz (N, 3), radius (N,) and density (N,), with gaps and half-transparent seams.
+
+    It fills 40% of :func:`camera`'s picture; the nearer half of its points hides the farther one.
+    """
+    rng = np.random.default_rng(SEED)
+    directions = rng.standard_normal((count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    xyz = directions * np.array([0.75, 0.75, 0.9])
+    radius = np.full(count, RADIUS_IN_SPACINGS * (8.0 / count) ** 0.5)
+    density = rng.uniform(0.9, 1.0, count)
+    return xyz.astype(np.float32), radius.astype(np.float32), density.astype(np.float32)
+
+
+def figure(count: int) -> dict[str, Tensor]:
+    """Arguments of ``render_points``: the figure in random colours."""
+    xyz, radius, density = figure_points(count)
+    colours = np.random.default_rng(SEED + 1).random((count, 3), dtype=np.float32)
+    arrays = {"xyz": xyz, "features": colours, "radius": radius, "density": density}
+    return {name: torch.from_numpy(array) for name, array in arrays.items()}
+
+
+def camera(width: int, height: int, angle: float = 0.0) -> Camera:
+    """A camera 3 units from the origin, ``angle`` radians around it; the figure fills the picture's height."""
+    focal = 1.3 * height
+    intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    centre = np.array([3 * np.sin(angle), -3 * np.cos(angle), 0.4])
+    return look_at(centre, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, width, height)
+
+
+def baked_figure(count: int, views: int = 17) -> tuple[BakedFrame, SceneManifest]:
+    """The figure as a baked frame that ``views`` source cameras in a ring see, and its scene."""
+    rng = np.random.default_rng(SEED + 2)
+    xyz, radius, density = figure_points(count)
+    frame = BakedFrame(
+        xyz=xyz,
+        radius=radius.astype(np.float16),
+        density=density.astype(np.float16),
+        sh=rng.normal(0, 0.3, (count, 3, 16)).astype(np.float16),
+        blend_weights=rng.exponential(10, (count, views)).astype(np.float16),
+        rgb=rng.integers(0, 256, (count, views, 3), dtype=np.uint8),
+    )
+    cameras = tuple(camera(512, 512, 2 * np.pi * view / views) for view in range(views))
+    scene = SceneManifest(
+        source_names=tuple(f"{view:02d}" for view in range(views)),
+        source_cameras=cameras,
+        focus=(0.0, 0.0, 0.0),
+        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+        frame_numbers=(0,),
+        other_names=(),
+        other_cameras=(),
+        fps=30.0,
+        producer="fourd bench",
+    )
+    return frame, scene
+
+
+def planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
+    """Six K-Planes a level with their axes; ``side`` samples at the coarsest, twice as many a level."""
+    generator = torch.Generator().manual_seed(SEED)
+    pairs = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
+    made, axes = [], []
+    for level in range(levels):
+        for first, second in pairs:
+            rows = frames if second == 3 else side << level
+            made.append(torch.randn(rows, side << level, features, generator=generator))
+            axes += [first, second]
+    return made, axes

@@ -1,0 +1,49 @@
+"""Time the kernels and stages on this machine, against the reference and against other programs found installed."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+
+from fourd.benchmarks.cases import cases
+from fourd.benchmarks.machine import this_machine
+from fourd.benchmarks.report import Row, markdown, table, to_json
+from fourd.benchmarks.timing import Clock
+from fourd.files import write_text_atomically
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """One unit is a product of two 2048 x 2048 float32 matrices by torch, timed beside every run: where others
+    share the machine, units are steadier than milliseconds. FOURD_THREADS and FOURD_SIMD hold here as everywhere."""
+
+    json: Path | None = None
+    """Write all figures to this file."""
+    markdown: Path | None = None
+    """Write the table to this file, for a document."""
+    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Under a minute: fewer runs, no whole training steps, none of the slow references."""
+
+
+def run(arguments: Arguments) -> None:
+    """Time and print, row by row."""
+    console = Console()
+    machine = this_machine()
+    console.print(str(machine), soft_wrap=True)
+    clock = Clock(seconds=1.0 if arguments.quick else 6.0)
+    rows: list[Row] = []
+    with ExitStack() as resources, console.status("") as status:
+        for case in cases(resources, steps=not arguments.quick):
+            status.update(case.name)
+            rivals = {} if arguments.quick else {name: clock.time(work) for name, work in case.rivals.items()}
+            rows.append(Row(case.name, clock.time(case.work), rivals))
+    console.print(table(rows))
+    if arguments.json is not None:
+        write_text_atomically(arguments.json, to_json(rows, machine))
+    if arguments.markdown is not None:
+        write_text_atomically(arguments.markdown, markdown(rows, machine))

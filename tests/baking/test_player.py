@@ -1,0 +1,68 @@
+"""Frames drawn as bytes against the float renderer."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fourd.baking.player import Player
+from fourd.baking.shade import shade_reference
+from fourd.cameras import Camera
+from fourd.raster.arrays import render_points_numpy
+from fourd.raster.loading import native
+from tests.baking.scenes import manifest, random_frame, ring
+
+
+def expected(frame, camera: Camera, described, layers: int, background: tuple[float, float, float]) -> np.ndarray:
+    """Colour and alpha (H, W, 4) in [0, 1], in floats and without ends before the last layer."""
+    colour, alpha, _ = render_points_numpy(
+        frame.xyz,
+        shade_reference(frame, camera, described),
+        frame.radius.astype(np.float32),
+        frame.density.astype(np.float32),
+        camera,
+        layers=layers,
+        near=described.near,
+        background=np.asarray(background, np.float32),
+    )
+    return np.concatenate([np.clip(colour, 0, 1), alpha[..., None]], axis=2)
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
+@pytest.mark.parametrize(("points", "layers"), [(0, 12), (1, 1), (3000, 12), (700, 3)])
+def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches channels in another order, a background added twice, and blocks stored where others belong."""
+    if not native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    frame, described = random_frame(points, 6, seed=points + layers), manifest(views=6)
+    player = Player()
+    for camera in ring(3):
+        background = (0.2, 0.9, 0.4)
+        picture = player.draw(frame, camera, described, layers=layers, background=background)
+        truth = expected(frame, camera, described, layers, background)
+        assert picture.shape == truth.shape
+        assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
+
+
+def test_a_player_forgets_the_picture_before() -> None:
+    """Catches memory kept from a larger scene or picture that shows in the next one."""
+    described = manifest(views=6)
+    few, many = random_frame(50, 6, seed=1), random_frame(5000, 6, seed=2)
+    small, large = ring(4)[0], ring(4)[1].resized(101, 67)
+    player, fresh = Player(), Player()
+    alone = fresh.draw(few, small, described)
+    player.draw(many, large, described)
+    assert np.array_equal(player.draw(few, small, described), alone)
+
+
+def test_drawing_into_an_array_that_is_given() -> None:
+    frame, described, camera = random_frame(200, 6, seed=4), manifest(views=6), ring(4)[2]
+    player = Player()
+    out = np.full((camera.height, camera.width, 4), 7, np.uint8)
+    assert player.draw(frame, camera, described, out=out) is out
+    assert np.array_equal(out, player.draw(frame, camera, described, threads=3))
+    with pytest.raises(ValueError, match=r"out: expected contiguous uint8 of shape .*, got float32"):
+        player.draw(frame, camera, described, out=out.astype(np.float32))
+    with pytest.raises(ValueError, match="layers: expected at least 1, got 0"):
+        player.draw(frame, camera, described, layers=0)
