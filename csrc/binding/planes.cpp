@@ -26,7 +26,6 @@ using CoordinatesOut = nb::ndarray<float, nb::numpy, nb::shape<-1, 4>, nb::c_con
 using Rows = nb::ndarray<const float, nb::numpy, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using RowsOut = nb::ndarray<float, nb::numpy, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-constexpr std::size_t kMostFeatures = 64;
 constexpr std::size_t kLongestSide = 1 << 24;  // above it float32 does not tell samples apart
 
 void require(bool condition, const char* message) {
@@ -41,7 +40,7 @@ std::vector<planes::Plane> planes_of(const std::vector<PlaneValues>& values, con
         const std::size_t rows = values[k].shape(0), columns = values[k].shape(1), features = values[k].shape(2);
         require(rows >= 2 && columns >= 2 && rows <= kLongestSide && columns <= kLongestSide,
                 "planes: expected sides from 2 to 2^24");
-        require(features >= 1 && features <= kMostFeatures && features == values[0].shape(2),
+        require(features >= 1 && features <= planes::kMostFeatures && features == values[0].shape(2),
                 "planes: expected 1 to 64 features, the same in all");
         require(axes[2 * k] >= 0 && axes[2 * k] < 4 && axes[2 * k + 1] >= 0 && axes[2 * k + 1] < 4,
                 "axes: expected 0 to 3");

@@ -25,11 +25,13 @@ struct Between {
 // size samples lie evenly on [-1, 1]. What is no number counts as -1.
 FOURD_HD static inline Between between(float coordinate, int size) {
     const float last = static_cast<float>(size - 1);
-    const float place = (coordinate + 1.0f) * 0.5f * last;
-    if (!(place > 0.0f)) return {0, 0.0f, 0.0f};
-    if (!(place < last)) return {size - 2, 1.0f, 0.0f};
-    const int low = static_cast<int>(place);
-    return {low, place - static_cast<float>(low), 0.5f * last};
+    float place = (coordinate + 1.0f) * 0.5f * last;
+    const bool inside = place > 0.0f && place < last;
+    place = place > 0.0f ? place : 0.0f;
+    place = place < last ? place : last;
+    int low = static_cast<int>(place);
+    low = low < size - 2 ? low : size - 2;
+    return {low, place - static_cast<float>(low), inside ? 0.5f * last : 0.0f};
 }
 
 // The four samples around a query and their weights: [row][column].

@@ -9,10 +9,12 @@
 
 namespace fourd::planes {
 
+constexpr int kMostFeatures = 64;
+
 struct Query {
     const Plane* planes;
     int plane_count;
-    int features;              // of every plane, 1 to 64
+    int features;              // of every plane, 1 to kMostFeatures
     const float* coordinates;  // (count, 4), x, y, z and t in [-1, 1]; clamped to that
     std::size_t count;         // below 2^32
     int threads;               // at least 1; the result does not depend on it

@@ -30,7 +30,7 @@ from fourd.training.evaluate import judge
 from fourd.training.log import MetricsLog
 from fourd.training.losses import ImageLoss
 from fourd.training.lpips import LPIPS
-from fourd.training.memory import TRIM_EVERY, release_freed_memory
+from fourd.training.memory import TRIM_EVERY, keep_freed_memory, release_freed_memory
 from fourd.training.render import Renderer
 from fourd.training.run import Run, drop_stale_points, points_folder
 from fourd.training.schedule import Sampler, budget_spent, rate_factor
@@ -75,6 +75,7 @@ class Trainer:
 
     def train(self) -> TrainSummary:
         """Run to the end of the budget; Ctrl-C saves a checkpoint and leaves a run to resume."""
+        keep_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done)
         try:
             with self._progress() as progress:

@@ -1,88 +1,200 @@
-// What is done with a run of points or with a plane, as plain loops over features that compilers turn
-// into vectors. The instruction set is that of the function that this is inlined into.
+// What is done with runs of points, as plain loops over features that compilers turn into vectors. The
+// instruction set is that of the function that this is inlined into.
 #pragma once
 
 #include <cstdint>
+#include <cstring>
 
 #include "common/inline.h"
 #include "planes/planes.h"
 
 namespace fourd::planes {
 
-// Points in the order of their place in space, so that neighbours in it share cache lines of the planes.
-struct Run {
-    const std::uint32_t* order;
-    std::size_t begin, end;
+constexpr int kRun = 64;  // points whose places between samples stay in the first-level cache
+
+// Planes share sides: a coordinate is placed once among each number of samples, not once a plane.
+struct Axis {
+    int coordinate;
+    int size;
 };
+
+// A query with its axes listed, and its points in the order of their place in space, so that neighbours
+// in it share cache lines of the planes.
+struct Plan {
+    const Query* query;
+    const Axis* axes;
+    int axis_count;
+    const int* across;  // by plane: index into axes
+    const int* down;
+    const std::uint32_t* order;
+};
+
+// The places of one run's points, by axis.
+struct Places {
+    int* low;      // (axis_count, kRun)
+    float* share;  // (axis_count, kRun)
+    float* slope;  // (axis_count, kRun)
+
+    Between at(int axis, int i) const { return {low[axis * kRun + i], share[axis * kRun + i], slope[axis * kRun + i]}; }
+};
+
+FOURD_INLINE void place_run(const Plan& plan, std::size_t begin, int count, const Places& out) {
+    float coordinates[4][kRun];
+    for (int i = 0; i < count; ++i) {
+        const float* at = plan.query->coordinates + 4 * static_cast<std::size_t>(plan.order[begin + i]);
+        for (int axis = 0; axis < 4; ++axis) coordinates[axis][i] = at[axis];
+    }
+    for (int axis = 0; axis < plan.axis_count; ++axis) {
+        const float* from = coordinates[plan.axes[axis].coordinate];
+        const int size = plan.axes[axis].size;
+        for (int i = 0; i < count; ++i) {
+            const Between place = between(from[i], size);
+            out.low[axis * kRun + i] = place.low;
+            out.share[axis * kRun + i] = place.share;
+            out.slope[axis * kRun + i] = place.slope;
+        }
+    }
+}
+
+#if defined(__GNUC__)
+typedef float Eight __attribute__((vector_size(32)));  // features of one sample; compilers do not see them as one
+
+FOURD_INLINE void load(const float* from, Eight* to) { std::memcpy(to, from, sizeof *to); }
+#endif
+
+// The bilinear mean of four samples: those at top and bottom, and the ones right of them.
+template <int Features>
+FOURD_INLINE void mix(const Corners& c, const float* top, const float* bottom, int features, float* to) {
+#if defined(__GNUC__)
+    if (Features == 8) {
+        Eight corner[4];
+        load(top, corner), load(top + 8, corner + 1), load(bottom, corner + 2), load(bottom + 8, corner + 3);
+        const Eight out = (c.weight[0][0] * corner[0] + c.weight[0][1] * corner[1]) +
+                          (c.weight[1][0] * corner[2] + c.weight[1][1] * corner[3]);
+        std::memcpy(to, &out, sizeof out);
+        return;
+    }
+#endif
+    for (int f = 0; f < features; ++f) {
+        to[f] = (c.weight[0][0] * top[f] + c.weight[0][1] * top[features + f]) +
+                (c.weight[1][0] * bottom[f] + c.weight[1][1] * bottom[features + f]);
+    }
+}
+
+// Adds the samples' shares of a gradient to theirs.
+template <int Features>
+FOURD_INLINE void spread(const Corners& c, const float* gradient, int features, float* top, float* bottom) {
+#if defined(__GNUC__)
+    if (Features == 8) {
+        Eight from, to;
+        load(gradient, &from);
+        for (int corner = 0; corner < 4; ++corner) {
+            float* at = (corner < 2 ? top : bottom) + 8 * (corner % 2);
+            load(at, &to);
+            to += c.weight[corner / 2][corner % 2] * from;
+            std::memcpy(at, &to, sizeof to);
+        }
+        return;
+    }
+#endif
+    for (int f = 0; f < features; ++f) {
+        top[f] += c.weight[0][0] * gradient[f];
+        top[features + f] += c.weight[0][1] * gradient[f];
+        bottom[f] += c.weight[1][0] * gradient[f];
+        bottom[features + f] += c.weight[1][1] * gradient[f];
+    }
+}
+
+// Adds what the gradient finds in the differences between samples, by feature: across to along_x, down to along_y.
+template <int Features>
+FOURD_INLINE void slopes(const Between& x, const Between& y, const float* gradient, const float* top,
+                         const float* bottom, int features, float* along_x, float* along_y) {
+#if defined(__GNUC__)
+    if (Features == 8) {
+        Eight from, corner[4], to_x, to_y;
+        load(gradient, &from);
+        load(top, corner), load(top + 8, corner + 1), load(bottom, corner + 2), load(bottom + 8, corner + 3);
+        const Eight across = corner[1] - corner[0], down = corner[2] - corner[0];
+        const Eight twist = (corner[3] - corner[2]) - across;
+        load(along_x, &to_x);
+        to_x += x.slope * from * (across + y.share * twist);
+        std::memcpy(along_x, &to_x, sizeof to_x);
+        load(along_y, &to_y);
+        to_y += y.slope * from * (down + x.share * twist);
+        std::memcpy(along_y, &to_y, sizeof to_y);
+        return;
+    }
+#endif
+    for (int f = 0; f < features; ++f) {
+        const float across = top[features + f] - top[f], down = bottom[f] - top[f];
+        const float twist = (bottom[features + f] - bottom[f]) - across;
+        along_x[f] += x.slope * gradient[f] * (across + y.share * twist);
+        along_y[f] += y.slope * gradient[f] * (down + x.share * twist);
+    }
+}
 
 // Features is their number, or 0 for what the query says.
 template <int Features>
-FOURD_INLINE void sample_run(const Query& query, const Run& run, float* out) {
+FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, const Places& places, float* out) {
+    const Query& query = *plan.query;
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
-    for (std::size_t i = run.begin; i < run.end; ++i) {
-        const float* at = query.coordinates + 4 * static_cast<std::size_t>(run.order[i]);
-        float* to = out + width * run.order[i];
+    place_run(plan, begin, count, places);
+    for (int i = 0; i < count; ++i) {
+        float* to = out + width * plan.order[begin + i];
         for (int k = 0; k < query.plane_count; ++k, to += features) {
             const Plane& plane = query.planes[k];
-            const Between x = between(at[plane.across], plane.columns), y = between(at[plane.down], plane.rows);
-            const Corners c = corners(plane, x, y, features);
-            const float* top = plane.values + c.top;
-            const float* bottom = plane.values + c.bottom;
-            for (int f = 0; f < features; ++f) {
-                to[f] = (c.weight[0][0] * top[f] + c.weight[0][1] * top[features + f]) +
-                        (c.weight[1][0] * bottom[f] + c.weight[1][1] * bottom[features + f]);
-            }
+            const Corners c = corners(plane, places.at(plan.across[k], i), places.at(plan.down[k], i), features);
+            mix<Features>(c, plane.values + c.top, plane.values + c.bottom, features, to);
         }
     }
 }
 
 template <int Features>
-FOURD_INLINE void coordinate_gradient_run(const Query& query, const Run& run, const float* gradient, float* out) {
+FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, int count, const Places& places,
+                                          const float* gradient, float* out) {
+    const Query& query = *plan.query;
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
-    for (std::size_t i = run.begin; i < run.end; ++i) {
-        const float* at = query.coordinates + 4 * static_cast<std::size_t>(run.order[i]);
-        const float* from = gradient + width * run.order[i];
-        float total[4] = {0, 0, 0, 0};
+    place_run(plan, begin, count, places);
+    for (int i = 0; i < count; ++i) {
+        const float* from = gradient + width * plan.order[begin + i];
+        float total[4][Features > 0 ? Features : kMostFeatures] = {};  // by coordinate and feature
         for (int k = 0; k < query.plane_count; ++k, from += features) {
             const Plane& plane = query.planes[k];
-            const Between x = between(at[plane.across], plane.columns), y = between(at[plane.down], plane.rows);
+            const Between x = places.at(plan.across[k], i), y = places.at(plan.down[k], i);
             const Corners c = corners(plane, x, y, features);
-            const float* top = plane.values + c.top;
-            const float* bottom = plane.values + c.bottom;
-            float along_top = 0, along_bottom = 0, down_left = 0, down_right = 0;
-            for (int f = 0; f < features; ++f) {
-                along_top += from[f] * (top[features + f] - top[f]);
-                along_bottom += from[f] * (bottom[features + f] - bottom[f]);
-                down_left += from[f] * (bottom[f] - top[f]);
-                down_right += from[f] * (bottom[features + f] - top[features + f]);
-            }
-            total[plane.across] += x.slope * (along_top + y.share * (along_bottom - along_top));
-            total[plane.down] += y.slope * (down_left + x.share * (down_right - down_left));
+            slopes<Features>(x, y, from, plane.values + c.top, plane.values + c.bottom, features, total[plane.across],
+                             total[plane.down]);
         }
-        for (int axis = 0; axis < 4; ++axis) out[4 * static_cast<std::size_t>(run.order[i]) + axis] = total[axis];
+        float* to = out + 4 * static_cast<std::size_t>(plan.order[begin + i]);
+        for (int axis = 0; axis < 4; ++axis) {
+            float sum = 0;
+            for (int f = 0; f < features; ++f) sum += total[axis][f];
+            to[axis] = sum;
+        }
     }
 }
 
-// Adds a plane's share of the gradient to out, which is like the plane's values. One thread does the
-// whole plane: nothing to lock, and sums taken in one order.
+// Adds what planes first to last (not included) get of the gradient to out, arrays like the planes' values.
 template <int Features>
-FOURD_INLINE void scatter_plane(const Query& query, const Run& run, int k, const float* gradient, float* out) {
+FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const Places& places, int first, int last,
+                              const float* gradient, float* const* out) {
+    constexpr int kAhead = 4;
+    const Query& query = *plan.query;
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
-    const Plane& plane = query.planes[k];
-    for (std::size_t i = run.begin; i < run.end; ++i) {
-        const float* at = query.coordinates + 4 * static_cast<std::size_t>(run.order[i]);
-        const float* from = gradient + width * run.order[i] + static_cast<std::size_t>(k) * features;
-        const Between x = between(at[plane.across], plane.columns), y = between(at[plane.down], plane.rows);
-        const Corners c = corners(plane, x, y, features);
-        float* top = out + c.top;
-        float* bottom = out + c.bottom;
-        for (int f = 0; f < features; ++f) top[f] += c.weight[0][0] * from[f];
-        for (int f = 0; f < features; ++f) top[features + f] += c.weight[0][1] * from[f];
-        for (int f = 0; f < features; ++f) bottom[f] += c.weight[1][0] * from[f];
-        for (int f = 0; f < features; ++f) bottom[features + f] += c.weight[1][1] * from[f];
+    place_run(plan, begin, count, places);
+    for (int i = 0; i < count; ++i) {
+        if (i + kAhead < count) {
+            const float* ahead = gradient + width * plan.order[begin + i + kAhead];
+            for (int f = first * features; f < last * features; f += 16) __builtin_prefetch(ahead + f);
+        }
+        const float* from = gradient + width * plan.order[begin + i] + static_cast<std::size_t>(first) * features;
+        for (int k = first; k < last; ++k, from += features) {
+            const Corners c = corners(query.planes[k], places.at(plan.across[k], i), places.at(plan.down[k], i), features);
+            spread<Features>(c, from, features, out[k] + c.top, out[k] + c.bottom);
+        }
     }
 }
 

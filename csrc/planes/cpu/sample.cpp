@@ -9,26 +9,28 @@
 namespace fourd::planes {
 namespace {
 
-constexpr std::size_t kPointsPerTask = 1024;
+constexpr std::size_t kPointsPerTask = 16 * kRun;
 constexpr int kCellBits = 5;  // a cell of this order spans 16 x 16 samples of a plane with 512
 
 // A copy of each loop for each instruction set, for 8 features, which is usual, and for any number.
 struct Loops {
-    void (*sample)(const Query&, const Run&, float*);
-    void (*coordinate_gradient)(const Query&, const Run&, const float*, float*);
-    void (*scatter)(const Query&, const Run&, int, const float*, float*);
+    void (*sample)(const Plan&, std::size_t, int, const Places&, float*);
+    void (*coordinate_gradient)(const Plan&, std::size_t, int, const Places&, const float*, float*);
+    void (*scatter)(const Plan&, std::size_t, int, const Places&, int, int, const float*, float* const*);
 };
 
-#define FOURD_LOOPS(NAME, TARGET, FEATURES)                                                              \
-    TARGET void sample_##NAME(const Query& query, const Run& run, float* out) {                          \
-        sample_run<FEATURES>(query, run, out);                                                           \
-    }                                                                                                    \
-    TARGET void coordinate_gradient_##NAME(const Query& query, const Run& run, const float* g, float* out) { \
-        coordinate_gradient_run<FEATURES>(query, run, g, out);                                           \
-    }                                                                                                    \
-    TARGET void scatter_##NAME(const Query& query, const Run& run, int k, const float* g, float* out) {  \
-        scatter_plane<FEATURES>(query, run, k, g, out);                                                  \
-    }                                                                                                    \
+#define FOURD_LOOPS(NAME, TARGET, FEATURES)                                                                      \
+    TARGET void sample_##NAME(const Plan& plan, std::size_t begin, int count, const Places& places, float* out) { \
+        sample_run<FEATURES>(plan, begin, count, places, out);                                                   \
+    }                                                                                                            \
+    TARGET void coordinate_gradient_##NAME(const Plan& plan, std::size_t begin, int count, const Places& places,  \
+                                           const float* gradient, float* out) {                                  \
+        coordinate_gradient_run<FEATURES>(plan, begin, count, places, gradient, out);                            \
+    }                                                                                                            \
+    TARGET void scatter_##NAME(const Plan& plan, std::size_t begin, int count, const Places& places, int first,   \
+                               int last, const float* gradient, float* const* out) {                             \
+        scatter_run<FEATURES>(plan, begin, count, places, first, last, gradient, out);                           \
+    }                                                                                                            \
     constexpr Loops loops_##NAME = {sample_##NAME, coordinate_gradient_##NAME, scatter_##NAME};
 
 FOURD_LOOPS(baseline_8, , 8)
@@ -67,13 +69,58 @@ Buffer<std::uint32_t> order_by_cell(const Query& query) {
     return order;
 }
 
-// Calls work(run) for parts of all points, on every worker of the team.
+// Owns what a Plan points to, and room for the places of each worker's run.
+class Planned {
+  public:
+    Planned(const Query& query, int workers) : order_(order_by_cell(query)) {
+        for (int k = 0; k < query.plane_count; ++k) {
+            across_.push_back(axis_of({query.planes[k].across, query.planes[k].columns}));
+            down_.push_back(axis_of({query.planes[k].down, query.planes[k].rows}));
+        }
+        const std::size_t room = axes_.size() * kRun;
+        low_ = Buffer<int>(workers * room);
+        share_ = Buffer<float>(workers * room);
+        slope_ = Buffer<float>(workers * room);
+        plan_ = {&query, axes_.data(), static_cast<int>(axes_.size()), across_.data(), down_.data(), order_.data()};
+    }
+
+    const Plan& plan() const { return plan_; }
+
+    Places places(int worker) {
+        const std::size_t at = worker * axes_.size() * kRun;
+        return {low_.data() + at, share_.data() + at, slope_.data() + at};
+    }
+
+  private:
+    int axis_of(Axis wanted) {
+        const auto same = [&](const Axis& axis) { return axis.coordinate == wanted.coordinate && axis.size == wanted.size; };
+        const auto found = std::find_if(axes_.begin(), axes_.end(), same);
+        if (found != axes_.end()) return static_cast<int>(found - axes_.begin());
+        axes_.push_back(wanted);
+        return static_cast<int>(axes_.size()) - 1;
+    }
+
+    std::vector<Axis> axes_;
+    std::vector<int> across_, down_;
+    Buffer<std::uint32_t> order_;
+    Buffer<int> low_;
+    Buffer<float> share_, slope_;
+    Plan plan_{};
+};
+
+// Calls work(begin, count) for runs of the points from begin to end.
 template <typename Work>
-void for_runs(const Query& query, const Buffer<std::uint32_t>& order, Team& team, const Work& work) {
-    const int tasks = static_cast<int>((query.count + kPointsPerTask - 1) / kPointsPerTask);
-    team.run(tasks, [&](int task, int) {
-        const std::size_t begin = static_cast<std::size_t>(task) * kPointsPerTask;
-        work(Run{order.data(), begin, std::min(query.count, begin + kPointsPerTask)});
+void for_runs(std::size_t begin, std::size_t end, const Work& work) {
+    for (; begin < end; begin += kRun) work(begin, static_cast<int>(std::min<std::size_t>(kRun, end - begin)));
+}
+
+// Calls work(begin, count, worker) for runs of all points, on every worker of the team.
+template <typename Work>
+void for_all_runs(const Query& query, Team& team, const Work& work) {
+    team.run(static_cast<int>((query.count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int worker) {
+        const std::size_t begin = task * kPointsPerTask;
+        for_runs(begin, std::min(query.count, begin + kPointsPerTask),
+                 [&](std::size_t from, int count) { work(from, count, worker); });
     });
 }
 
@@ -81,36 +128,35 @@ std::size_t size_of(const Query& query, int k) {
     return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features;
 }
 
-// The planes from large to small: a large one last would keep one worker busy while others wait.
-std::vector<int> largest_first(const Query& query) {
-    std::vector<int> order(static_cast<std::size_t>(query.plane_count));
-    for (int k = 0; k < query.plane_count; ++k) order[k] = k;
-    std::stable_sort(order.begin(), order.end(), [&](int a, int b) { return size_of(query, a) > size_of(query, b); });
-    return order;
-}
-
 }  // namespace
 
 void sample(const Query& query, float* out) {
     const Loops loops = loops_for(query);
-    const Buffer<std::uint32_t> order = order_by_cell(query);
     Team team(query.threads);
-    for_runs(query, order, team, [&](const Run& run) { loops.sample(query, run, out); });
+    Planned planned(query, team.size());
+    for_all_runs(query, team, [&](std::size_t begin, int count, int worker) {
+        loops.sample(planned.plan(), begin, count, planned.places(worker), out);
+    });
 }
 
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates) {
     const Loops loops = loops_for(query);
-    const Buffer<std::uint32_t> order = order_by_cell(query);
     Team team(query.threads);
-    const std::vector<int> planes = largest_first(query);
-    team.run(query.plane_count, [&](int task, int) {
-        const int k = planes[task];
-        std::memset(grad_planes[k], 0, size_of(query, k) * sizeof(float));
-        loops.scatter(query, Run{order.data(), 0, query.count}, k, gradient, grad_planes[k]);
+    Planned planned(query, team.size());
+    // One worker does a plane from its first point to its last: nothing to lock, and sums taken in one
+    // order. It does as many planes as it can at once, since they share a gradient's cache lines.
+    const int parts = std::min(team.size(), query.plane_count);
+    team.run(parts, [&](int part, int worker) {
+        const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;
+        for (int k = first; k < last; ++k) std::memset(grad_planes[k], 0, size_of(query, k) * sizeof(float));
+        for_runs(0, query.count, [&](std::size_t begin, int count) {
+            loops.scatter(planned.plan(), begin, count, planned.places(worker), first, last, gradient, grad_planes);
+        });
     });
     if (grad_coordinates == nullptr) return;
-    for_runs(query, order, team,
-             [&](const Run& run) { loops.coordinate_gradient(query, run, gradient, grad_coordinates); });
+    for_all_runs(query, team, [&](std::size_t begin, int count, int worker) {
+        loops.coordinate_gradient(planned.plan(), begin, count, planned.places(worker), gradient, grad_coordinates);
+    });
 }
 
 }  // namespace fourd::planes
