@@ -4,11 +4,11 @@
 sanitize: sanitize-address sanitize-thread
 
 sanitize-address: install
-	$(BIN)/cmake -S csrc/tests -B build/asan -DFOURD_SANITIZE=address,undefined -G "Unix Makefiles" >/dev/null
+	$(BIN)/cmake -S csrc/tests -B build/asan -DFOURD_SANITIZE=address,undefined -G "Unix Makefiles" -DCMAKE_BUILD_TYPE=Debug >/dev/null
 	$(BIN)/cmake --build build/asan
 	build/asan/hostile 300
 
 sanitize-thread: install
-	$(BIN)/cmake -S csrc/tests -B build/tsan -DFOURD_SANITIZE=thread -G "Unix Makefiles" >/dev/null
+	$(BIN)/cmake -S csrc/tests -B build/tsan -DFOURD_SANITIZE=thread -G "Unix Makefiles" -DCMAKE_BUILD_TYPE=Debug >/dev/null
 	$(BIN)/cmake --build build/tsan
 	build/tsan/hostile 60

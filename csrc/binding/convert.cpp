@@ -7,7 +7,6 @@ namespace fourd {
 namespace {
 
 constexpr int kMostThreads = 256;
-constexpr std::size_t kLongestSide = 1 << 18;  // tiles are counted in an int
 
 void require(bool condition, const char* message) {
     if (!condition) throw std::invalid_argument(message);
@@ -17,7 +16,8 @@ void require(bool condition, const char* message) {
 
 points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height, int layers,
                                  double near, double transmittance_min, int threads, const std::string& simd) {
-    const bool sized = width >= 1 && height >= 1 && width <= kLongestSide && height <= kLongestSide;
+    constexpr std::size_t kLongest = points::kLongestSide;
+    const bool sized = width >= 1 && height >= 1 && width <= kLongest && height <= kLongest;
     require(camera.size() == 21 && sized && layers >= 1 && near > 0 && threads >= 1,
             "camera, width, height, layers, near, threads: out of range");
     points::Settings settings;

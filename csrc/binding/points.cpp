@@ -15,7 +15,7 @@
 
 #include "binding/bindings.h"
 #include "binding/convert.h"
-#include "points/points.h"
+#include "points/cpu/workspace.h"
 
 namespace nb = nanobind;
 
@@ -35,6 +35,20 @@ void require(const Array& array, std::initializer_list<std::size_t> shape, const
     }
     if (!fits) throw std::invalid_argument(std::string(name) + ": unexpected shape");
 }
+
+// A thread's memory from one picture to the next; what is more than this is given back.
+constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
+
+class KeptWorkspace {
+  public:
+    ~KeptWorkspace() {
+        if (space().bytes() > kKeptBytes) space() = points::Workspace();
+    }
+    points::Workspace& space() const {
+        thread_local points::Workspace kept;
+        return kept;
+    }
+};
 
 points::Cloud cloud_of(const In& xyz, const In& features, const In& radius, const In& density) {
     const std::size_t count = radius.size();
@@ -58,7 +72,7 @@ void render(const In& xyz, const In& features, const In& radius, const In& densi
     const points::Settings settings =
         points_settings(camera, width, height, layers, near, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
-    points::render(cloud, settings, {out_features.data(), out_alpha.data(), out_depth.data()});
+    points::render(cloud, settings, KeptWorkspace().space(), {out_features.data(), out_alpha.data(), out_depth.data()});
 }
 
 void render_backward(const In& xyz, const In& features, const In& radius, const In& density,
@@ -79,7 +93,7 @@ void render_backward(const In& xyz, const In& features, const In& radius, const 
         points_settings(camera, width, height, layers, near, 0.0, threads, simd);
     nb::gil_scoped_release release;
     points::render_backward(
-        cloud, settings,
+        cloud, settings, KeptWorkspace().space(),
         {grad_features.data(), grad_alpha.data(), grad_depth ? grad_depth->data() : nullptr},
         {out_xyz.data(), out_features.data(), out_radius.data(), out_density.data()});
 }
@@ -95,7 +109,7 @@ void visibility(const In& xyz, const In& radius, const In& density, const std::v
     const points::Cloud cloud = {xyz.data(), nullptr, radius.data(), density.data(), count, 0};
     const points::Settings settings = points_settings(camera, width, height, layers, near, 0.0, threads, simd);
     nb::gil_scoped_release release;
-    points::visibility(cloud, settings, out.data());
+    points::visibility(cloud, settings, KeptWorkspace().space(), out.data());
 }
 
 }  // namespace

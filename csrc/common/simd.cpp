@@ -8,7 +8,8 @@ namespace {
 
 bool runs_avx2() {
 #ifdef FOURD_X86
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
+           __builtin_cpu_supports("f16c");
 #else
     return false;
 #endif

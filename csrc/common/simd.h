@@ -3,7 +3,7 @@
 
 namespace fourd {
 
-enum class Simd { baseline, avx2, avx512 };  // avx512: F, DQ and VL; avx2: with FMA
+enum class Simd { baseline, avx2, avx512 };  // avx512: F, DQ and VL; avx2: with FMA and F16C
 
 // Whether this machine runs the instruction set of that name.
 bool simd_available(const char* name);

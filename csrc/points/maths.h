@@ -21,6 +21,10 @@ struct Pinhole {
     int height;
 };
 
+constexpr int kTile = 16;               // pixels across and down that are composited together
+constexpr int kBlock = 4;               // a tile is made of blocks of 4 x 4 pixels
+constexpr int kLongestSide = 1 << 18;   // of an image, in pixels: blocks are counted in 16 bits
+
 // A point as its pixels see it: alpha(pixel) = density * (1 - |(u, v) - pixel|^2 * inverse_square).
 struct Splat {
     float u, v;            // projected centre, pixels
@@ -28,8 +32,7 @@ struct Splat {
     float density;         // at most 1
     float z;               // camera depth
     float rho;
-    int row_first, row_last;        // rows that can hold a hit, within the image
-    int column_first, column_last;  // columns likewise
+    std::uint16_t left, right, top, bottom;  // blocks of kBlock x kBlock pixels that can hold a hit, within the image
 };
 
 // Gradients of a point's pixels, summed: of alpha times (dx, dy, distance^2, falloff), and of depth.
@@ -71,9 +74,15 @@ FOURD_HD static inline bool project(const Pinhole& camera, float near, const flo
     if (!(out->inverse_square > 0.0f && out->inverse_square <= largest)) return false;
     out->density = density < 1.0f ? density : 1.0f;
     out->z = z;
-    pixel_range(out->u, out->rho, camera.width, &out->column_first, &out->column_last);
-    pixel_range(out->v, out->rho, camera.height, &out->row_first, &out->row_last);
-    return out->column_first <= out->column_last && out->row_first <= out->row_last;
+    int first_column, last_column, first_row, last_row;
+    pixel_range(out->u, out->rho, camera.width, &first_column, &last_column);
+    pixel_range(out->v, out->rho, camera.height, &first_row, &last_row);
+    if (first_column > last_column || first_row > last_row) return false;
+    out->left = static_cast<std::uint16_t>(first_column / kBlock);
+    out->right = static_cast<std::uint16_t>(last_column / kBlock);
+    out->top = static_cast<std::uint16_t>(first_row / kBlock);
+    out->bottom = static_cast<std::uint16_t>(last_row / kBlock);
+    return true;
 }
 
 // Carries a splat's gradient back to the point it was projected from.

@@ -52,14 +52,16 @@ struct CloudGradient {
     float* density;
 };
 
-void render(const Cloud& cloud, const Settings& settings, const Image& out);
+struct Workspace;  // in cpu/workspace.h: memory that the next picture can use again
+
+void render(const Cloud& cloud, const Settings& settings, Workspace& space, const Image& out);
 
 // transmittance_min is taken as 0: gradients see every one of the K layers.
-void render_backward(const Cloud& cloud, const Settings& settings, const ImageGradient& gradient,
+void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
                      const CloudGradient& out);
 
 // out (count,): the largest weight (transmittance * alpha) that each point has in any pixel.
 // cloud.features is not read.
-void visibility(const Cloud& cloud, const Settings& settings, float* out);
+void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, float* out);
 
 }  // namespace fourd::points

@@ -5,19 +5,14 @@
 namespace fourd::points {
 namespace {
 
-struct Range {
-    int first, last;
-};
-
-Range tile_range(int first, int last) { return {first / kTile, last / kTile}; }
+constexpr int kBlocksPerSide = kTile / kBlock;
 
 // Calls visit(tile) for each tile that a splat reaches.
 template <typename Visit>
 void for_each_tile(const Splat& splat, int columns, Visit visit) {
-    const Range across = tile_range(splat.column_first, splat.column_last);
-    const Range down = tile_range(splat.row_first, splat.row_last);
-    for (int row = down.first; row <= down.last; ++row) {
-        for (int column = across.first; column <= across.last; ++column) visit(row * columns + column);
+    const int left = splat.left / kBlocksPerSide, right = splat.right / kBlocksPerSide;
+    for (int row = splat.top / kBlocksPerSide; row <= splat.bottom / kBlocksPerSide; ++row) {
+        for (int column = left; column <= right; ++column) visit(row * columns + column);
     }
 }
 
@@ -140,15 +135,15 @@ void Bins::fill_tiles(Team& team) {
 }
 
 std::size_t Bins::reach(std::size_t rank) const {
-    const Range across = tile_range(splats_[rank].column_first, splats_[rank].column_last);
-    const Range down = tile_range(splats_[rank].row_first, splats_[rank].row_last);
-    return static_cast<std::size_t>(across.last - across.first + 1) * (down.last - down.first + 1);
+    const Splat& splat = splats_[rank];
+    const int across = splat.right / kBlocksPerSide - splat.left / kBlocksPerSide + 1;
+    return static_cast<std::size_t>(across) * (splat.bottom / kBlocksPerSide - splat.top / kBlocksPerSide + 1);
 }
 
 std::size_t Bins::place(std::size_t rank, int column, int row) const {
-    const Range across = tile_range(splats_[rank].column_first, splats_[rank].column_last);
-    const int top = splats_[rank].row_first / kTile;
-    return static_cast<std::size_t>(row - top) * (across.last - across.first + 1) + (column - across.first);
+    const Splat& splat = splats_[rank];
+    const int left = splat.left / kBlocksPerSide, across = splat.right / kBlocksPerSide - left + 1;
+    return static_cast<std::size_t>(row - splat.top / kBlocksPerSide) * across + (column - left);
 }
 
 void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
@@ -163,6 +158,11 @@ void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
     sort(project_all(cloud, settings, team), team);
     rank_splats(team);
     fill_tiles(team);
+}
+
+std::size_t Bins::bytes() const {
+    return sizeof(Splat) * (unsorted_.size() + splats_.size()) + sizeof(Item) * (items_.size() + spare_.size()) +
+           sizeof(std::uint32_t) * (points_.size() + entries_.size()) + sizeof(std::size_t) * tile_begin_.size();
 }
 
 }  // namespace fourd::points

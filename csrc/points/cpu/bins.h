@@ -30,6 +30,8 @@ class Bins {
     std::size_t reach(std::size_t rank) const;
     std::size_t place(std::size_t rank, int column, int row) const;
 
+    std::size_t bytes() const;  // of memory that is kept
+
   private:
     // A run of items: each thread's part of a pass. Parts are merged in order, so the result is the
     // same for any number of them.

@@ -24,6 +24,14 @@ inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & 
 inline bool any(Mask a) { return a.bits != 0; }
 inline Lanes select(Mask m, Lanes a, Lanes b) { return {_mm512_mask_blend_ps(m.bits, b.value, a.value)}; }
 inline Lanes keep(Mask m, Lanes a) { return {_mm512_maskz_mov_ps(m.bits, a.value)}; }
+// Four lanes of bytes (0 to 255.99, cut) as one number each, the first lowest.
+inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
+    __m512i packed = _mm512_cvttps_epi32(bytes[0].value);
+    packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[1].value), 8));
+    packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[2].value), 16));
+    packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[3].value), 24));
+    _mm512_storeu_si512(to, packed);
+}
 inline __m256 halved(Lanes a) {
     return _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
 }
@@ -111,6 +119,14 @@ inline bool any(Mask a) {
     for (int lane = 0; lane < kNative; ++lane) either |= all[lane];
     return either != 0;
 #endif
+}
+
+inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
+    for (int p = 0; p < kParts; ++p) {
+        NativeInt packed = __builtin_convertvector(bytes[0].part[p], NativeInt);
+        for (int c = 1; c < 4; ++c) packed |= __builtin_convertvector(bytes[c].part[p], NativeInt) << (8 * c);
+        std::memcpy(to + kNative * p, &packed, sizeof packed);
+    }
 }
 
 #undef FOURD_PER_PART

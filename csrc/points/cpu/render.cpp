@@ -6,34 +6,6 @@
 namespace fourd::points {
 namespace {
 
-// Each entry of the bins has a slot for what its tile finds out about its point. A point's slots
-// lie side by side, so that they are merged in one order whatever thread filled them.
-Buffer<std::size_t> assign_slots(const Bins& bins) {
-    Buffer<std::size_t> begin(bins.visible() + 1);
-    std::size_t total = 0;
-    for (std::size_t rank = 0; rank < bins.visible(); ++rank) {
-        begin[rank] = total;
-        total += bins.reach(rank);
-    }
-    begin[bins.visible()] = total;
-    return begin;
-}
-
-// The slots of a tile's entries.
-void slots_of_tile(const Tile& tile, const Bins& bins, const Buffer<std::size_t>& begin, Buffer<std::size_t>& out) {
-    out.require(tile.count);
-    for (std::size_t entry = 0; entry < tile.count; ++entry) {
-        const std::uint32_t rank = tile.entries[entry];
-        out[entry] = begin[rank] + bins.place(rank, tile.column / kTile, tile.row / kTile);
-    }
-}
-
-struct Scratch {
-    Buffer<std::size_t> slots;
-    Buffer<float> transmittance;
-    Buffer<std::uint64_t> tags;
-};
-
 constexpr std::size_t kPointsPerTask = 4096;
 
 // Calls work(begin, end) for parts of the ranks.
@@ -53,17 +25,17 @@ void clear(const Cloud& cloud, const CloudGradient& out) {
 }
 
 // Sums a point's slots in order and carries them to the point.
-void gather_gradient(const Cloud& cloud, const Settings& settings, const Bins& bins, const Buffer<std::size_t>& slots,
-                     const float* sums, std::size_t rank, const CloudGradient& out) {
+void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& space,
+                     std::size_t rank, const CloudGradient& out) {
     const int width = 5 + cloud.channels;
     float total[5 + 32] = {};
-    for (std::size_t slot = slots[rank]; slot < slots[rank + 1]; ++slot) {
-        for (int k = 0; k < width; ++k) total[k] += sums[slot * width + k];
+    for (std::size_t slot = space.slots[rank]; slot < space.slots[rank + 1]; ++slot) {
+        for (int k = 0; k < width; ++k) total[k] += space.sums[slot * width + k];
     }
-    const std::size_t point = bins.points()[rank];
+    const std::size_t point = space.bins.points()[rank];
     std::memcpy(out.features + point * cloud.channels, total + 5, cloud.channels * sizeof(float));
     const SplatGradient gradient = {total[0], total[1], total[2], total[3], total[4]};
-    project_backward(settings.camera, bins.splats()[rank], gradient, cloud.density[point], out.xyz + 3 * point,
+    project_backward(settings.camera, space.bins.splats()[rank], gradient, cloud.density[point], out.xyz + 3 * point,
                      out.radius + point, out.density + point);
 }
 
@@ -82,6 +54,34 @@ void Workspace::rank_features(const Cloud& cloud, Team& team) {
             std::copy_n(from, channels, features.data() + channels * rank);
         }
     });
+}
+
+std::size_t Workspace::assign_slots() {
+    slots.require(bins.visible() + 1);
+    std::size_t total = 0;
+    for (std::size_t rank = 0; rank < bins.visible(); ++rank) {
+        slots[rank] = total;
+        total += bins.reach(rank);
+    }
+    slots[bins.visible()] = total;
+    return total;
+}
+
+void Workspace::slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const {
+    out.require(tile.count);
+    for (std::size_t entry = 0; entry < tile.count; ++entry) {
+        const std::uint32_t rank = tile.entries[entry];
+        out[entry] = slots[rank] + bins.place(rank, tile.column / kTile, tile.row / kTile);
+    }
+}
+
+std::size_t Workspace::bytes() const {
+    std::size_t total = bins.bytes() + sizeof(float) * (features.size() + sums.size()) + sizeof(std::size_t) * slots.size();
+    for (const Scratch& scratch : scratches) {
+        total += sizeof(std::size_t) * scratch.slots.size() + sizeof(float) * scratch.transmittance.size() +
+                 sizeof(std::uint64_t) * scratch.tags.size();
+    }
+    return total;
 }
 
 Tile Workspace::tile(const Settings& settings, int channels, int index) const {
@@ -104,76 +104,70 @@ std::size_t count_visits(const Tile& tile) {
     std::size_t visits = 0;
     for (std::size_t entry = 0; entry < tile.count; ++entry) {
         const Splat& splat = tile.splats[tile.entries[entry]];
-        const int left = std::max(splat.column_first - tile.column, 0) / kBlock;
-        const int right = std::min(splat.column_last - tile.column, kTile - 1) / kBlock;
-        const int top = std::max(splat.row_first - tile.row, 0) / kBlock;
-        const int bottom = std::min(splat.row_last - tile.row, kTile - 1) / kBlock;
+        const int column = tile.column / kBlock, row = tile.row / kBlock;
+        const int left = std::max(splat.left - column, 0), right = std::min(splat.right - column, kBlock - 1);
+        const int top = std::max(splat.top - row, 0), bottom = std::min(splat.bottom - row, kBlock - 1);
         visits += static_cast<std::size_t>(right - left + 1) * (bottom - top + 1);
     }
     return visits;
 }
 
-void render(const Cloud& cloud, const Settings& settings, const Image& out) {
+void render(const Cloud& cloud, const Settings& settings, Workspace& space, const Image& out) {
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
-    Workspace space;
     space.fill(cloud, settings, team);
     space.rank_features(cloud, team);
     team.run(space.bins.tiles(),
              [&](int index, int) { kernels.render(space.tile(settings, cloud.channels, index), out); });
 }
 
-void render_backward(const Cloud& cloud, const Settings& settings, const ImageGradient& gradient,
+void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
                      const CloudGradient& out) {
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
-    Workspace space;
     space.fill(cloud, settings, team);
     space.rank_features(cloud, team);
-    const Buffer<std::size_t> slots = assign_slots(space.bins);
     const std::size_t width = 5 + cloud.channels;
-    Buffer<float> sums(slots[space.bins.visible()] * width);
-    std::vector<Scratch> scratches(team.size());
+    space.sums.require(space.assign_slots() * width);
+    space.scratches.resize(team.size());
     team.run(space.bins.tiles(), [&](int index, int worker) {
         const Tile tile = space.tile(settings, cloud.channels, index);
-        Scratch& scratch = scratches[worker];
-        slots_of_tile(tile, space.bins, slots, scratch.slots);
+        Workspace::Scratch& scratch = space.scratches[worker];
+        space.slots_of_tile(tile, scratch.slots);
         for (std::size_t entry = 0; entry < tile.count; ++entry) {
-            std::fill_n(sums.data() + scratch.slots[entry] * width, width, 0.0f);
+            std::fill_n(space.sums.data() + scratch.slots[entry] * width, width, 0.0f);
         }
         const std::size_t visits = count_visits(tile);
         scratch.transmittance.require(16 * visits);
         scratch.tags.require(visits);
-        kernels.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data()},
-                                scratch.slots.data(), sums.data());
+        kernels.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data(), visits},
+                                scratch.slots.data(), space.sums.data());
     });
     clear(cloud, out);
     for_ranks(space.bins, team, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t rank = begin; rank < end; ++rank) {
-            gather_gradient(cloud, settings, space.bins, slots, sums.data(), rank, out);
-        }
+        for (std::size_t rank = begin; rank < end; ++rank) gather_gradient(cloud, settings, space, rank, out);
     });
 }
 
-void visibility(const Cloud& cloud, const Settings& settings, float* out) {
+void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, float* out) {
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
-    Workspace space;
     space.fill(cloud, settings, team);
-    const Buffer<std::size_t> slots = assign_slots(space.bins);
-    Buffer<float> weights(slots[space.bins.visible()]);
-    std::vector<Scratch> scratches(team.size());
+    space.sums.require(space.assign_slots());
+    space.scratches.resize(team.size());
     team.run(space.bins.tiles(), [&](int index, int worker) {
         const Tile tile = space.tile(settings, 0, index);
-        Scratch& scratch = scratches[worker];
-        slots_of_tile(tile, space.bins, slots, scratch.slots);
-        for (std::size_t entry = 0; entry < tile.count; ++entry) weights[scratch.slots[entry]] = 0.0f;
-        kernels.visibility(tile, scratch.slots.data(), weights.data());
+        Workspace::Scratch& scratch = space.scratches[worker];
+        space.slots_of_tile(tile, scratch.slots);
+        for (std::size_t entry = 0; entry < tile.count; ++entry) space.sums[scratch.slots[entry]] = 0.0f;
+        kernels.visibility(tile, scratch.slots.data(), space.sums.data());
     });
     std::fill_n(out, cloud.count, 0.0f);
     for (std::size_t rank = 0; rank < space.bins.visible(); ++rank) {
         float best = 0.0f;
-        for (std::size_t slot = slots[rank]; slot < slots[rank + 1]; ++slot) best = std::max(best, weights[slot]);
+        for (std::size_t slot = space.slots[rank]; slot < space.slots[rank + 1]; ++slot) {
+            best = std::max(best, space.sums[slot]);
+        }
         out[space.bins.points()[rank]] = best;
     }
 }

@@ -9,9 +9,7 @@
 
 namespace fourd::points {
 
-constexpr int kTile = 16;    // pixels across and down
-constexpr int kBlock = 4;    // a tile is made of blocks of 4 x 4 pixels, one vector of lanes.h each
-constexpr int kBlocks = 16;  // of a tile, row by row
+constexpr int kBlocks = 16;  // of a tile, row by row; one vector of lanes.h each
 
 // What is sorted: the depth's bits, which order like the depth since it is positive, and the point.
 struct Item {
@@ -31,12 +29,15 @@ struct Tile {
     int width, height;  // of the image
 };
 
-// Where the backward pass remembers what it met on its way forward, one visit (an entry that hits a
-// pixel of a block) after the other; room for count_visits of the tile.
+// Where the backward pass remembers what it met on its way forward: the visits of entries to blocks, entry by
+// entry and block by block.
 struct Visits {
     float* transmittance;  // 16 a visit: before the entry, negative where the pixel was not hit
-    std::uint64_t* tags;   // 16 * entry + block
+    std::uint64_t* tags;   // 16 * entry + block, or kNoVisit where no pixel was hit
+    std::size_t count;     // count_visits of the tile
 };
+
+constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 struct TileKernels {
     // Projects points begin to end into splats, by index, and lists the visible ones; returns how many.
@@ -64,7 +65,7 @@ extern const TileKernels tile_kernels_avx512;
 
 const TileKernels& tile_kernels(Simd simd);
 
-// How often the tile's entries meet its blocks, at most.
+// How often the tile's entries meet its blocks, hit or not.
 std::size_t count_visits(const Tile& tile);
 
 }  // namespace fourd::points

@@ -1,32 +1,18 @@
 #include "shade/shade.h"
 
+#include <algorithm>
+
 #include "common/team.h"
-#include "shade/block.h"
+#include "shade/cpu/block.h"
 
 namespace fourd::shade {
 namespace {
 
 constexpr std::size_t kTaskPoints = 64 * kBlock;
 
-void shade_range_baseline(const Points& points, std::size_t begin, std::size_t end, const Settings& settings,
-                          float* out) {
-    for (std::size_t first = begin; first < end; first += kBlock)
-        shade_block(points, first, static_cast<int>(std::min<std::size_t>(kBlock, end - first)), settings, out);
-}
-
-#if defined(__GNUC__) && defined(FOURD_X86)
-#define FOURD_SHADE_AVX2
-__attribute__((target("avx2"))) void shade_range_avx2(const Points& points, std::size_t begin, std::size_t end,
-                                                      const Settings& settings, float* out) {
-    for (std::size_t first = begin; first < end; first += kBlock)
-        shade_block(points, first, static_cast<int>(std::min<std::size_t>(kBlock, end - first)), settings, out);
-}
-#endif
-
-using Range = void (*)(const Points&, std::size_t, std::size_t, const Settings&, float*);
-
 Range range_for(Simd simd) {
-#ifdef FOURD_SHADE_AVX2
+#ifdef FOURD_X86
+    // Its vectors suit a point's 16 harmonics and 4 views: AVX-512 has no loops of its own.
     if (simd != Simd::baseline) return shade_range_avx2;
 #endif
     (void)simd;
@@ -34,6 +20,11 @@ Range range_for(Simd simd) {
 }
 
 }  // namespace
+
+void shade_range_baseline(const Points& points, std::size_t begin, std::size_t end, const Settings& settings,
+                          float* out) {
+    shade_range(points, begin, end, settings, out);
+}
 
 void shade(const Points& points, const Settings& settings, float* out) {
     const int tasks = static_cast<int>((points.count + kTaskPoints - 1) / kTaskPoints);

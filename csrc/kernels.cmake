@@ -1,0 +1,43 @@
+# The kernels as one library, for the Python module and for the programs of tests/.
+set(FOURD_KERNELS ${CMAKE_CURRENT_LIST_DIR})
+add_library(fourd_kernels STATIC
+  ${FOURD_KERNELS}/common/simd.cpp
+  ${FOURD_KERNELS}/common/team.cpp
+  ${FOURD_KERNELS}/planes/cpu/sample.cpp
+  ${FOURD_KERNELS}/play/player.cpp
+  ${FOURD_KERNELS}/points/cpu/bins.cpp
+  ${FOURD_KERNELS}/points/cpu/dispatch.cpp
+  ${FOURD_KERNELS}/points/cpu/render.cpp
+  ${FOURD_KERNELS}/points/cpu/tiles_baseline.cpp
+  ${FOURD_KERNELS}/shade/cpu/shade.cpp
+)
+# Its promise is a tolerance: sums may be fused, and choices between numbers made without branches.
+set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp
+  PROPERTIES COMPILE_OPTIONS "-ffp-contract=fast;-fno-trapping-math")
+# Each instruction set has its own copy of the tile kernels; which one runs is decided at run time.
+if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64|amd64")
+  target_compile_definitions(fourd_kernels PRIVATE FOURD_X86)
+  target_sources(fourd_kernels PRIVATE
+    ${FOURD_KERNELS}/points/cpu/tiles_avx2.cpp
+    ${FOURD_KERNELS}/points/cpu/tiles_avx512.cpp
+    ${FOURD_KERNELS}/shade/cpu/shade_avx2.cpp)
+  set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_avx2.cpp PROPERTIES COMPILE_OPTIONS "-mavx2")
+  set_source_files_properties(${FOURD_KERNELS}/shade/cpu/shade_avx2.cpp PROPERTIES
+    COMPILE_OPTIONS "-mavx2;-mfma;-mf16c;-ffp-contract=fast;-fno-trapping-math;-fno-math-errno")
+  # GCC 12 takes the undefined vectors in its own AVX-512 header for mistakes of ours (GCC bug 105593).
+  set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_avx512.cpp PROPERTIES
+    COMPILE_OPTIONS "-mavx512f;-mavx512dq;-mavx512vl;-Wno-maybe-uninitialized;-Wno-uninitialized")
+endif()
+set_target_properties(fourd_kernels PROPERTIES POSITION_INDEPENDENT_CODE ON)
+target_include_directories(fourd_kernels PUBLIC ${FOURD_KERNELS})
+target_link_libraries(fourd_kernels PUBLIC Threads::Threads)
+# The renderer promises the reference's bits in its hit tests: no contraction into FMA.
+target_compile_options(fourd_kernels PRIVATE -Wall -Wextra -Wpedantic -ffp-contract=off)
+if(FOURD_WERROR)
+  target_compile_options(fourd_kernels PRIVATE -Werror)
+endif()
+if(FOURD_SANITIZE)
+  target_compile_options(fourd_kernels PUBLIC
+    -O1 -g -fno-omit-frame-pointer -fsanitize=${FOURD_SANITIZE} -fno-sanitize-recover=all)
+  target_link_options(fourd_kernels PUBLIC -fsanitize=${FOURD_SANITIZE})
+endif()

@@ -1,0 +1,175 @@
+// Runs one kernel on a synthetic figure, for profilers and for counting instructions:
+//   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
+// KERNEL is render, backward, play, planes or planes_backward. Prints the milliseconds of a repeat.
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <memory>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "planes/planes.h"
+#include "play/play.h"
+#include "points/points.h"
+
+namespace {
+
+using Floats = std::vector<float>;
+
+struct Size {
+    std::size_t points;
+    int width, height, layers, threads;
+    fourd::Simd simd;
+};
+
+// The figure of fourd/benchmarks/workloads.py: a closed surface of even points that fills 40% of the picture.
+struct Figure {
+    Floats xyz, features, radius, density;
+
+    explicit Figure(std::size_t count) : xyz(3 * count), features(3 * count), radius(count), density(count) {
+        std::mt19937 random(4);
+        std::normal_distribution<float> normal;
+        std::uniform_real_distribution<float> uniform;
+        for (std::size_t i = 0; i < count; ++i) {
+            const float d[3] = {normal(random), normal(random), normal(random)};
+            const float scale = 1.0f / std::sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+            for (int axis = 0; axis < 3; ++axis) xyz[3 * i + axis] = (axis < 2 ? 0.75f : 0.9f) * d[axis] * scale;
+            for (int c = 0; c < 3; ++c) features[3 * i + c] = uniform(random);
+            radius[i] = 1.3f * std::sqrt(8.0f / static_cast<float>(count));
+            density[i] = 0.9f + 0.1f * uniform(random);
+        }
+    }
+
+    fourd::points::Cloud cloud() const {
+        return {xyz.data(), features.data(), radius.data(), density.data(), radius.size(), 3};
+    }
+};
+
+fourd::points::Settings settings_of(const Size& size) {
+    const float focal = 1.3f * static_cast<float>(size.height);
+    fourd::points::Settings out{};
+    const float intrinsics[9] = {focal, 0, size.width / 2.0f, 0, focal, size.height / 2.0f, 0, 0, 1};
+    const float rotation[9] = {1, 0, 0, 0, 0, -1, 0, 1, 0};
+    const float translation[3] = {0, 0.4f, 3};
+    std::memcpy(out.camera.intrinsics, intrinsics, sizeof intrinsics);
+    std::memcpy(out.camera.rotation, rotation, sizeof rotation);
+    std::memcpy(out.camera.translation, translation, sizeof translation);
+    out.camera.width = size.width;
+    out.camera.height = size.height;
+    out.near = 0.01f;
+    out.layers = size.layers;
+    out.threads = size.threads;
+    out.simd = size.simd;
+    return out;
+}
+
+std::function<void()> rendering(const Size& size, bool backward) {
+    const Figure figure(size.points);
+    const fourd::points::Settings settings = settings_of(size);
+    const std::size_t pixels = static_cast<std::size_t>(size.width) * size.height;
+    const auto space = std::make_shared<fourd::points::Workspace>();
+    return [=, image = Floats(3 * pixels, 1.0f), alpha = Floats(pixels, 1.0f), depth = Floats(pixels),
+            gradients = std::vector<Floats>{Floats(3 * size.points), Floats(3 * size.points), Floats(size.points),
+                                            Floats(size.points)}]() mutable {
+        if (backward) {
+            fourd::points::render_backward(
+                figure.cloud(), settings, *space, {image.data(), alpha.data(), nullptr},
+                {gradients[0].data(), gradients[1].data(), gradients[2].data(), gradients[3].data()});
+        } else {
+            fourd::points::render(figure.cloud(), settings, *space, {image.data(), alpha.data(), depth.data()});
+        }
+    };
+}
+
+std::function<void()> playing(const Size& size) {
+    constexpr std::size_t kViews = 17;
+    const Figure figure(size.points);
+    const fourd::points::Settings settings = settings_of(size);
+    std::mt19937 random(5);
+    const auto halves = [&](std::size_t count) {
+        std::vector<std::uint16_t> out(count);
+        for (auto& half : out) half = static_cast<std::uint16_t>(0x3000 + random() % 0x800);  // 0.125 to 0.5
+        return out;
+    };
+    std::vector<std::uint16_t> radius(size.points);
+    std::uint32_t bits;
+    std::memcpy(&bits, figure.radius.data(), sizeof bits);
+    for (auto& half : radius) half = static_cast<std::uint16_t>((bits >> 13) - (112u << 10));
+    const auto player = std::make_shared<fourd::play::Player>();
+    return [=, density = std::vector<std::uint16_t>(size.points, 0x3bc0), sh = halves(48 * size.points),
+            weights = halves(kViews * size.points), rgb = std::vector<std::uint8_t>(3 * kViews * size.points, 90),
+            chosen = std::vector<std::int32_t>{2, 3, 4, 5},
+            picture = std::vector<std::uint8_t>(std::size_t{4} * size.width * size.height)]() mutable {
+        const fourd::play::Frame frame{{figure.xyz.data(), sh.data(), weights.data(), rgb.data(), size.points, kViews},
+                                       radius.data(),
+                                       density.data()};
+        fourd::points::Settings fast = settings;
+        fast.transmittance_min = 1e-3f;
+        const fourd::shade::Settings shading{chosen.data(), 4, {0, -3, 0.4}, 0.25f, 0.0f, size.threads, size.simd};
+        player->draw(frame, fast, shading, {picture.data(), {0, 0, 0}});
+    };
+}
+
+std::function<void()> looking_up(const Size& size, bool backward) {
+    constexpr int kFeatures = 8, kLevels = 4;
+    constexpr int kPairs[6][2] = {{0, 1}, {0, 2}, {1, 2}, {0, 3}, {1, 3}, {2, 3}};
+    std::mt19937 random(6);
+    std::uniform_real_distribution<float> uniform(-1, 1);
+    Floats coordinates(4 * size.points);
+    for (std::size_t i = 0; i < coordinates.size(); ++i) coordinates[i] = i % 4 == 3 ? 0.3f : uniform(random);
+    std::vector<Floats> values;
+    std::vector<fourd::planes::Plane> planes;
+    for (int level = 0; level < kLevels; ++level) {
+        for (const auto& pair : kPairs) {
+            const int columns = 64 << level, rows = pair[1] == 3 ? 24 : columns;
+            values.emplace_back(static_cast<std::size_t>(columns) * rows * kFeatures, 0.1f);
+            planes.push_back({nullptr, columns, rows, pair[0], pair[1]});
+        }
+    }
+    return [=, values = values, gradients = values, planes = planes,
+            samples = Floats(size.points * planes.size() * kFeatures, 0.5f)]() mutable {
+        std::vector<float*> targets;
+        for (std::size_t k = 0; k < planes.size(); ++k) {
+            planes[k].values = values[k].data();
+            targets.push_back(gradients[k].data());
+        }
+        const fourd::planes::Query query{planes.data(), static_cast<int>(planes.size()), kFeatures, coordinates.data(),
+                                         size.points, size.threads, size.simd};
+        if (backward) {
+            fourd::planes::sample_backward(query, samples.data(), targets.data(), nullptr);
+        } else {
+            fourd::planes::sample(query, samples.data());
+        }
+    };
+}
+
+}  // namespace
+
+int main(int count, char** words) {
+    if (count < 8) {
+        std::fprintf(stderr, "workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]\n");
+        return 2;
+    }
+    const std::string kernel = words[1];
+    const Size size{static_cast<std::size_t>(std::atoll(words[2])), std::atoi(words[3]), std::atoi(words[4]),
+                    std::atoi(words[5]), std::atoi(words[7]), fourd::simd_named(count > 8 ? words[8] : "")};
+    std::function<void()> work;
+    if (kernel == "render") work = rendering(size, false);
+    if (kernel == "backward") work = rendering(size, true);
+    if (kernel == "play") work = playing(size);
+    if (kernel == "planes") work = looking_up(size, false);
+    if (kernel == "planes_backward") work = looking_up(size, true);
+    if (!work) {
+        std::fprintf(stderr, "workload: no kernel %s\n", words[1]);
+        return 2;
+    }
+    const int repeats = std::atoi(words[6]);
+    const auto started = std::chrono::steady_clock::now();
+    for (int i = 0; i < repeats; ++i) work();
+    const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - started;
+    std::printf("%.3f\n", spent.count() / repeats);
+}
