@@ -1,6 +1,8 @@
 # The kernels as one library, for the Python module and for the programs of tests/.
 set(FOURD_KERNELS ${CMAKE_CURRENT_LIST_DIR})
 add_library(fourd_kernels STATIC
+  ${FOURD_KERNELS}/blend/cpu/blend.cpp
+  ${FOURD_KERNELS}/blend/cpu/runs_baseline.cpp
   ${FOURD_KERNELS}/common/simd.cpp
   ${FOURD_KERNELS}/common/team.cpp
   ${FOURD_KERNELS}/planes/cpu/sample.cpp
@@ -12,18 +14,26 @@ add_library(fourd_kernels STATIC
   ${FOURD_KERNELS}/shade/cpu/shade.cpp
 )
 # Its promise is a tolerance: sums may be fused, and choices between numbers made without branches.
-set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp
-  PROPERTIES COMPILE_OPTIONS "-ffp-contract=fast;-fno-trapping-math")
+set(FOURD_TOLERANT -ffp-contract=fast -fno-trapping-math -fno-math-errno)
+set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
+set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_baseline.cpp
+  PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
 # Each instruction set has its own copy of the tile kernels; which one runs is decided at run time.
 if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64|amd64")
   target_compile_definitions(fourd_kernels PRIVATE FOURD_X86)
   target_sources(fourd_kernels PRIVATE
+    ${FOURD_KERNELS}/blend/cpu/runs_avx2.cpp
+    ${FOURD_KERNELS}/blend/cpu/runs_avx512.cpp
     ${FOURD_KERNELS}/points/cpu/tiles_avx2.cpp
     ${FOURD_KERNELS}/points/cpu/tiles_avx512.cpp
     ${FOURD_KERNELS}/shade/cpu/shade_avx2.cpp)
   set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_avx2.cpp PROPERTIES COMPILE_OPTIONS "-mavx2")
   set_source_files_properties(${FOURD_KERNELS}/shade/cpu/shade_avx2.cpp PROPERTIES
-    COMPILE_OPTIONS "-mavx2;-mfma;-mf16c;-ffp-contract=fast;-fno-trapping-math;-fno-math-errno")
+    COMPILE_OPTIONS "-mavx2;-mfma;-mf16c;${FOURD_TOLERANT}")
+  set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_avx2.cpp PROPERTIES
+    COMPILE_OPTIONS "-mavx2;-mfma;${FOURD_TOLERANT}")
+  set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_avx512.cpp PROPERTIES
+    COMPILE_OPTIONS "-mavx512f;-mavx512dq;-mavx512vl;-mfma;-mprefer-vector-width=512;${FOURD_TOLERANT}")
   # GCC 12 takes the undefined vectors in its own AVX-512 header for mistakes of ours (GCC bug 105593).
   set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_avx512.cpp PROPERTIES
     COMPILE_OPTIONS "-mavx512f;-mavx512dq;-mavx512vl;-Wno-maybe-uninitialized;-Wno-uninitialized")

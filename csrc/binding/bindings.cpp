@@ -15,6 +15,7 @@ NB_MODULE(_native, module) {
                "Number of threads that kernels use when the caller names none.");
     module.def("simd_default", &fourd::simd_default, "The widest instruction set this machine runs.");
     module.def("simd_available", [](const std::string& name) { return fourd::simd_available(name.c_str()); });
+    fourd::bind_blend(module);
     fourd::bind_planes(module);
     fourd::bind_play(module);
     fourd::bind_points(module);

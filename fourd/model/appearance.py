@@ -6,22 +6,24 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from fourd.model.blend_logits import LOGIT_RANGE, blend_logits
 from fourd.model.config import ModelConfig
 from fourd.model.harmonics import SH_TERMS, sh_basis
 
-LOGIT_RANGE = 5.0
 LEAST_TRUST = 1e-4
 
 
 class ImageEncoder(nn.Module):
     """A three-level feature pyramid over the source images, 8, 16 and 32 channels wide.
 
-    (V, 3, H, W) in [0, 1] -> (V, image_features, H, W); H and W must be multiples of 4. There is
-    no normalisation over the image, so a crop gets the features of the whole but for its border.
+    (V, 3, H, W) in [0, 1] -> (V, image_features, H / stride, W / stride); H and W must be multiples
+    of 4 * stride. There is no normalisation over the image, so a crop gets the features of the
+    whole but for its border.
     """
 
-    def __init__(self, out_features: int) -> None:
+    def __init__(self, out_features: int, stride: int) -> None:
         super().__init__()
+        self.stride = stride
         self.at_full = nn.Sequential(_conv(3, 8), _conv(8, 8))
         self.at_half = nn.Sequential(_conv(8, 16, stride=2), _conv(16, 16))
         self.at_quarter = nn.Sequential(_conv(16, 32, stride=2), _conv(32, 32))
@@ -31,7 +33,7 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        full = self.at_full(images)
+        full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
         quarter = self.at_quarter(half)
         half = self.lateral_half(half) + _doubled(quarter)
@@ -55,16 +57,13 @@ class BlendHead(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, features: Tensor, samples: Tensor, directions: Tensor | None = None) -> Tensor:
-        """features (N, F), samples (V, N, C), directions (V, N, 4) when continuous -> (V, N) in +-5.
-
-        The range is bounded so that exponentials of baked logits fit into fp16.
-        """
-        hidden = self.point(features) + self.image(samples)
-        if self.direction is not None:
-            assert directions is not None, "continuous blending needs directions"
-            hidden = hidden + self.direction(directions)
-        raw = self.out(functional.relu(hidden))[..., 0]
-        return LOGIT_RANGE * torch.tanh(raw / LOGIT_RANGE)
+        """features (N, F), samples (V, N, C), directions (V, N, 4) when continuous -> (V, N) in +-5."""
+        point = self.point(features)
+        if self.direction is None:
+            return blend_logits(point, samples.transpose(1, 2), self.image.weight, self.out.weight[0], self.out.bias)
+        assert directions is not None, "continuous blending needs directions"
+        hidden = functional.relu(point + self.image(samples) + self.direction(directions))
+        return LOGIT_RANGE * torch.tanh(self.out(hidden)[..., 0] / LOGIT_RANGE)
 
 
 class HarmonicsHead(nn.Module):

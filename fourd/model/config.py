@@ -55,6 +55,8 @@ class ModelConfig:
     """Number N' of source views blended for a viewing camera."""
     image_features: int = 8
     """Channels that the image CNN gives a pixel."""
+    encoder_stride: Literal[1, 2] = 2
+    """Image pixels a side for one pixel of the image CNN's features; 1 takes four times as long."""
     occlusion: bool = True
     """Give a source view no say about points that something hides from it."""
     radius_range: tuple[float, float] = (0.5, 6.0)

@@ -56,7 +56,7 @@ class PointModel(nn.Module):
         self.harmonics_head: HarmonicsHead | None = None
         self.residual: ResidualField | None = None
         if config.appearance != "sh":
-            self.image_encoder = ImageEncoder(config.image_features)
+            self.image_encoder = ImageEncoder(config.image_features, config.encoder_stride)
             self.blend_head = BlendHead(features, config.image_features + RGB, config)
         if config.appearance != "ibr" and config.sh == "mlp":
             self.harmonics_head = HarmonicsHead(features, config)
@@ -91,7 +91,7 @@ class PointModel(nn.Module):
         return self.geometry_head(features)
 
     def encode_images(self, images: Tensor) -> Tensor | None:
-        """(V, 3, H, W) -> (V, image_features, H, W), or None without an image-based part."""
+        """(V, 3, H, W) -> (V, image_features, H / stride, W / stride), or None without an image-based part."""
         return None if self.image_encoder is None else self.image_encoder(images)
 
     def harmonics(self, features: Tensor, explicit: Tensor | None) -> Tensor | None:

@@ -17,7 +17,7 @@ class SourceViews:
     """V images of one frame, cropped to a common size, with their cameras.
 
     Attributes:
-        images: (V, 3, H, W) float32 in [0, 1]; H and W are multiples of 4.
+        images: (V, 3, H, W) float32 in [0, 1]; H and W are multiples of 8.
         mattes: (V, H, W) float32 in [0, 1], 1 where the object covers the pixel.
         depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there
             is none; None when occlusion is not tested.
@@ -54,7 +54,8 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
     Args:
         xyz: (N, 3) world points; gradients flow through the projection.
         sources: the views.
-        features: (V, C, H, W) of the image CNN, or None for RGB alone.
+        features: (V, C, h, w) of the image CNN over the same views, at its own resolution, or None
+            for RGB alone.
         softness: depth in world units over which a hidden point loses its say.
 
     The matte is squared: a pixel on the silhouette mixes in background, so that trust must fall
@@ -64,8 +65,11 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
     height, width = sources.images.shape[-2:]
     size = torch.tensor([width, height], dtype=pixels.dtype)
     grid = (2 * pixels / size - 1)[:, None]
-    maps = sources.images if features is None else torch.cat([features, sources.images], dim=1)
-    channels = functional.grid_sample(maps, grid, align_corners=False)[:, :, 0].transpose(1, 2)
+    channels = functional.grid_sample(sources.images, grid, align_corners=False)[:, :, 0]
+    if features is not None:
+        encoded = functional.grid_sample(features, grid, align_corners=False)[:, :, 0]
+        channels = torch.cat([encoded, channels], dim=1)
+    channels = channels.transpose(1, 2)
     with torch.no_grad():
         fixed = grid.detach()
         matte = functional.grid_sample(sources.mattes[:, None], fixed, align_corners=False)[:, 0, 0]

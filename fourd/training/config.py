@@ -73,7 +73,7 @@ class TrainConfig:
     """Train on the box of the matte with a margin, or on whole images."""
     random_background: bool = True
     """Composite prediction and truth on a random colour each step, so that black hides no holes."""
-    encoder_every: int = 4
+    encoder_every: int = 2
     """The image CNN learns in every n-th step: its backward pass is dear and it changes slowly."""
     hidden_weight: float = 3e-2
     """Points whose largest weight in the view stays below this are skipped for the step; 0 skips none."""

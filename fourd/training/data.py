@@ -66,7 +66,7 @@ class ViewStore:
         return view
 
     def sources(self, cameras: list[int], frame: int) -> SourceViews:
-        """The views of several cameras, padded to a common size that is a multiple of 4."""
+        """The views of several cameras, padded to a common size that is a multiple of 8."""
         views = [self.view(camera, frame) for camera in cameras]
         height = _rounded_up(max(view.rgb.shape[0] for view in views))
         width = _rounded_up(max(view.rgb.shape[1] for view in views))
@@ -102,4 +102,4 @@ def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def _rounded_up(size: int) -> int:
-    return -(-size // 4) * 4
+    return -(-size // 8) * 8

@@ -103,12 +103,28 @@ def test_the_shared_first_layer_is_the_joint_one() -> None:
     torch.testing.assert_close(head(features, samples), 5 * torch.tanh(raw / 5))
 
 
-def test_a_crop_gets_the_features_of_the_whole() -> None:
+@pytest.mark.parametrize("stride", [1, 2])
+def test_a_crop_gets_the_features_of_the_whole(stride: int) -> None:
     """Catches normalisation over the image, which would make training crops and baking disagree."""
-    encoder = ImageEncoder(8)
-    image = torch.rand(1, 3, 96, 96)
-    whole, crop = encoder(image), encoder(image[:, :, 16:80, 16:80])
+    encoder = ImageEncoder(8, stride)
+    side, margin = 96 * stride, 16 * stride
+    image = torch.rand(1, 3, side, side)
+    inside = slice(margin, side - margin)
+    whole, crop = encoder(image), encoder(image[:, :, inside, inside])
+    assert whole.shape == (1, 8, 96, 96)
     torch.testing.assert_close(whole[:, :, 40:56, 40:56], crop[:, :, 24:40, 24:40], atol=1e-5, rtol=0)
+
+
+def test_features_of_another_resolution_are_those_of_the_same_place(rng: np.random.Generator) -> None:
+    """Catches a half-pixel shift between the image and features at half its resolution."""
+    xyz = torch.from_numpy(rng.uniform(-0.3, 0.3, (50, 3)).astype(np.float32))
+    seen = views()
+    height, width = seen.images.shape[-2:]
+    ramp = (torch.arange(width) + 0.5).expand(len(seen.cameras), 1, height, width)
+    halved = torch.nn.functional.avg_pool2d(ramp, 2)
+    fine = sample_sources(xyz, seen, ramp, 0.1).channels[..., 0]
+    coarse = sample_sources(xyz, seen, halved, 0.1).channels[..., 0]
+    torch.testing.assert_close(coarse, fine, atol=1e-3, rtol=0)
 
 
 def test_radius_and_density_start_where_the_config_says() -> None:

@@ -1,0 +1,2 @@
+#define FOURD_SIMD avx2
+#include "blend/cpu/runs.inc"

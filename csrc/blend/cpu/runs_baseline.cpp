@@ -1,0 +1,2 @@
+#define FOURD_SIMD baseline
+#include "blend/cpu/runs.inc"
