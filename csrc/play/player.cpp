@@ -27,7 +27,6 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     });
     const points::Cloud cloud{frame.points.xyz, colour_.data(), radius_.data(), density_.data(), count, 3};
     space_.fill(cloud, settings, team);
-    space_.rank_features(cloud, team);
     const points::TileKernels& kernels = points::tile_kernels(settings.simd);
     team.run(space_.bins.tiles(), [&](int index, int) { kernels.draw(space_.tile(settings, 3, index), canvas); });
 }

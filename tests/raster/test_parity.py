@@ -217,6 +217,25 @@ def test_custom_ops_of_gradient_and_visibility(rng: np.random.Generator) -> None
     torch.library.opcheck(ops.visibility, sizes)
 
 
+def test_gradients_survive_pictures_rendered_in_between(rng: np.random.Generator) -> None:
+    """Catches a gradient taken from the points of the last picture and not of its own."""
+    first, second = random_cloud(rng, 400, 3), random_cloud(rng, 500, 4)
+    alone = run(first, (40, 30), "cpu", 5)[1]
+    leaves = [[array.clone().requires_grad_() for array in cloud.arrays] for cloud in (first, second)]
+    images = [render_points(*leaf, turned_camera(40, 30), near=NEAR) for leaf in leaves]
+    point_visibility(first.xyz, first.radius, first.density, turned_camera(20, 50), near=NEAR)
+    for _ in range(2):
+        for leaf, image in zip(leaves, images, strict=True):
+            total = image.features.square().sum() + image.alpha.sum() + image.depth.sum()
+            found = torch.autograd.grad(total, leaf, retain_graph=True)
+            fresh = [array.detach().clone().requires_grad_() for array in leaf]
+            again = render_points(*fresh, turned_camera(40, 30), near=NEAR)
+            total = again.features.square().sum() + again.alpha.sum() + again.depth.sum()
+            expected = torch.autograd.grad(total, fresh)
+            assert all(torch.equal(a, b) for a, b in zip(found, expected, strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(alone, run(first, (40, 30), "cpu", 5)[1], strict=True))
+
+
 def test_no_points_at_all() -> None:
     """Catches an empty array that is read, or an empty frame that stops a render."""
     cloud = Cloud(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0))

@@ -17,6 +17,18 @@ void for_ranks(const Bins& bins, Team& team, const Work& work) {
     });
 }
 
+Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
+    Fingerprint out;
+    out.add(&settings.camera, sizeof settings.camera);
+    out.add(&settings.near, sizeof settings.near);
+    out.add(&cloud.count, sizeof cloud.count);
+    out.add(cloud.xyz, 3 * cloud.count * sizeof(float));
+    out.add(cloud.features, cloud.channels * cloud.count * sizeof(float));
+    out.add(cloud.radius, cloud.count * sizeof(float));
+    out.add(cloud.density, cloud.count * sizeof(float));
+    return out;
+}
+
 void clear(const Cloud& cloud, const CloudGradient& out) {
     std::fill_n(out.xyz, 3 * cloud.count, 0.0f);
     std::fill_n(out.features, cloud.channels * cloud.count, 0.0f);
@@ -42,10 +54,8 @@ void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspa
 }  // namespace
 
 void Workspace::fill(const Cloud& cloud, const Settings& settings, Team& team) {
+    made_from = Fingerprint();
     bins.fill(cloud, settings, team);
-}
-
-void Workspace::rank_features(const Cloud& cloud, Team& team) {
     const std::size_t channels = static_cast<std::size_t>(cloud.channels);
     features.require(bins.visible() * channels);
     for_ranks(bins, team, [&](std::size_t begin, std::size_t end) {
@@ -54,6 +64,11 @@ void Workspace::rank_features(const Cloud& cloud, Team& team) {
             std::copy_n(from, channels, features.data() + channels * rank);
         }
     });
+    made_from = fingerprint(cloud, settings);
+}
+
+void Workspace::fill_again(const Cloud& cloud, const Settings& settings, Team& team) {
+    if (!(fingerprint(cloud, settings) == made_from)) fill(cloud, settings, team);
 }
 
 std::size_t Workspace::assign_slots() {
@@ -116,7 +131,6 @@ void render(const Cloud& cloud, const Settings& settings, Workspace& space, cons
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
     space.fill(cloud, settings, team);
-    space.rank_features(cloud, team);
     team.run(space.bins.tiles(),
              [&](int index, int) { kernels.render(space.tile(settings, cloud.channels, index), out); });
 }
@@ -125,8 +139,7 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
                      const CloudGradient& out) {
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
-    space.fill(cloud, settings, team);
-    space.rank_features(cloud, team);
+    space.fill_again(cloud, settings, team);
     const std::size_t width = 5 + cloud.channels;
     space.sums.require(space.assign_slots() * width);
     space.scratches.resize(team.size());

@@ -3,6 +3,7 @@
 
 #include <vector>
 
+#include "common/fingerprint.h"
 #include "points/cpu/bins.h"
 
 namespace fourd::points {
@@ -15,16 +16,19 @@ struct Workspace {
         Buffer<std::uint64_t> tags;
     };
 
+    Fingerprint made_from;  // of the cloud and settings that the bins and features are of
     Bins bins;
     Buffer<float> features;           // by rank
     Buffer<std::size_t> slots;        // by rank: where its slots begin
     Buffer<float> sums;               // by slot
     std::vector<Scratch> scratches;   // by worker
 
+    // Projects and bins the points, and lays the features of visible ones side by side in their order, if
+    // there are any.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // Lays the features of visible points side by side in their order. After fill.
-    void rank_features(const Cloud& cloud, Team& team);
+    // The same, unless that was the last thing done: a gradient mostly follows its picture.
+    void fill_again(const Cloud& cloud, const Settings& settings, Team& team);
 
     // Gives each entry of the bins a slot for what its tile finds out about its point, and returns how many
     // there are. A point's slots lie side by side, so that they are merged in one order whatever thread
