@@ -13,6 +13,7 @@ help:
 	@echo "make test-slow  the tests that take longer than a few seconds each"
 	@echo "make lint       ruff and mypy"
 	@echo "make sanitize   the C++ kernels under ASan, UBSan and TSan"
+	@echo "make count      the C++ kernels' instructions against those accepted before"
 	@echo "make clean      remove the environment and everything built"
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
@@ -40,4 +41,4 @@ lint: install
 clean:
 	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache
 
-include make/sanitize.mk
+include make/kernels.mk

@@ -16,6 +16,8 @@ from fourd.capture import Capture
 from fourd.model.sources import SourceViews
 
 CROP_MARGIN_PX = 16
+STEP_PX = 32
+"""Sides of crops are multiples of this: with few sizes, convolutions are set up once, and memory fits again."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +98,16 @@ def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     left, top, box_width, box_height = cv2.boundingRect(matte)
     if box_width == 0:
         return 0, 0, min(16, width), min(16, height)
-    right, bottom = left + box_width + CROP_MARGIN_PX, top + box_height + CROP_MARGIN_PX
-    left, top = max(0, left - CROP_MARGIN_PX), max(0, top - CROP_MARGIN_PX)
-    return left, top, min(width, right) - left, min(height, bottom) - top
+    left, width = _window(left, box_width, width)
+    top, height = _window(top, box_height, height)
+    return left, top, width, height
+
+
+def _window(start: int, length: int, size: int) -> tuple[int, int]:
+    """Start and length of a range with a margin, of a length in STEP_PX where ``size`` allows it."""
+    wanted = min(size, _rounded_up(length + 2 * CROP_MARGIN_PX))
+    return max(0, min(size - wanted, start - (wanted - length) // 2)), wanted
 
 
 def _rounded_up(size: int) -> int:
-    return -(-size // 8) * 8
+    return -(-size // STEP_PX) * STEP_PX

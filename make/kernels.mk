@@ -1,5 +1,5 @@
-# The kernels on hostile inputs under ASan + UBSan, and under TSan.
-.PHONY: sanitize sanitize-address sanitize-thread
+# The kernels on hostile inputs under ASan + UBSan, and under TSan; their instructions counted.
+.PHONY: sanitize sanitize-address sanitize-thread count
 
 sanitize: sanitize-address sanitize-thread
 
@@ -12,3 +12,6 @@ sanitize-thread: install
 	$(BIN)/cmake -S csrc/tests -B build/tsan -DFOURD_SANITIZE=thread -G "Unix Makefiles" -DCMAKE_BUILD_TYPE=Debug >/dev/null
 	$(BIN)/cmake --build build/tsan
 	build/tsan/hostile 60
+
+count: install
+	PATH=$(abspath $(BIN)):$$PATH $(BIN)/python tools/count_instructions.py

@@ -1,0 +1,104 @@
+"""Count the kernels' instructions under valgrind and hold them to tools/instructions.json: a gate that no busy machine moves.
+
+    python tools/count_instructions.py            fails where a kernel needs 5% more than it did
+    python tools/count_instructions.py --update   accepts what is counted now
+
+Counts belong to a compiler: with another one nothing is compared. Valgrind knows no AVX-512, so the AVX2 code is counted.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from fourd.files import write_text_atomically
+
+ROOT = Path(__file__).resolve().parents[1]
+ACCEPTED = ROOT / "tools" / "instructions.json"
+MOST = 1.05
+WORKLOADS = {
+    "render": "render 8192 256 256 15",
+    "render backward": "backward 8192 256 256 15",
+    "play": "play 16384 480 270 12",
+    "planes": "planes 8192 1 1 1",
+    "planes backward": "planes_backward 8192 1 1 1",
+}
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Without options: compare."""
+
+    update: bool = False
+    """Write the counts as the ones to compare with from now on."""
+    build: Path = ROOT / "build" / "count"
+    """Folder to build in."""
+
+
+def main(arguments: Arguments) -> int:
+    """Build, count, compare; returns the exit code."""
+    if shutil.which("valgrind") is None:
+        print("count_instructions: expected valgrind, got none; install it (apt-get install valgrind)", file=sys.stderr)
+        return 2
+    compiler, program = build(arguments.build)
+    counts = {name: count(program, words.split()) for name, words in WORKLOADS.items()}
+    accepted = json.loads(ACCEPTED.read_text()) if ACCEPTED.exists() else {}
+    if arguments.update:
+        write_text_atomically(ACCEPTED, json.dumps({**accepted, compiler: counts}, indent=1, sort_keys=True) + "\n")
+        print(f"{ACCEPTED}: {compiler}")
+        return 0
+    if compiler not in accepted:
+        print(f"{compiler}: nothing to compare with; known are {', '.join(accepted) or 'none'}")
+    worse = 0
+    for name, instructions in counts.items():
+        before = accepted.get(compiler, {}).get(name)
+        ratio = instructions / before if before else 1.0
+        worse += ratio > MOST
+        print(
+            f"{name:16} {instructions / 1e6:8.1f} M instructions  {ratio:.3f}" + ("  TOO MANY" if ratio > MOST else "")
+        )
+    return 1 if worse else 0
+
+
+def build(folder: Path) -> tuple[str, Path]:
+    """The compiler's name and version, and the program built with it."""
+    configure = ["cmake", "-S", str(ROOT / "csrc" / "tests"), "-B", str(folder), "-DCMAKE_BUILD_TYPE=Release"]
+    quietly(configure)
+    quietly(["cmake", "--build", str(folder), "--target", "workload", "--parallel"])
+    described = quietly(["cmake", "-LA", "-N", str(folder)])
+    path = re.search(r"^CMAKE_CXX_COMPILER:\w+=(.*)$", described, re.MULTILINE)
+    version = quietly([path[1] if path else "c++", "--version"]).splitlines()[0]
+    return version.split(" ", 1)[1], folder / "workload"
+
+
+def count(program: Path, words: list[str]) -> int:
+    """Instructions of one repeat, without what setting up takes."""
+    once, thrice = (counted([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
+    return (thrice - once) // 2
+
+
+def counted(command: list[str]) -> int:
+    tool = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *command]
+    output = subprocess.run(tool, capture_output=True, text=True, check=True).stderr
+    found = re.search(r"Collected : (\d+)", output)
+    if found is None:
+        raise RuntimeError(f"valgrind: expected a line 'Collected', got: {output[-400:]}")
+    return int(found[1])
+
+
+def quietly(command: list[str]) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")
+    return done.stdout
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Arguments)))
