@@ -1,9 +1,9 @@
-"""Count the kernels' instructions under valgrind and hold them to tools/instructions.json: a gate that no busy machine moves.
+"""Hold the kernels' instructions, counted by valgrind, to tools/instructions.json: a gate that no busy machine moves.
 
     python tools/count_instructions.py            fails where a kernel needs 5% more than it did
     python tools/count_instructions.py --update   accepts what is counted now
 
-Counts belong to a compiler: with another one nothing is compared. Valgrind knows no AVX-512, so the AVX2 code is counted.
+Counts belong to a compiler: with another one nothing is compared. Valgrind knows no AVX-512: AVX2 is counted.
 """
 
 from __future__ import annotations

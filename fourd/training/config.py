@@ -101,8 +101,8 @@ class TrainConfig:
     """Steps between checkpoints."""
     validation_seconds: float = 60.0
     """Time between pictures and PSNR of a held-out (or else a training) view."""
-    memory_mb: int = 256
-    """Bound on decoded images kept; a quarter of it bounds the points kept. The rest is read again when needed."""
+    memory_mb: int = 128
+    """Bound on decoded images kept; half of it bounds the points kept. The rest is read again when needed."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")

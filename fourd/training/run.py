@@ -102,7 +102,7 @@ class Run:
     def frame_store(self, saved: Path | None, scratch_name: str) -> FrameStore:
         """Points of every frame, from ``saved`` or else as carved."""
         scratch = self.folder / "scratch" / scratch_name
-        return FrameStore(scratch, self.capture.frame_count, self.carved, self.config.train.memory_mb // 4, saved)
+        return FrameStore(scratch, self.capture.frame_count, self.carved, self.config.train.memory_mb // 2, saved)
 
     def carved(self, frame: int) -> FramePoints:
         """Points of a frame as carved, at most as many as the config asks for."""
