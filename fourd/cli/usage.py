@@ -37,6 +37,8 @@ def condensed(box: str) -> str:
         elif text:
             sections[-1].append(text)
     filled = [section for section in sections if section] or [["the options cannot be understood"]]
+    if len(filled) > 1 and len(filled[0]) == 1 and ":" not in filled[0][0]:
+        del filled[0]  # the title, which lies above the frame where a terminal draws it without corners
     message = " ".join(filled[0]).split(" Got errors:")[0].rstrip(".")
     meant = next((section[1] for section in filled[1:] if section[0].startswith("Perhaps") and len(section) > 1), None)
     hint = f"did you mean {meant.split()[0]}?" if meant else "see --help"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ import pytest
 
 from fourd.cameras import Camera
 from fourd.capture import open_capture, read_calibration, write_calibration
-from fourd.capture.check import check_capture
+from fourd.capture.check import check_capture, nearest_to_axes
 from fourd.errors import UserError
 from tests.captures import ring_cameras
 
@@ -254,6 +255,27 @@ def test_the_check_lists_every_fault(capture: Path) -> None:
     assert len(report.problems) == 3
     assert report.frames == 3
     assert report.has_masks
+
+
+def test_the_check_goes_on_after_a_bad_calibration(capture: Path) -> None:
+    """Catches a check that tells the first camera at fault and hides the second, and the pictures at fault."""
+    text = (capture / "extri.yml").read_text()
+    for name in ("02", "05"):
+        text = re.sub(rf"(T_{name}:.*?data: \[)[^,]*", r"\1.Nan", text, flags=re.DOTALL)
+    (capture / "extri.yml").write_text(text)
+    (capture / "images" / "03" / "000001.png").unlink()
+    problems = check_capture(capture).problems
+    assert sum("T_02" in problem for problem in problems) == 1
+    assert sum("T_05" in problem for problem in problems) == 1
+    assert any("000001" in problem for problem in problems)
+
+
+def test_parallel_cameras_meet_nowhere(capture: Path) -> None:
+    """Catches a focus at infinity, from which every camera looks away."""
+    cameras = list(open_capture(capture).cameras)
+    assert nearest_to_axes(cameras) is not None
+    same = [replace(camera, rotation=cameras[0].rotation) for camera in cameras]
+    assert nearest_to_axes(same) is None
 
 
 def test_the_check_warns_of_what_looks_wrong(capture: Path) -> None:

@@ -113,6 +113,14 @@ def test_an_empty_hull_names_the_views_that_disagree(
     assert "hull" in line
 
 
+def test_a_place_that_refuses_is_named(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a traceback where a folder is named that is a file."""
+    (tmp_path / "taken").write_text("mine")
+    line = complaint(capsys, "render", scene, "--views", "03", "--out", tmp_path / "taken" / "pictures")
+    assert "taken" in line
+    assert (tmp_path / "taken").read_text() == "mine"
+
+
 def test_a_full_disk_keeps_the_checkpoint_before(trained: Run, tmp_path: Path) -> None:
     """Catches a checkpoint overwritten in place: files may grow to 40 kB here, less than one needs."""
     run = Path(shutil.copytree(trained.folder, tmp_path / "run"))

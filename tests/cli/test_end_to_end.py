@@ -100,6 +100,26 @@ def test_help_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         assert f"usage: fourd {command}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            ["render", "a.4dv", "--out", "x.mp4", "--layer", "3"],
+            "Unrecognized options: --layer, 3; did you mean --layers?",
+        ),
+        (["train", "capture", "--out", "run", "--max-steps", "many"], "--max-steps"),
+        (["eval"], "PATH"),
+    ],
+)
+def test_mistyped_options_are_one_line(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches the option parser's box of a dozen lines, which scripts cannot read."""
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert error.startswith(f"fourd {words[0]}: ")
+    assert told in error
+
+
 def test_usage_errors_are_one_line_and_exit_2(capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a traceback, or a page of usage, for a mistyped command."""
     assert main(["trian"]) == 2

@@ -1,0 +1,74 @@
+"""The benchmarks' inputs and reports, on small work: what is timed is tested elsewhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.baking.player import Player
+from fourd.benchmarks.cases import composite
+from fourd.benchmarks.machine import this_machine
+from fourd.benchmarks.report import Row, markdown, to_json
+from fourd.benchmarks.timing import Clock, Timing
+from fourd.benchmarks.workloads import baked_figure, camera, figure, planes
+from fourd.cli.main import main
+from fourd.model.plane_lookup import sample_planes
+
+
+def test_the_figure_is_a_closed_surface_in_the_middle_of_the_picture() -> None:
+    """Catches a workload that misses the picture, whose speed would mean nothing."""
+    frame, scene = baked_figure(20_000)
+    picture = Player().draw(frame, camera(192, 108), scene)
+    alpha = picture[..., 3] / 255
+    assert 0.15 < (alpha > 0.5).mean() < 0.6
+    assert alpha[54, 96] > 0.95
+    assert alpha[2, 2] == 0
+    assert picture[..., :3].std() > 5
+
+
+def test_works_do_what_their_names_say() -> None:
+    """Catches a backward pass that is never run."""
+    cloud, view = figure(500), camera(40, 40)
+    image = composite(cloud, view, 5, False)()
+    gradients = composite(cloud, view, 5, True)()
+    assert image.features.shape == (40, 40, 3)  # type: ignore[attr-defined]
+    assert [gradient.shape for gradient in gradients] == [array.shape for array in cloud.values()]  # type: ignore[attr-defined]
+    assert all(gradient.abs().max() > 0 for gradient in gradients)  # type: ignore[attr-defined]
+    made, axes = planes(side=4, levels=2, features=3, frames=5)
+    assert sample_planes(torch.zeros(2, 4), made, axes).shape == (2, 36)
+
+
+def test_the_clock_counts_in_units() -> None:
+    timing = Clock(seconds=0.01, least=3, most=3).time(lambda: np.linalg.norm(np.ones(10)))
+    assert timing.runs == 3
+    assert 0 < timing.units < 1
+
+
+def test_reports_hold_every_figure() -> None:
+    """Catches a rival's ratio turned upside down."""
+    rows = [Row("work", Timing(10.0, 0.5, 7), {"other": Timing(40.0, 2.0, 3)})]
+    machine = this_machine()
+    text = markdown(rows, machine)
+    assert "| work | 10.0 | 0.500 | other 40 ms (4.0 x) |" in text
+    assert str(machine) in text
+    content = json.loads(to_json(rows, machine))
+    assert content["machine"]["threads"] >= 1
+    assert content["rows"][0]["timing"] == {"ms": 10.0, "units": 0.5, "runs": 7}
+    assert content["rows"][0]["rivals"]["other"]["ms"] == 40.0
+
+
+@pytest.mark.slow
+def test_quick_bench_from_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a table without rows, and files that do not agree with it."""
+    words = ["bench", "--quick", "--json", str(tmp_path / "b.json"), "--markdown", str(tmp_path / "b.md")]
+    assert main(words) == 0
+    shown = capsys.readouterr().out
+    content = json.loads((tmp_path / "b.json").read_text())
+    assert len(content["rows"]) >= 5
+    assert all(row["timing"]["ms"] > 0 for row in content["rows"])
+    assert "K-Planes" in shown
+    assert (tmp_path / "b.md").read_text().count("\n| ") == len(content["rows"]) + 1
