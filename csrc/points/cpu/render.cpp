@@ -64,11 +64,11 @@ void Workspace::fill(const Cloud& cloud, const Settings& settings, Team& team) {
             std::copy_n(from, channels, features.data() + channels * rank);
         }
     });
-    made_from = fingerprint(cloud, settings);
 }
 
 void Workspace::fill_again(const Cloud& cloud, const Settings& settings, Team& team) {
-    if (!(fingerprint(cloud, settings) == made_from)) fill(cloud, settings, team);
+    if (fingerprint(cloud, settings) == made_from) return;
+    fill(cloud, settings, team);
 }
 
 std::size_t Workspace::assign_slots() {
@@ -131,6 +131,7 @@ void render(const Cloud& cloud, const Settings& settings, Workspace& space, cons
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
     space.fill(cloud, settings, team);
+    space.made_from = fingerprint(cloud, settings);
     team.run(space.bins.tiles(),
              [&](int index, int) { kernels.render(space.tile(settings, cloud.channels, index), out); });
 }

@@ -16,7 +16,7 @@ struct Workspace {
         Buffer<std::uint64_t> tags;
     };
 
-    Fingerprint made_from;  // of the cloud and settings that the bins and features are of
+    Fingerprint made_from;  // of the cloud and settings of the last render, where nothing came after it
     Bins bins;
     Buffer<float> features;           // by rank
     Buffer<std::size_t> slots;        // by rank: where its slots begin
@@ -27,7 +27,7 @@ struct Workspace {
     // there are any.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // The same, unless that was the last thing done: a gradient mostly follows its picture.
+    // The same, unless it was done for a render just before: a gradient mostly follows its picture.
     void fill_again(const Cloud& cloud, const Settings& settings, Team& team);
 
     // Gives each entry of the bins a slot for what its tile finds out about its point, and returns how many
