@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.baking.scenes import write_scene
+
 README = Path(__file__).parents[1] / "README.md"
 
 
@@ -19,6 +21,19 @@ def test_the_library_example_runs() -> None:
     gradient = names["xyz"].grad  # type: ignore[attr-defined]
     assert gradient is not None
     assert float(gradient.abs().sum()) > 0
+
+
+def test_the_examples_of_playing_a_scene_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches names that the library no longer has; the second example goes on from the first."""
+    write_scene(tmp_path / "scene.4dv")
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
+    names: dict[str, object] = {}
+    for example in blocks:
+        if "scene" in example:
+            exec(compile(example, "README.md", "exec"), names)
+    assert names["rgba"].shape[2] == 4  # type: ignore[attr-defined]
+    assert names["rgba"].any()  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("link", re.findall(r"\]\(((?:docs|configs|tools)/[^)]*)\)", README.read_text()))

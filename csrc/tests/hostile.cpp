@@ -7,7 +7,9 @@
 #include <random>
 #include <vector>
 
+#include "blend/blend.h"
 #include "planes/planes.h"
+#include "play/play.h"
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
 
@@ -124,6 +126,49 @@ void run_planes(unsigned seed, const char* simd) {
     expect_finite(to_coordinates, "gradient of coordinates", seed);
 }
 
+void run_blend(unsigned seed, const char* simd) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 400)), views = whole(random, 1, 5);
+    const int hidden = whole(random, 0, 2) ? 64 : whole(random, 1, 256), channels = whole(random, 1, 64);
+    const std::size_t weights = static_cast<std::size_t>(hidden) * channels;
+    const Floats weight = random_floats(random, weights, -1, 1, 0), out = random_floats(random, hidden, -1, 1, 0);
+    const Floats point = random_floats(random, count * hidden, -3, 3, 0);
+    const Floats samples = random_floats(random, views * channels * count, -1, 1, 0);
+    const fourd::blend::Mlp mlp{weight.data(), out.data(), 0.1f, 5.0f, channels, hidden};
+    const fourd::blend::Inputs inputs{point.data(), samples.data(), count, views, whole(random, 1, 4),
+                                      fourd::simd_named(simd)};
+    Floats logits(views * count), to_point(point.size()), to_samples(samples.size()), to_weight(weights), to_out(hidden);
+    float to_bias = 0;
+    fourd::blend::logits(mlp, inputs, logits.data());
+    expect_finite(logits, "logits", seed);
+    fourd::blend::logits_backward(mlp, inputs, logits.data(), logits.data(),
+                                  {to_point.data(), to_samples.data(), to_weight.data(), to_out.data(), &to_bias});
+    expect_finite(to_point, "gradient of points", seed);
+    expect_finite(to_samples, "gradient of samples", seed);
+    expect_finite(to_weight, "gradient of weights", seed);
+}
+
+void run_play(unsigned seed, const char* simd) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 500));
+    const std::size_t views = static_cast<std::size_t>(whole(random, 1, 5));
+    const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, seed % 2 ? 0.2f : 0.0f);
+    std::vector<std::uint16_t> sh(48 * count, 0x3000), weights(views * count, 0x3c00), radius(count), density(count);
+    std::vector<std::uint8_t> rgb(3 * views * count, 200);
+    for (auto& half : radius) half = static_cast<std::uint16_t>(whole(random, 0, 0x7bff));
+    for (auto& half : density) half = static_cast<std::uint16_t>(whole(random, 0, 0x3c00));
+    const std::int32_t chosen[] = {0};
+    fourd::play::Player player;
+    for (int picture = 0; picture < 2; ++picture) {
+        const fourd::points::Settings settings = random_settings(random, simd);
+        const fourd::shade::Settings shading{chosen, 1, {0, 0, -3}, 0.25f, 0.0f, settings.threads, settings.simd};
+        std::vector<std::uint8_t> rgba(std::size_t{4} * settings.camera.width * settings.camera.height);
+        const fourd::play::Frame frame{{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views},
+                                       radius.data(), density.data()};
+        player.draw(frame, settings, shading, {rgba.data(), {0, 0.5f, 1}});
+    }
+}
+
 void run_shade(unsigned seed, const char* simd) {
     Random random(seed);
     const std::size_t count = static_cast<std::size_t>(whole(random, 0, 700));
@@ -153,8 +198,10 @@ int main(int count, char** words) {
         for (unsigned seed = 0; seed < runs; ++seed) {
             run_points(seed, simd);
             run_planes(seed, simd);
+            run_blend(seed, simd);
+            run_play(seed, simd);
             run_shade(seed, simd);
         }
-        std::printf("points, planes and shade, %s: %u inputs each\n", simd, runs);
+        std::printf("points, planes, blend, play and shade, %s: %u inputs each\n", simd, runs);
     }
 }
