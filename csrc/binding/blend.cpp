@@ -4,10 +4,10 @@
 #include <nanobind/stl/string.h>
 
 #include <algorithm>
-#include <stdexcept>
 #include <string>
 
 #include "binding/bindings.h"
+#include "binding/convert.h"
 #include "blend/blend.h"
 
 namespace nb = nanobind;
@@ -17,10 +17,6 @@ namespace {
 
 template <typename Number, std::size_t Axes>
 using Array = nb::ndarray<Number, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
-
-void require(bool condition, const char* message) {
-    if (!condition) throw std::invalid_argument(message);
-}
 
 blend::Mlp mlp_of(const Array<const float, 2>& weight, const Array<const float, 1>& out, float bias, float range) {
     require(weight.shape(0) >= 1 && weight.shape(0) <= blend::kMostChannels, "weight: expected 1 to 64 channels");

@@ -8,11 +8,11 @@ namespace {
 
 constexpr int kMostThreads = 256;
 
+}  // namespace
+
 void require(bool condition, const char* message) {
     if (!condition) throw std::invalid_argument(message);
 }
-
-}  // namespace
 
 points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height, int layers,
                                  double near, double transmittance_min, int threads, const std::string& simd) {

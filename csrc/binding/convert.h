@@ -12,6 +12,9 @@
 
 namespace fourd {
 
+// Throws std::invalid_argument, a ValueError in Python, unless the condition holds.
+void require(bool condition, const char* message);
+
 // camera: K, R (row-major) and T, 21 numbers. Throws std::invalid_argument.
 points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height, int layers,
                                  double near, double transmittance_min, int threads, const std::string& simd);

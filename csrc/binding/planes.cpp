@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "binding/bindings.h"
+#include "binding/convert.h"
 #include "planes/planes.h"
 
 namespace nb = nanobind;
@@ -27,10 +28,6 @@ using Rows = nb::ndarray<const float, nb::numpy, nb::ndim<2>, nb::c_contig, nb::
 using RowsOut = nb::ndarray<float, nb::numpy, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 constexpr std::size_t kLongestSide = 1 << 24;  // above it float32 does not tell samples apart
-
-void require(bool condition, const char* message) {
-    if (!condition) throw nb::value_error(message);
-}
 
 // axes: two coordinates a plane, along its columns and down its rows.
 std::vector<planes::Plane> planes_of(const std::vector<PlaneValues>& values, const std::vector<int>& axes) {

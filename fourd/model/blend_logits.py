@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.raster.loading import native
+from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
 
 LOGIT_RANGE = 5.0
@@ -44,12 +44,8 @@ def blend_logits_reference(point: Tensor, samples: Tensor, weight: Tensor, out: 
     return LOGIT_RANGE * torch.tanh((hidden @ out + bias) / LOGIT_RANGE)
 
 
-def _array(tensor: Tensor) -> Any:
-    return tensor.detach().contiguous().numpy()
-
-
 def _arguments(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> list[Any]:
-    arrays = [_array(point), _array(samples), _array(weight.T), _array(out)]
+    arrays = [as_array(point), as_array(samples), as_array(weight.T), as_array(out)]
     return [*arrays, float(bias), LOGIT_RANGE, thread_count(0, torch.get_num_threads()), simd_name()]
 
 
@@ -73,7 +69,10 @@ def _logits_backward(
     to_weight = weight.new_empty(weight.shape[1], weight.shape[0])
     targets = [made[0], made[1], to_weight, made[3], made[4]]
     native().blend_logits_backward(
-        *_arguments(point, samples, weight, out, bias), _array(logits), _array(gradient), *[t.numpy() for t in targets]
+        *_arguments(point, samples, weight, out, bias),
+        as_array(logits),
+        as_array(gradient),
+        *[t.numpy() for t in targets],
     )
     made[2].copy_(to_weight.T)
     return made

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fourd.raster.loading import native
+from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
 
 
@@ -65,16 +65,12 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
             raise ValueError(f"planes[{k}]: expected shape {expected}, got {tuple(plane.shape)}")
 
 
-def _array(tensor: Tensor) -> Any:
-    return tensor.detach().contiguous().numpy()
-
-
 @torch.library.custom_op("fourd::sample_planes", mutates_args=(), device_types="cpu")
 def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
     out = _empty_samples(coordinates, planes)
     threads = thread_count(0, torch.get_num_threads())
-    arrays = [_array(plane) for plane in planes]
-    native().sample_planes(_array(coordinates), arrays, list(axes), threads, simd_name(), out.numpy())
+    arrays = [as_array(plane) for plane in planes]
+    native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), out.numpy())
     return out
 
 
@@ -89,12 +85,12 @@ def _sample_backward(
 ) -> tuple[list[Tensor], Tensor]:
     grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, moves)
     native().sample_planes_backward(
-        _array(coordinates),
-        [_array(plane) for plane in planes],
+        as_array(coordinates),
+        [as_array(plane) for plane in planes],
         list(axes),
         thread_count(0, torch.get_num_threads()),
         simd_name(),
-        _array(gradient),
+        as_array(gradient),
         [plane.numpy() for plane in grad_planes],
         grad_coordinates.numpy() if moves else None,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 
 def native() -> ModuleType:
@@ -15,3 +16,8 @@ def native() -> ModuleType:
             f"fourd._native: expected the kernels built with this package, got: {cause}; "
             "build them with `pip install .` in the source folder, or use backend='reference'"
         ) from cause
+
+
+def as_array(tensor: Any) -> Any:
+    """A CPU tensor as the dense NumPy array that kernels take; a copy only where it is not contiguous."""
+    return tensor.detach().contiguous().numpy()

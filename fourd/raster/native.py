@@ -11,12 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.raster.loading import native
+from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
-
-
-def _array(tensor: Tensor) -> Any:
-    return tensor.detach().contiguous().numpy()
 
 
 @torch.library.custom_op("fourd::render_points", mutates_args=(), device_types="cpu")
@@ -35,9 +31,9 @@ def render(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Features (H, W, C), alpha (H, W) and depth (H, W) of points; ``camera`` is camera_numbers(...)."""
     out = _empty_image(features, width, height)
-    arrays = [_array(tensor) for tensor in (xyz, features, radius, density)]
+    arrays = [as_array(tensor) for tensor in (xyz, features, radius, density)]
     count = thread_count(threads, torch.get_num_threads())
-    native().render_points(*arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(_array, out))
+    native().render_points(*arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(as_array, out))
     return out
 
 
@@ -76,16 +72,16 @@ def render_backward(
     inputs = (xyz, features, radius, density)
     out = _empty_cloud(*inputs)
     native().render_points_backward(
-        *map(_array, inputs),
+        *map(as_array, inputs),
         camera,
         layers,
         near,
         thread_count(threads, torch.get_num_threads()),
         simd_name(),
-        _array(grad_features),
-        _array(grad_alpha),
-        None if grad_depth is None else _array(grad_depth),
-        *map(_array, out),
+        as_array(grad_features),
+        as_array(grad_alpha),
+        None if grad_depth is None else as_array(grad_depth),
+        *map(as_array, out),
     )
     return out
 
@@ -148,8 +144,8 @@ def visibility(
     """The largest weight (N,) that each point has in any pixel."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
     count = thread_count(threads, torch.get_num_threads())
-    arrays = [_array(tensor) for tensor in (xyz, radius, density)]
-    native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), _array(out))
+    arrays = [as_array(tensor) for tensor in (xyz, radius, density)]
+    native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), as_array(out))
     return out
 
 
