@@ -43,8 +43,10 @@ def test_values_and_gradients_equal_the_reference(
     upstream = torch.from_numpy(rng.standard_normal((views, count)).astype(np.float32))
     found = values_and_gradients(blend_logits, inputs, upstream)
     expected = values_and_gradients(blend_logits_reference, [tensor.double() for tensor in inputs], upstream)
-    for one, other in zip(found, expected, strict=True):
-        scale = float(other.abs().max())
+    for place, (one, other) in enumerate(zip(found, expected, strict=True)):
+        # The MLP's gradients are sums over points that may cancel: rounding goes by the size of what is summed.
+        summed = float(upstream.norm()) if place >= 3 else 0.0
+        scale = max(float(other.abs().max()), summed)
         # A hidden value within rounding of 0 may be cut by one and kept by the other.
         assert float((one - other).abs().mean()) <= 1e-5 * scale
         assert float(((one - other).abs() > 1e-3 * scale).float().mean()) <= 1e-3
