@@ -30,7 +30,7 @@ from fourd.training.evaluate import judge
 from fourd.training.log import MetricsLog
 from fourd.training.losses import ImageLoss
 from fourd.training.lpips import LPIPS
-from fourd.training.memory import TRIM_EVERY, keep_freed_memory, release_freed_memory
+from fourd.training.memory import HeapTrimmer, keep_freed_memory
 from fourd.training.render import Renderer
 from fourd.training.run import Run, drop_stale_points, points_folder
 from fourd.training.schedule import Sampler, budget_spent, rate_factor
@@ -88,6 +88,7 @@ class Trainer:
         return TrainSummary(self.done, self.seconds, self.psnr)
 
     def _loop(self, log: MetricsLog, show: Callable[[str], None]) -> None:
+        trimmer = HeapTrimmer()
         last_save, last_validation = self.seconds, self.seconds
         while self._spent() < 1.0:
             started = time.monotonic()
@@ -96,14 +97,15 @@ class Trainer:
             except KeyboardInterrupt:
                 self._checkpoint()
                 raise
-            if self.done % TRIM_EVERY == 0:
-                release_freed_memory()
+            trimmer.trim_if_large()
             self.seconds += time.monotonic() - started
             show(f"step {self.done}  {self.psnr:.2f} dB")
             if self._save_due(self.seconds - last_save):
+                trimmer.trim()
                 self._checkpoint()
                 last_save = self.seconds
             if self.seconds - last_validation >= self.config.validation_seconds:
+                trimmer.trim()
                 self._validate(log)
                 last_validation = self.seconds
 
