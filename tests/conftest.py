@@ -8,7 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from fourd.raster.gpu import cuda_missing
+from fourd.raster.loading import native
 from tests.captures import write_ball_capture
 
 
@@ -24,3 +27,18 @@ def rng() -> np.random.Generator:
 def ball_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A capture of a striped ball: 8 cameras, 3 frames, 64 x 64. Not to be changed by tests."""
     return write_ball_capture(tmp_path_factory.mktemp("ball"), frames=3)
+
+
+@pytest.fixture(params=["emulated", "cuda"])
+def gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> torch.device:
+    """Where the CUDA kernels run: a GPU, and the CPU, which emulates one."""
+    if request.param == "cuda":
+        if not torch.cuda.is_available():
+            pytest.skip("no CUDA device here")
+        if cuda_missing():
+            pytest.skip("the CUDA kernels are not built")
+        return torch.device("cuda", torch.cuda.current_device())
+    if not native().simd_available("emulated"):
+        pytest.skip("the emulated kernels are not built")
+    monkeypatch.setenv("FOURD_SIMD", "emulated")
+    return torch.device("cpu")

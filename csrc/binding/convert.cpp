@@ -34,16 +34,6 @@ points::Settings points_settings(const std::vector<double>& camera, std::size_t 
     return settings;
 }
 
-shade::Points shade_points(const XyzArray& xyz, const HarmonicsArray& sh, const WeightsArray& weights,
-                           const ColoursArray& rgb) {
-    const std::size_t count = xyz.shape(0), views = weights.shape(1);
-    require(count <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");
-    require(sh.shape(0) == count, "sh: expected as many points as xyz");
-    require(weights.shape(0) == count, "blend_weights: expected as many points as xyz");
-    require(rgb.shape(0) == count && rgb.shape(1) == views, "rgb: expected the shape of blend_weights and 3");
-    return {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views};
-}
-
 shade::Settings shade_settings(const ChosenArray& chosen, std::size_t views, const CentreArray& centre, float sh_range,
                                float sh_base, int threads, const std::string& simd) {
     require(chosen.shape(0) <= shade::kMaxChosen, "chosen: expected at most 64 views");

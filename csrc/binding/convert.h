@@ -19,19 +19,9 @@ void require(bool condition, const char* message);
 points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height, int layers,
                                  double near, double transmittance_min, int threads, const std::string& simd);
 
-// Of a baked frame; float16 arrays come as their uint16 bits.
-using XyzArray = nanobind::ndarray<const float, nanobind::shape<-1, 3>, nanobind::c_contig, nanobind::device::cpu>;
-using HarmonicsArray =
-    nanobind::ndarray<const std::uint16_t, nanobind::shape<-1, 3, 16>, nanobind::c_contig, nanobind::device::cpu>;
-using HalfArray = nanobind::ndarray<const std::uint16_t, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
-using WeightsArray = nanobind::ndarray<const std::uint16_t, nanobind::ndim<2>, nanobind::c_contig, nanobind::device::cpu>;
-using ColoursArray =
-    nanobind::ndarray<const std::uint8_t, nanobind::shape<-1, -1, 3>, nanobind::c_contig, nanobind::device::cpu>;
+// Of the views to blend, and of a camera's centre; both in the host's memory.
 using ChosenArray = nanobind::ndarray<const std::int32_t, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
 using CentreArray = nanobind::ndarray<const double, nanobind::shape<3>, nanobind::c_contig, nanobind::device::cpu>;
-
-shade::Points shade_points(const XyzArray& xyz, const HarmonicsArray& sh, const WeightsArray& weights,
-                           const ColoursArray& rgb);
 
 shade::Settings shade_settings(const ChosenArray& chosen, std::size_t views, const CentreArray& centre, float sh_range,
                                float sh_base, int threads, const std::string& simd);

@@ -1,15 +1,15 @@
 // Drawing of baked frames: fourd/baking/player.py says what is computed.
 #include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
 #include <array>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "binding/bindings.h"
-#include "binding/convert.h"
+#include "binding/frame_arguments.h"
 #include "play/play.h"
 
 namespace nb = nanobind;
@@ -17,17 +17,15 @@ namespace nb = nanobind;
 namespace fourd {
 namespace {
 
+using Arguments = FrameArguments<nb::device::cpu, std::uint16_t>;
 using Picture = nb::ndarray<std::uint8_t, nb::shape<-1, -1, 4>, nb::c_contig, nb::device::cpu>;
 
-void draw(play::Player& player, const XyzArray& xyz, const HalfArray& radius, const HalfArray& density,
-          const HarmonicsArray& sh, const WeightsArray& weights, const ColoursArray& rgb, const ChosenArray& chosen,
-          const CentreArray& centre, float sh_range, float sh_base, const std::vector<double>& camera, int layers,
-          double near, double transmittance_min, const std::vector<float>& background, int threads,
-          const std::string& simd, const Picture& out) {
-    const play::Frame frame{shade_points(xyz, sh, weights, rgb), radius.data(), density.data()};
-    if (radius.shape(0) != frame.points.count || density.shape(0) != frame.points.count || background.size() != 3) {
-        throw std::invalid_argument("radius, density, background: unexpected shape");
-    }
+void draw(play::Player& player, const Arguments::Xyz& xyz, const Arguments::Column& radius,
+          const Arguments::Column& density, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
+          const Arguments::Colours& rgb, const ChosenArray& chosen, const CentreArray& centre, float sh_range,
+          float sh_base, const std::vector<double>& camera, int layers, double near, double transmittance_min,
+          const std::array<float, 3>& background, int threads, const std::string& simd, const Picture& out) {
+    const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
     const shade::Settings shading =
         shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, threads, simd);
     const points::Settings settings =

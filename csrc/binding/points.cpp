@@ -1,20 +1,13 @@
-// The point renderer's Python face. fourd/raster/validation.py has checked values; shapes are checked here
-// again, since a wrong one would read past an array.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
+// The point renderer's Python face: fourd/raster/native.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
-#include <algorithm>
-#include <initializer_list>
-#include <optional>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "binding/bindings.h"
-#include "binding/convert.h"
+#include "binding/point_arguments.h"
 #include "points/cpu/workspace.h"
 
 namespace nb = nanobind;
@@ -22,19 +15,7 @@ namespace nb = nanobind;
 namespace fourd {
 namespace {
 
-using In = nb::ndarray<const float, nb::numpy, nb::c_contig, nb::device::cpu>;
-using Out = nb::ndarray<float, nb::numpy, nb::c_contig, nb::device::cpu>;
-
-template <typename Array>
-void require(const Array& array, std::initializer_list<std::size_t> shape, const char* name) {
-    bool fits = array.ndim() == shape.size();
-    std::size_t axis = 0;
-    for (const std::size_t size : shape) {
-        fits = fits && array.shape(axis) == size;
-        ++axis;
-    }
-    if (!fits) throw std::invalid_argument(std::string(name) + ": unexpected shape");
-}
+using Arguments = PointArguments<nb::device::cpu>;
 
 // A thread's memory from one picture to the next; what is more than this is given back.
 constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
@@ -50,63 +31,39 @@ class KeptWorkspace {
     }
 };
 
-points::Cloud cloud_of(const In& xyz, const In& features, const In& radius, const In& density) {
-    const std::size_t count = radius.size();
-    const std::size_t channels = features.ndim() == 2 ? features.shape(1) : 0;
-    if (count > 0x7fffffff || channels < 1 || channels > 32) throw std::invalid_argument("features: unexpected shape");
-    require(xyz, {count, 3}, "xyz");
-    require(features, {count, channels}, "features");
-    require(radius, {count}, "radius");
-    require(density, {count}, "density");
-    return {xyz.data(), features.data(), radius.data(), density.data(), count, static_cast<int>(channels)};
-}
-
-void render(const In& xyz, const In& features, const In& radius, const In& density, const std::vector<double>& camera,
-            int layers, double near, double transmittance_min, int threads, const std::string& simd,
-            const Out& out_features, const Out& out_alpha, const Out& out_depth) {
-    const points::Cloud cloud = cloud_of(xyz, features, radius, density);
-    if (out_alpha.ndim() != 2) throw std::invalid_argument("out_alpha: unexpected shape");
-    const std::size_t height = out_alpha.shape(0), width = out_alpha.shape(1);
-    require(out_features, {height, width, static_cast<std::size_t>(cloud.channels)}, "out_features");
-    require(out_depth, {height, width}, "out_depth");
-    const points::Settings settings =
-        points_settings(camera, width, height, layers, near, transmittance_min, threads, simd);
+void render(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Arguments::Column& radius,
+            const Arguments::Column& density, const std::vector<double>& camera, int layers, double near,
+            double transmittance_min, int threads, const std::string& simd, const Arguments::PictureOut& out_features,
+            const Arguments::RowsOut& out_alpha, const Arguments::RowsOut& out_depth) {
+    const points::Cloud cloud = Arguments::cloud(xyz, features, radius, density);
+    const points::Image image = Arguments::image(cloud, out_features, out_alpha, out_depth);
+    const points::Settings settings = points_settings(camera, out_alpha.shape(1), out_alpha.shape(0), layers, near,
+                                                      transmittance_min, threads, simd);
     nb::gil_scoped_release release;
-    points::render(cloud, settings, KeptWorkspace().space(), {out_features.data(), out_alpha.data(), out_depth.data()});
+    points::render(cloud, settings, KeptWorkspace().space(), image);
 }
 
-void render_backward(const In& xyz, const In& features, const In& radius, const In& density,
-                     const std::vector<double>& camera, int layers, double near, int threads, const std::string& simd,
-                     const In& grad_features, const In& grad_alpha, const std::optional<In>& grad_depth,
-                     const Out& out_xyz, const Out& out_features, const Out& out_radius, const Out& out_density) {
-    const points::Cloud cloud = cloud_of(xyz, features, radius, density);
-    const std::size_t channels = static_cast<std::size_t>(cloud.channels);
-    if (grad_alpha.ndim() != 2) throw std::invalid_argument("grad_alpha: unexpected shape");
-    const std::size_t height = grad_alpha.shape(0), width = grad_alpha.shape(1);
-    require(grad_features, {height, width, channels}, "grad_features");
-    if (grad_depth) require(*grad_depth, {height, width}, "grad_depth");
-    require(out_xyz, {cloud.count, 3}, "out_xyz");
-    require(out_features, {cloud.count, channels}, "out_features");
-    require(out_radius, {cloud.count}, "out_radius");
-    require(out_density, {cloud.count}, "out_density");
+void render_backward(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Arguments::Column& radius,
+                     const Arguments::Column& density, const std::vector<double>& camera, int layers, double near,
+                     int threads, const std::string& simd, const Arguments::Picture& grad_features,
+                     const Arguments::Rows& grad_alpha, const std::optional<Arguments::Rows>& grad_depth,
+                     const Arguments::XyzOut& out_xyz, const Arguments::RowsOut& out_features,
+                     const Arguments::ColumnOut& out_radius, const Arguments::ColumnOut& out_density) {
+    const points::Cloud cloud = Arguments::cloud(xyz, features, radius, density);
+    const points::ImageGradient gradient = Arguments::image_gradient(cloud, grad_features, grad_alpha, grad_depth);
+    const points::CloudGradient out =
+        Arguments::cloud_gradient(cloud, out_xyz, out_features, out_radius, out_density);
     const points::Settings settings =
-        points_settings(camera, width, height, layers, near, 0.0, threads, simd);
+        points_settings(camera, grad_alpha.shape(1), grad_alpha.shape(0), layers, near, 0.0, threads, simd);
     nb::gil_scoped_release release;
-    points::render_backward(
-        cloud, settings, KeptWorkspace().space(),
-        {grad_features.data(), grad_alpha.data(), grad_depth ? grad_depth->data() : nullptr},
-        {out_xyz.data(), out_features.data(), out_radius.data(), out_density.data()});
+    points::render_backward(cloud, settings, KeptWorkspace().space(), gradient, out);
 }
 
-void visibility(const In& xyz, const In& radius, const In& density, const std::vector<double>& camera,
-                std::size_t width, std::size_t height, int layers, double near, int threads, const std::string& simd, const Out& out) {
-    const std::size_t count = radius.size();
-    if (count > 0x7fffffff) throw std::invalid_argument("radius: unexpected shape");
-    require(xyz, {count, 3}, "xyz");
-    require(radius, {count}, "radius");
-    require(density, {count}, "density");
-    require(out, {count}, "out");
-    const points::Cloud cloud = {xyz.data(), nullptr, radius.data(), density.data(), count, 0};
+void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Arguments::Column& density,
+                const std::vector<double>& camera, std::size_t width, std::size_t height, int layers, double near,
+                int threads, const std::string& simd, const Arguments::ColumnOut& out) {
+    const points::Cloud cloud = Arguments::bare_cloud(xyz, radius, density);
+    require(out.shape(0) == cloud.count, "out: unexpected shape");
     const points::Settings settings = points_settings(camera, width, height, layers, near, 0.0, threads, simd);
     nb::gil_scoped_release release;
     points::visibility(cloud, settings, KeptWorkspace().space(), out.data());

@@ -6,19 +6,21 @@
 #include <string>
 
 #include "binding/bindings.h"
-#include "binding/convert.h"
+#include "binding/frame_arguments.h"
 
 namespace nb = nanobind;
 
 namespace fourd {
 namespace {
 
+using Arguments = FrameArguments<nb::device::cpu, std::uint16_t>;
 using Output = nb::ndarray<nb::numpy, float, nb::shape<-1, 3>>;
 
-Output shade_all(const XyzArray& xyz, const HarmonicsArray& sh, const WeightsArray& weights, const ColoursArray& rgb,
+Output shade_all(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
+                 const Arguments::Colours& rgb,
                  const ChosenArray& chosen, const CentreArray& centre, float sh_range, float sh_base, int threads,
                  const std::string& simd) {
-    const shade::Points points = shade_points(xyz, sh, weights, rgb);
+    const shade::Points points = Arguments::points(xyz, sh, weights, rgb);
     const shade::Settings settings = shade_settings(chosen, points.views, centre, sh_range, sh_base, threads, simd);
     float* out = new float[std::max<std::size_t>(3 * points.count, 1)];
     nb::capsule owner(out, [](void* data) noexcept { delete[] static_cast<float*>(data); });

@@ -1,8 +1,10 @@
-// Marks maths that compiles for the CPU and, under nvcc, for the GPU.
+// Marks what compiles for the CPU and, under nvcc, for the GPU.
 #pragma once
 
 #ifdef __CUDACC__
-#define FOURD_HD __host__ __device__
+#define FOURD_HD __host__ __device__  // maths that both use
+#define FOURD_DEVICE __device__       // kernels: on the GPU, or emulated
 #else
 #define FOURD_HD
+#define FOURD_DEVICE
 #endif

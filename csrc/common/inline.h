@@ -2,7 +2,9 @@
 #pragma once
 
 #if defined(__GNUC__)
+#define FOURD_ALWAYS __attribute__((always_inline))  // of lambdas
 #define FOURD_INLINE inline __attribute__((always_inline))
 #else
+#define FOURD_ALWAYS
 #define FOURD_INLINE inline
 #endif

@@ -2,20 +2,12 @@
 // memory that is kept from one picture to the next. Callers check shapes; arrays are dense and row-major.
 #pragma once
 
-#include <cstdint>
-
 #include "common/buffer.h"
+#include "play/frame.h"
 #include "points/cpu/workspace.h"
 #include "points/points.h"
-#include "shade/shade.h"
 
 namespace fourd::play {
-
-struct Frame {
-    shade::Points points;
-    const std::uint16_t* radius;   // (count,) float16, world units
-    const std::uint16_t* density;  // (count,) float16
-};
 
 class Player {
   public:

@@ -53,6 +53,18 @@ FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* 
     *last = high < size - 1 ? (high > -1.0 ? static_cast<int>(high) : -1) : size - 1;
 }
 
+// A point as a pixel sees it; a hit where alpha is above 0.
+struct PixelTouch {
+    float dx, dy, square, falloff, alpha;
+};
+
+FOURD_HD static inline PixelTouch touch_pixel(const Splat& splat, float x, float y) {
+    const float dx = splat.u - x, dy = splat.v - y;
+    const float square = dx * dx + dy * dy;
+    const float falloff = 1.0f - square * splat.inverse_square;
+    return {dx, dy, square, falloff, splat.density * falloff};
+}
+
 // Projects a point. Returns false if it is culled: nearer than near, outside the image, of no size
 // or density, or with any number that is not finite. Guards are written so that NaN fails them.
 FOURD_HD static inline bool project(const Pinhole& camera, float near, const float* xyz, float radius,

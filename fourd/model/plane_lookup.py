@@ -9,8 +9,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from fourd.raster.gpu import cuda_missing, emulated, gpu_of
 from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
+
+MOST_PLANES_GPU = 64
 
 
 def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
@@ -18,21 +21,24 @@ def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[
 
     Args:
         coordinates: (N, 4) x, y, z, t in [-1, 1]; what lies outside is clamped to the border, and
-            what is no number counts as -1. Float32; float64, and other devices, are looked up by
-            :func:`sample_planes_reference`.
+            what is no number counts as -1. Float32 on the CPU or, where its kernels are built, on a
+            CUDA device; anything else is looked up by :func:`sample_planes_reference`.
         planes: each (rows, columns, F) of the coordinates' dtype, F from 1 to 64 and the same in all.
             The first and last samples lie on the borders.
         axes: two numbers from 0 to 3 a plane: the coordinate along its columns and that down its rows.
 
     Returns:
-        (N, F * len(planes)), differentiable in the planes and the coordinates. The gradient is the
-        same for any number of threads, which FOURD_THREADS sets (else torch.get_num_threads()).
+        (N, F * len(planes)), differentiable in the planes and the coordinates. On the CPU the gradient
+        is the same for any number of threads, which FOURD_THREADS sets (else torch.get_num_threads()); on a
+        GPU its last bits differ from run to run.
 
     Raises:
         TypeError, ValueError: naming the argument, what was expected and what came.
     """
     _check(coordinates, planes, axes)
-    if coordinates.device.type != "cpu" or coordinates.dtype == torch.float64:
+    device = coordinates.device.type
+    kernels = device == "cpu" or (device == "cuda" and not cuda_missing() and len(planes) <= MOST_PLANES_GPU)
+    if coordinates.dtype == torch.float64 or not kernels:
         return sample_planes_reference(coordinates, planes, axes)
     return _sample(coordinates, list(planes), list(axes))
 
@@ -67,10 +73,21 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
 
 @torch.library.custom_op("fourd::sample_planes", mutates_args=(), device_types="cpu")
 def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
+    if emulated():
+        return _sample_gpu(coordinates, planes, axes)
     out = _empty_samples(coordinates, planes)
     threads = thread_count(0, torch.get_num_threads())
     arrays = [as_array(plane) for plane in planes]
     native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), out.numpy())
+    return out
+
+
+@_sample.register_kernel("cuda")
+def _sample_gpu(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
+    out = _empty_samples(coordinates, planes)
+    gpu = gpu_of(coordinates.device)
+    with gpu.current():
+        gpu.kernels.sample_planes(_dense(coordinates), [_dense(plane) for plane in planes], axes, gpu.stream, out)
     return out
 
 
@@ -83,6 +100,8 @@ def _(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Ten
 def _sample_backward(
     coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, moves: bool
 ) -> tuple[list[Tensor], Tensor]:
+    if emulated():
+        return _sample_backward_gpu(coordinates, planes, axes, gradient, moves)
     grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, moves)
     native().sample_planes_backward(
         as_array(coordinates),
@@ -94,6 +113,25 @@ def _sample_backward(
         [plane.numpy() for plane in grad_planes],
         grad_coordinates.numpy() if moves else None,
     )
+    return grad_planes, grad_coordinates
+
+
+@_sample_backward.register_kernel("cuda")
+def _sample_backward_gpu(
+    coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, moves: bool
+) -> tuple[list[Tensor], Tensor]:
+    grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, moves)
+    gpu = gpu_of(coordinates.device)
+    with gpu.current():
+        gpu.kernels.sample_planes_backward(
+            _dense(coordinates),
+            [_dense(plane) for plane in planes],
+            axes,
+            gpu.stream,
+            _dense(gradient),
+            grad_planes,
+            grad_coordinates if moves else None,
+        )
     return grad_planes, grad_coordinates
 
 
@@ -118,6 +156,10 @@ def _backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, list[Tensor], 
 
 
 _sample.register_autograd(_backward, setup_context=_setup)
+
+
+def _dense(tensor: Tensor) -> Tensor:
+    return tensor.detach().contiguous()
 
 
 def _empty_samples(coordinates: Tensor, planes: Sequence[Tensor]) -> Tensor:

@@ -1,4 +1,4 @@
-"""The CPU kernels of ``csrc/points`` as torch operators: ``torch.ops.fourd.render_points`` and its gradient.
+"""The kernels of ``csrc/points`` as torch operators: ``torch.ops.fourd.render_points`` and its gradient.
 
 Arguments are checked by the callers in :mod:`fourd.raster.points`. The operators work with
 autograd, ``torch.library.opcheck`` and ``torch.compile`` (by their fake implementations).
@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fourd.raster import gpu
 from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
 
@@ -31,9 +32,31 @@ def render(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Features (H, W, C), alpha (H, W) and depth (H, W) of points; ``camera`` is camera_numbers(...)."""
     out = _empty_image(features, width, height)
+    if gpu.emulated():
+        gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
+        return out
     arrays = [as_array(tensor) for tensor in (xyz, features, radius, density)]
     count = thread_count(threads, torch.get_num_threads())
     native().render_points(*arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(as_array, out))
+    return out
+
+
+@render.register_kernel("cuda")
+def _(
+    xyz: Tensor,
+    features: Tensor,
+    radius: Tensor,
+    density: Tensor,
+    camera: list[float],
+    width: int,
+    height: int,
+    layers: int,
+    near: float,
+    transmittance_min: float,
+    threads: int,
+) -> tuple[Tensor, Tensor, Tensor]:
+    out = _empty_image(features, width, height)
+    gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
     return out
 
 
@@ -71,6 +94,9 @@ def render_backward(
     """Gradients of xyz, features, radius and density from those of the image."""
     inputs = (xyz, features, radius, density)
     out = _empty_cloud(*inputs)
+    if gpu.emulated():
+        gpu.render_backward(inputs, camera, layers, near, (grad_features, grad_alpha, grad_depth), out)
+        return out
     native().render_points_backward(
         *map(as_array, inputs),
         camera,
@@ -83,6 +109,26 @@ def render_backward(
         None if grad_depth is None else as_array(grad_depth),
         *map(as_array, out),
     )
+    return out
+
+
+@render_backward.register_kernel("cuda")
+def _(
+    xyz: Tensor,
+    features: Tensor,
+    radius: Tensor,
+    density: Tensor,
+    grad_features: Tensor,
+    grad_alpha: Tensor,
+    grad_depth: Tensor | None,
+    camera: list[float],
+    layers: int,
+    near: float,
+    threads: int,
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    out = _empty_cloud(xyz, features, radius, density)
+    gradients = (grad_features, grad_alpha, grad_depth)
+    gpu.render_backward((xyz, features, radius, density), camera, layers, near, gradients, out)
     return out
 
 
@@ -107,6 +153,8 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> Non
     xyz, features, radius, density, camera, width, height, layers, near, transmittance_min, threads = inputs
     if transmittance_min > 0 and any(tensor.requires_grad for tensor in (xyz, features, radius, density)):
         raise ValueError(f"transmittance_min: expected 0 where gradients are wanted, got {transmittance_min}")
+    if any(tensor.requires_grad for tensor in (xyz, features, radius, density)):
+        _check_layers(xyz.device, layers)
     ctx.set_materialize_grads(False)
     ctx.save_for_backward(xyz, features, radius, density)
     ctx.size = (height, width)
@@ -143,9 +191,29 @@ def visibility(
 ) -> Tensor:
     """The largest weight (N,) that each point has in any pixel."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
+    if gpu.emulated():
+        gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
+        return out
     count = thread_count(threads, torch.get_num_threads())
     arrays = [as_array(tensor) for tensor in (xyz, radius, density)]
     native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), as_array(out))
+    return out
+
+
+@visibility.register_kernel("cuda")
+def _(
+    xyz: Tensor,
+    radius: Tensor,
+    density: Tensor,
+    camera: list[float],
+    width: int,
+    height: int,
+    layers: int,
+    near: float,
+    threads: int,
+) -> Tensor:
+    out = torch.empty_like(radius, memory_format=torch.contiguous_format)
+    gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
     return out
 
 
@@ -162,6 +230,14 @@ def _(
     threads: int,
 ) -> Tensor:
     return torch.empty_like(radius, memory_format=torch.contiguous_format)
+
+
+def _check_layers(device: torch.device, layers: int) -> None:
+    """A pixel's layers lie in its thread's own memory on the way back."""
+    on_gpu = device.type == "cuda" or gpu.emulated()
+    if on_gpu and layers > gpu.MOST_LAYERS_BACKWARD:
+        expected = f"at most {gpu.MOST_LAYERS_BACKWARD} where gradients are wanted on a GPU"
+        raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' takes any number")
 
 
 def _empty_image(features: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:

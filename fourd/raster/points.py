@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
+from fourd.raster.gpu import cuda_missing
 from fourd.raster.validation import camera_numbers, check_background, check_points
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]
@@ -128,7 +129,7 @@ def point_visibility(
 
 def _check(
     arrays: dict[str, Tensor], camera: Camera, layers: int, near: float, backend: str
-) -> Literal["reference", "cpu"]:
+) -> Literal["reference", "native"]:
     """Check the arguments and return the backend to use."""
     for name, value in arrays.items():
         if not isinstance(value, Tensor):
@@ -140,14 +141,16 @@ def _check(
         return "reference"
     check_points(arrays, camera, layers, near)
     device = arrays["xyz"].device.type
-    if backend == "cuda" or (backend == "auto" and device == "cuda"):
+    wanted = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
+    if wanted == "cuda" and (missing := cuda_missing()):
         raise RuntimeError(
-            "backend: expected one that this installation has, got 'cuda', which it was built without; "
-            "move the tensors to the CPU, or use backend='reference', which runs on any device"
+            f"backend: expected one that this installation has, got 'cuda', which it was built without ({missing}); "
+            "install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "
+            "backend='reference', which runs on any device"
         )
-    if device != "cpu":
+    if device != wanted:
         raise ValueError(
-            f"xyz: expected a tensor on the CPU for backend {backend!r}, got one on {device!r}; "
+            f"xyz: expected a tensor on {wanted!r} for backend {backend!r}, got one on {device!r}; "
             "backend='reference' runs on any device"
         )
-    return "cpu"
+    return "native"

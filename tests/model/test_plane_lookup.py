@@ -48,6 +48,23 @@ def test_values_and_gradients_equal_the_reference(
         torch.testing.assert_close(found, expected, rtol=1e-4, atol=2e-6 * scale)
 
 
+@pytest.mark.parametrize("features", [1, 8])
+def test_the_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches planes in another order, and a gradient of coordinates that one plane writes over another's."""
+    planes, axes = field(rng, features)
+    coordinates = points(rng, 300)
+    upstream = torch.from_numpy(rng.standard_normal((300, 7 * features)).astype(np.float32))
+    results = []
+    for function, device in ((sample_planes, gpu), (sample_planes_reference, torch.device("cpu"))):
+        leaves = [tensor.to(device, copy=True).requires_grad_() for tensor in (coordinates, *planes)]
+        out = function(leaves[0], leaves[1:], axes)
+        found = [out, *torch.autograd.grad(out, leaves, upstream.to(device))]
+        results.append([tensor.detach().cpu() for tensor in found])
+    for found, expected in zip(*results, strict=True):
+        scale = float(expected.abs().max())
+        torch.testing.assert_close(found, expected, rtol=1e-4, atol=2e-6 * scale)
+
+
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
     """Catches a gradient that agrees with the reference's and is wrong with it."""
     planes, axes = field(rng, 2, columns=4)

@@ -30,9 +30,10 @@ def run(
     layers: int = 15,
     threads: int = 0,
     dtype: torch.dtype = torch.float32,
+    device: torch.device | None = None,
 ) -> tuple[list[Tensor], list[Tensor]]:
     """The three images, and the gradients of a random linear function of some of them, the same for a seed."""
-    free = [array.to(dtype).clone().requires_grad_() for array in cloud.arrays]
+    free = [array.to(device, dtype, copy=True).requires_grad_() for array in cloud.arrays]
     image = render_points(
         free[0],
         free[1],
@@ -45,14 +46,14 @@ def run(
         threads=threads,
     )
     rng = np.random.default_rng(seed)
-    total = torch.zeros((), dtype=dtype)
+    total = torch.zeros((), dtype=dtype, device=device)
     for name in OUTPUTS:
         values = getattr(image, name)
-        weights = torch.from_numpy(rng.normal(size=tuple(values.shape)).astype(np.float32)).to(dtype)
+        weights = torch.from_numpy(rng.normal(size=tuple(values.shape)).astype(np.float32)).to(values)
         if name in outputs:
             total = total + (values * weights).sum()
-    images = [getattr(image, name).detach() for name in OUTPUTS]
-    return images, list(torch.autograd.grad(total, free, materialize_grads=True))
+    images = [getattr(image, name).detach().cpu() for name in OUTPUTS]
+    return images, [gradient.cpu() for gradient in torch.autograd.grad(total, free, materialize_grads=True)]
 
 
 def assert_parity(got: tuple[list[Tensor], list[Tensor]], wanted: tuple[list[Tensor], list[Tensor]]) -> None:

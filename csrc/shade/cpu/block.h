@@ -8,6 +8,7 @@
 
 #include "common/half.h"
 #include "common/inline.h"
+#include "shade/maths.h"
 #include "shade/shade.h"
 
 #if defined(__AVX2__) && defined(__F16C__) && defined(__FMA__)
@@ -19,26 +20,6 @@ namespace fourd::shade {
 
 constexpr int kBlock = 64;  // points whose intermediate values stay in the first-level cache
 
-// tanh to 4e-7: a rational function (Eigen's coefficients) on the interval where float tanh is not 1.
-FOURD_INLINE float fast_tanh(float x) {
-    constexpr float kLimit = 7.90531110763549805f;
-    x = x < -kLimit ? -kLimit : x;
-    x = x > kLimit ? kLimit : x;
-    const float s = x * x;
-    float p = -2.76076847742355e-16f;
-    p = p * s + 2.00018790482477e-13f;
-    p = p * s + -8.60467152213735e-11f;
-    p = p * s + 5.12229709037114e-08f;
-    p = p * s + 1.48572235717979e-05f;
-    p = p * s + 6.37261928875436e-04f;
-    p = p * s + 4.89352455891786e-03f;
-    float q = 1.19825839466702e-06f;
-    q = q * s + 1.18534705686654e-04f;
-    q = q * s + 2.26843463243900e-03f;
-    q = q * s + 4.89352518554385e-03f;
-    return x * p / q;
-}
-
 // basis[k][i]: harmonic k in the direction from the camera to point i.
 FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, float (*basis)[kBlock]) {
     float dx[kBlock], dy[kBlock], dz[kBlock];
@@ -49,26 +30,7 @@ FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, 
         dz[i] = static_cast<float>(xyz[3 * i + 2] - centre[2]);
     }
     for (int i = 0; i < count; ++i) {
-        const float square = dx[i] * dx[i] + dy[i] * dy[i] + dz[i] * dz[i];
-        const float scale = 1.0f / std::sqrt(square > 1e-24f ? square : 1e-24f);
-        const float x = dx[i] * scale, y = dy[i] * scale, z = dz[i] * scale;
-        const float xx = x * x, yy = y * y, zz = z * z;
-        basis[0][i] = 0.28209479177387814f;
-        basis[1][i] = -0.4886025119029199f * y;
-        basis[2][i] = 0.4886025119029199f * z;
-        basis[3][i] = -0.4886025119029199f * x;
-        basis[4][i] = 1.0925484305920792f * x * y;
-        basis[5][i] = -1.0925484305920792f * y * z;
-        basis[6][i] = 0.31539156525252005f * (2 * zz - xx - yy);
-        basis[7][i] = -1.0925484305920792f * x * z;
-        basis[8][i] = 0.5462742152960396f * (xx - yy);
-        basis[9][i] = -0.5900435899266435f * y * (3 * xx - yy);
-        basis[10][i] = 2.890611442640554f * x * y * z;
-        basis[11][i] = -0.4570457994644658f * y * (4 * zz - xx - yy);
-        basis[12][i] = 0.3731763325901154f * z * (2 * zz - 3 * xx - 3 * yy);
-        basis[13][i] = -0.4570457994644658f * x * (4 * zz - xx - yy);
-        basis[14][i] = 1.445305721320277f * z * (xx - yy);
-        basis[15][i] = -0.5900435899266435f * x * (xx - 3 * yy);
+        harmonics(dx[i], dy[i], dz[i], [&](int k, float value) FOURD_ALWAYS { basis[k][i] = value; });
     }
 }
 

@@ -1,0 +1,54 @@
+#include "play/cuda/draw.h"
+
+#include "common/half.h"
+#include "device/arena.h"
+#include "device/machine.h"
+#include "shade/cuda/shade.h"
+
+namespace fourd::play::cuda {
+namespace {
+
+struct Unpack {
+    Frame frame;
+    float *radius, *density;
+
+    FOURD_DEVICE void operator()(std::size_t point) const {
+        radius[point] = from_half(frame.radius[point]);
+        density[point] = from_half(frame.density[point]);
+    }
+};
+
+// A frame's arrays as floats, at the front of the workspace.
+struct Floats {
+    float *radius, *density, *colour;
+
+    Floats(device::Arena& arena, std::size_t count)
+        : radius(arena.take<float>(count)), density(arena.take<float>(count)), colour(arena.take<float>(3 * count)) {}
+};
+
+}  // namespace
+
+std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_t entries) {
+    device::Arena arena(nullptr);
+    const Floats floats(arena, count);
+    return arena.bytes() + points::cuda::workspace_bytes(count, 3, width, height, entries);
+}
+
+void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
+          const points::cuda::Room& room, const points::Canvas& canvas, void* stream) {
+    const device::Machine machine(stream);
+    const std::size_t count = frame.points.count;
+    device::Arena arena(room.memory);
+    const Floats floats(arena, count);
+    machine.each(count, Unpack{frame, floats.radius, floats.density});
+    machine.each(count, shade::cuda::ShadePoint(frame.points, shading, floats.colour));
+    const points::Cloud cloud{frame.points.xyz, floats.colour, floats.radius, floats.density, count, 3};
+    unsigned char* const rest = static_cast<unsigned char*>(room.memory) + arena.bytes();
+    points::cuda::draw(cloud, settings, {rest, room.entries, room.needed}, canvas, stream);
+}
+
+void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream) {
+    device::Machine(stream).each(points.count, shade::cuda::ShadePoint(points, shading, out));
+}
+
+}  // namespace fourd::play::cuda

@@ -1,0 +1,147 @@
+"""The CUDA kernels of ``csrc/points`` for torch tensors: what gives them memory, stream and room.
+
+Nothing here waits for the GPU. On a CPU tensor the same functions run the kernels' source emulated, thread by
+thread: slow, and how they are tested where there is no GPU. FOURD_SIMD=emulated makes the operators take that way.
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fourd.raster.loading import native
+from fourd.raster.validation import simd_name
+
+MOST_LAYERS_BACKWARD = 64
+
+
+@dataclass(frozen=True)
+class Gpu:
+    """A device's kernels.
+
+    Attributes:
+        kernels: ``fourd._cuda``, or what emulates it.
+        rooms: how much room pictures needed on this device lately.
+        device: the device.
+    """
+
+    kernels: ModuleType
+    rooms: Any
+    device: torch.device
+
+    @property
+    def stream(self) -> int:
+        """The handle of torch's current stream."""
+        return torch.cuda.current_stream(self.device).cuda_stream if self.device.type == "cuda" else 0
+
+    def current(self) -> AbstractContextManager[Any]:
+        """Makes the device the one that kernels are started on."""
+        return torch.cuda.device(self.device) if self.device.type == "cuda" else nullcontext()
+
+    def memory(self, size: int) -> Tensor:
+        """So many bytes, of torch's own: whatever comes after on the stream may use them again."""
+        return torch.empty(size, dtype=torch.uint8, device=self.device)
+
+
+@cache
+def gpu_of(device: torch.device) -> Gpu:
+    """The kernels for a device; the CPU's are emulated.
+
+    Raises:
+        ImportError: where they are not built.
+    """
+    if device.type == "cuda":
+        kernels = import_module("fourd._cuda")
+    elif hasattr(native(), "emulated"):
+        kernels = native().emulated
+    else:
+        raise ImportError("fourd._native.emulated: expected the emulated kernels, which this build is without")
+    return Gpu(kernels, kernels.Rooms(), device)
+
+
+@cache
+def cuda_missing() -> str:
+    """Why there are no CUDA kernels; empty where there are."""
+    try:
+        import_module("fourd._cuda")
+    except ImportError as cause:
+        return str(cause)
+    return ""
+
+
+def emulated() -> bool:
+    """Whether FOURD_SIMD asks for the emulated GPU on the CPU."""
+    return simd_name() == "emulated"
+
+
+def render(
+    inputs: tuple[Tensor, Tensor, Tensor, Tensor],
+    camera: list[float],
+    layers: int,
+    near: float,
+    transmittance_min: float,
+    out: tuple[Tensor, Tensor, Tensor],
+) -> None:
+    """Draw xyz, features, radius and density into features (H, W, C), alpha and depth (H, W)."""
+    gpu = gpu_of(inputs[0].device)
+    height, width = out[1].shape
+    with gpu.current():
+        room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
+        gpu.kernels.render_points(*_dense(inputs), camera, layers, near, transmittance_min, *room, gpu.stream, *out)
+
+
+def render_backward(
+    inputs: tuple[Tensor, Tensor, Tensor, Tensor],
+    camera: list[float],
+    layers: int,
+    near: float,
+    gradients: tuple[Tensor, Tensor, Tensor | None],
+    out: tuple[Tensor, Tensor, Tensor, Tensor],
+) -> None:
+    """Gradients of the inputs from those of the image's features, alpha and depth."""
+    gpu = gpu_of(inputs[0].device)
+    height, width = gradients[1].shape
+    with gpu.current():
+        room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
+        gpu.kernels.render_points_backward(
+            *_dense(inputs),
+            camera,
+            layers,
+            near,
+            *room,
+            gpu.stream,
+            *_dense(gradients[:2]),
+            None if gradients[2] is None else gradients[2].detach().contiguous(),
+            *out,
+        )
+
+
+def visibility(
+    inputs: tuple[Tensor, Tensor, Tensor],
+    camera: list[float],
+    size: tuple[int, int],
+    layers: int,
+    near: float,
+    out: Tensor,
+) -> None:
+    """The largest weight (N,) of xyz, radius and density in any pixel of a picture of ``size`` (width, height)."""
+    gpu = gpu_of(inputs[0].device)
+    with gpu.current():
+        room = _room(gpu, inputs[0].shape[0], 0, *size)
+        gpu.kernels.point_visibility(*_dense(inputs), camera, *size, layers, near, *room, gpu.stream, out)
+
+
+def _room(gpu: Gpu, count: int, channels: int, width: int, height: int) -> tuple[Any, int, Tensor]:
+    entries, size = gpu.kernels.plan_points(gpu.rooms, count, channels, width, height)
+    return gpu.rooms, entries, gpu.memory(size)
+
+
+def _dense(tensors: tuple[Tensor, ...]) -> list[Tensor]:
+    return [tensor.detach().contiguous() for tensor in tensors]

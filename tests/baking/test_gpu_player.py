@@ -1,0 +1,43 @@
+"""Frames drawn by the CUDA kernels, on a GPU or emulated, against the CPU's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.baking.gpu_player import GpuFrame, GpuPlayer
+from fourd.baking.shade import shade_reference
+from tests.baking.scenes import manifest, random_frame, ring
+from tests.baking.test_player import expected
+
+
+@pytest.mark.parametrize(("points", "layers"), [(0, 12), (1, 1), (700, 12), (300, 3)])
+def test_bytes_equal_the_float_picture(
+    points: int, layers: int, gpu: torch.device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches channels in another order, and a background that shows through twice."""
+    monkeypatch.delenv("FOURD_SIMD", raising=False)  # for the CPU's picture; the player is told by its device
+    frame, described = random_frame(points, 6, seed=points + layers), manifest(views=6)
+    player, held = GpuPlayer(gpu), GpuFrame.of(frame, gpu)
+    for camera in ring(2):
+        background = (0.2, 0.9, 0.4)
+        picture = player.draw(held, camera, described, layers=layers, background=background).cpu().numpy()
+        truth = expected(frame, camera, described, layers, background)
+        assert picture.shape == truth.shape
+        assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
+
+
+def test_colours_equal_the_reference(gpu: torch.device) -> None:
+    """Catches harmonics in another order, and views without a say that are not taken evenly."""
+    frame, described = random_frame(500, 6, seed=3), manifest(views=6)
+    frame.blend_weights[:50] = 0
+    for camera in ring(3):
+        got = GpuPlayer(gpu).shade(GpuFrame.of(frame, gpu), camera, described).cpu().numpy()
+        assert np.abs(got - shade_reference(frame, camera, described)).max() <= 1e-5
+
+
+def test_a_wrong_canvas_is_named(gpu: torch.device) -> None:
+    frame, described, camera = random_frame(5, 6, seed=4), manifest(views=6), ring(4)[2]
+    with pytest.raises(ValueError, match=r"out: expected contiguous uint8 of shape \(48, 48, 4\), got"):
+        GpuPlayer(gpu).draw(GpuFrame.of(frame, gpu), camera, described, out=torch.empty(48, 48, 3, device=gpu))
