@@ -3,18 +3,19 @@ set(FOURD_CUDA_SOURCES
   planes/cuda/sample
   play/cuda/draw
   points/cuda/render
+  sources/cuda/sample
 )
 set(FOURD_CUDA_BINDINGS
-  binding/convert.cpp
   binding/cuda/bind.cpp
   binding/cuda/planes.cpp
   binding/cuda/play.cpp
   binding/cuda/points.cpp
+  binding/cuda/sources.cpp
 )
 
-# Adds the kernels' sources, compiled for the CPU, to a target.
+# Adds the kernels and their bindings, compiled for the CPU, to a target.
 function(fourd_emulate target)
-  target_sources(${target} PRIVATE device/emulated.cpp)
+  target_sources(${target} PRIVATE ${FOURD_CUDA_BINDINGS} device/emulated.cpp)
   foreach(source IN LISTS FOURD_CUDA_SOURCES)
     set(emulated ${CMAKE_CURRENT_BINARY_DIR}/emulated/${source}.cpp)
     file(CONFIGURE OUTPUT ${emulated} CONTENT "#include \"${source}.cu\"\n")
@@ -42,7 +43,8 @@ function(fourd_add_cuda_module)
     target_compile_options(fourd_cuda_kernels PRIVATE -Werror=all-warnings)
   endif()
   # Of a domain of its own: it has other types under the names of those emulated.
-  nanobind_add_module(_cuda NB_STATIC NOMINSIZE NB_DOMAIN fourd_cuda binding/cuda/module.cpp ${FOURD_CUDA_BINDINGS})
+  nanobind_add_module(_cuda NB_STATIC NOMINSIZE NB_DOMAIN fourd_cuda 
+    binding/convert.cpp binding/cuda/module.cpp ${FOURD_CUDA_BINDINGS})
   target_link_libraries(_cuda PRIVATE fourd_cuda_kernels fourd_kernels)
   fourd_strict(_cuda)
   install(TARGETS _cuda LIBRARY DESTINATION fourd)

@@ -10,6 +10,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.cameras import Camera
+from fourd.model.source_sampling import MOST_VIEWS, sample
+from fourd.raster.gpu import cuda_missing, emulated
+from fourd.raster.validation import camera_numbers
 
 
 @dataclass(frozen=True)
@@ -59,11 +62,23 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
         softness: depth in world units over which a hidden point loses its say.
 
     The matte is squared: a pixel on the silhouette mixes in background, so that trust must fall
-    faster than coverage does.
+    faster than coverage does. On a CUDA device whose kernels are built all is one kernel.
     """
+    gpu = xyz.device.type == "cuda" and not cuda_missing()
+    if not (gpu or emulated()) or len(sources.cameras) > MOST_VIEWS:
+        return sample_sources_reference(xyz, sources, features, softness)
+    cameras = [number for camera in sources.cameras for number in camera_numbers(camera)]
+    channels, trust = sample(xyz, features, sources.images, sources.mattes, sources.depth, cameras, softness)
+    return SourceSamples(channels.transpose(1, 2), trust)
+
+
+def sample_sources_reference(
+    xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: float
+) -> SourceSamples:
+    """What :func:`sample_sources` promises, in plain torch; any device."""
     pixels, depth = project_points(xyz, sources.cameras)
     height, width = sources.images.shape[-2:]
-    size = torch.tensor([width, height], dtype=pixels.dtype)
+    size = torch.tensor([width, height], dtype=pixels.dtype, device=pixels.device)
     grid = (2 * pixels / size - 1)[:, None]
     channels = functional.grid_sample(sources.images, grid, align_corners=False)[:, :, 0]
     if features is not None:
@@ -88,8 +103,8 @@ def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Te
 
     Points at or behind a camera get pixels far outside its image.
     """
-    extrinsics = _stacked([np.column_stack([c.rotation, c.translation]) for c in cameras])
-    intrinsics = _stacked([c.intrinsics for c in cameras])
+    extrinsics = _stacked([np.column_stack([c.rotation, c.translation]) for c in cameras], xyz)
+    intrinsics = _stacked([c.intrinsics for c in cameras], xyz)
     xyz_camera = xyz @ extrinsics[:, :, :3].transpose(1, 2) + extrinsics[:, None, :, 3]
     depth = xyz_camera[..., 2]
     in_front = depth > 1e-6
@@ -98,5 +113,5 @@ def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Te
     return torch.where(in_front[..., None], pixels, torch.full_like(pixels, -1e6)), depth
 
 
-def _stacked(matrices: list[np.ndarray]) -> Tensor:
-    return torch.from_numpy(np.stack(matrices).astype(np.float32))
+def _stacked(matrices: list[np.ndarray], like: Tensor) -> Tensor:
+    return torch.from_numpy(np.stack(matrices)).to(like)

@@ -24,6 +24,7 @@ inline void* stream_of(std::uintptr_t handle) { return reinterpret_cast<void*>(h
 void bind_planes(nanobind::module_& module);
 void bind_play(nanobind::module_& module);
 void bind_points(nanobind::module_& module);
+void bind_sources(nanobind::module_& module);
 
 // All of them.
 void bind(nanobind::module_& module);

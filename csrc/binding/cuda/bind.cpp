@@ -12,6 +12,7 @@ void bind(nb::module_& module) {
     bind_planes(module);
     bind_play(module);
     bind_points(module);
+    bind_sources(module);
 }
 
 }  // namespace fourd::cuda

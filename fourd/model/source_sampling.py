@@ -1,0 +1,127 @@
+"""Source views sampled by the CUDA kernel: ``torch.ops.fourd.sample_sources`` and its gradient.
+
+What they compute is :func:`fourd.model.sources.sample_sources_reference`, which the CPU uses. On CPU tensors
+the operators run the kernel's source emulated, for tests.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fourd.raster.gpu import gpu_of
+
+MOST_VIEWS = 16
+
+
+@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types=("cpu", "cuda"))
+def sample(
+    xyz: Tensor,
+    features: Tensor | None,
+    images: Tensor,
+    mattes: Tensor,
+    depth: Tensor | None,
+    cameras: list[float],
+    softness: float,
+) -> tuple[Tensor, Tensor]:
+    """Channels (V, C + 3, N) and trust (V, N) of points (N, 3) in V views.
+
+    Args:
+        features: (V, C, h, w), or None.
+        images, mattes, depth: (V, 3, H, W), (V, H, W) and (V, H, W) or None; no gradient.
+        cameras: the 21 numbers of each view, one after another.
+        softness: above 0, world units.
+    """
+    out = _empty_samples(xyz, features, images)
+    gpu = gpu_of(xyz.device)
+    maps = (_dense(images), _dense(mattes), _dense(depth), _dense(features))
+    with gpu.current():
+        gpu.kernels.sample_sources(_dense(xyz), *maps, cameras, softness, gpu.stream, *out)
+    return out
+
+
+@sample.register_fake
+def _(
+    xyz: Tensor,
+    features: Tensor | None,
+    images: Tensor,
+    mattes: Tensor,
+    depth: Tensor | None,
+    cameras: list[float],
+    softness: float,
+) -> tuple[Tensor, Tensor]:
+    return _empty_samples(xyz, features, images)
+
+
+@torch.library.custom_op("fourd::sample_sources_backward", mutates_args=(), device_types=("cpu", "cuda"))
+def sample_backward(
+    xyz: Tensor,
+    features: Tensor | None,
+    images: Tensor,
+    mattes: Tensor,
+    cameras: list[float],
+    gradient: Tensor,
+    learns: bool,
+) -> tuple[Tensor, Tensor]:
+    """Gradients of xyz and, where the features learn, of these (else an empty tensor)."""
+    grad_xyz, grad_features = _empty_gradients(xyz, features, learns)
+    gpu = gpu_of(xyz.device)
+    maps = (_dense(images), _dense(mattes), _dense(features))
+    with gpu.current():
+        gpu.kernels.sample_sources_backward(
+            _dense(xyz), *maps, cameras, gpu.stream, _dense(gradient), grad_xyz, grad_features if learns else None
+        )
+    return grad_xyz, grad_features
+
+
+@sample_backward.register_fake
+def _(
+    xyz: Tensor,
+    features: Tensor | None,
+    images: Tensor,
+    mattes: Tensor,
+    cameras: list[float],
+    gradient: Tensor,
+    learns: bool,
+) -> tuple[Tensor, Tensor]:
+    return _empty_gradients(xyz, features, learns)
+
+
+def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+    xyz, features, images, mattes, _, cameras, _ = inputs
+    ctx.set_materialize_grads(False)
+    ctx.save_for_backward(xyz, features, images, mattes)
+    ctx.cameras = cameras
+
+
+def _backward(
+    ctx: Any, gradient: Tensor | None, grad_trust: Tensor | None
+) -> tuple[Tensor | None, Tensor | None, None, None, None, None, None]:
+    xyz, features, images, mattes = ctx.saved_tensors
+    if gradient is None:
+        return None, None, None, None, None, None, None
+    learns = bool(ctx.needs_input_grad[1])
+    grad_xyz, grad_features = sample_backward(xyz, features, images, mattes, ctx.cameras, gradient, learns)
+    return grad_xyz, grad_features if learns else None, None, None, None, None, None
+
+
+sample.register_autograd(_backward, setup_context=_setup)
+
+
+def _dense(tensor: Tensor | None) -> Any:
+    return None if tensor is None else tensor.detach().contiguous()
+
+
+def _empty_samples(xyz: Tensor, features: Tensor | None, images: Tensor) -> tuple[Tensor, Tensor]:
+    views, count = images.shape[0], xyz.shape[0]
+    channels = 3 + (0 if features is None else features.shape[1])
+    return xyz.new_empty(views, channels, count), xyz.new_empty(views, count)
+
+
+def _empty_gradients(xyz: Tensor, features: Tensor | None, learns: bool) -> tuple[Tensor, Tensor]:
+    grad_xyz = torch.empty_like(xyz, memory_format=torch.contiguous_format)
+    if features is None or not learns:
+        return grad_xyz, xyz.new_empty(0)
+    return grad_xyz, torch.empty_like(features, memory_format=torch.contiguous_format)

@@ -1,0 +1,112 @@
+"""Source views sampled by the CUDA kernel, on a GPU or emulated, against plain torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fourd.model.source_sampling import sample
+from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
+from fourd.raster.gpu import gpu_of
+from fourd.raster.validation import camera_numbers
+from tests.baking.scenes import ring
+
+VIEWS, SIZE = 3, 40
+
+
+def views(rng: np.random.Generator, occlusion: bool) -> SourceViews:
+    """Random pictures whose sides differ; depths some of which hide points, and some infinite."""
+
+    def random(*shape: int) -> Tensor:
+        return torch.from_numpy(rng.uniform(0, 1, shape).astype(np.float32))
+
+    cameras = tuple(replace(camera, width=SIZE + 8) for camera in ring(VIEWS, SIZE))
+    depth = 2.2 + 1.5 * random(VIEWS, SIZE, SIZE + 8)
+    depth[:, :, ::7] = torch.inf
+    images, mattes = random(VIEWS, 3, SIZE, SIZE + 8), random(VIEWS, SIZE, SIZE + 8)
+    return SourceViews(images, mattes, depth if occlusion else None, cameras)
+
+
+def moved(sources: SourceViews, device: torch.device) -> SourceViews:
+    depth = None if sources.depth is None else sources.depth.to(device)
+    return replace(sources, images=sources.images.to(device), mattes=sources.mattes.to(device), depth=depth)
+
+
+def run(
+    function: Callable[..., SourceSamples], xyz: Tensor, sources: SourceViews, features: Tensor | None, seed: int
+) -> tuple[SourceSamples, list[Tensor]]:
+    leaves = [tensor.clone().requires_grad_() for tensor in (xyz, features) if tensor is not None]
+    samples = function(leaves[0], sources, leaves[1] if features is not None else None, 0.1)
+    weights = torch.from_numpy(np.random.default_rng(seed).normal(size=tuple(samples.channels.shape)))
+    total = (samples.channels * weights.to(samples.channels)).sum()
+    return samples, [gradient.cpu() for gradient in torch.autograd.grad(total, leaves)]
+
+
+@pytest.mark.parametrize("occlusion", [False, True])
+@pytest.mark.parametrize("channels", [0, 5])
+def test_values_and_gradients_equal_the_reference(
+    channels: int, occlusion: bool, gpu: torch.device, rng: np.random.Generator
+) -> None:
+    """Catches samples half a pixel off, views in another order, and a gradient at another resolution's scale."""
+    sources = views(rng, occlusion)
+    xyz = torch.from_numpy(rng.normal(0, 1.2, (400, 3)).astype(np.float32))
+    features = None
+    if channels > 0:
+        shape = (VIEWS, channels, SIZE // 2, (SIZE + 8) // 2)
+        features = torch.from_numpy(rng.normal(size=shape).astype(np.float32))
+    on_gpu = None if features is None else features.to(gpu)
+    got, gradients = run(sample_sources, xyz.to(gpu), moved(sources, gpu), on_gpu, 1)
+    wanted, expected = run(sample_sources_reference, xyz, sources, features, 1)
+    torch.testing.assert_close(got.channels.detach().cpu(), wanted.channels.detach(), rtol=1e-4, atol=2e-5)
+    torch.testing.assert_close(got.trust.cpu(), wanted.trust, rtol=1e-4, atol=2e-5)
+    for found, truth in zip(gradients, expected, strict=True):
+        # Where a pixel falls on the seam between samples, rounding decides which slope counts.
+        close = (found - truth).abs() <= 1e-3 * truth.abs().max()
+        assert float(close.float().mean()) >= 0.995
+
+
+def test_points_behind_and_beyond_stay_out(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches reads outside a map, and NaN that spreads from one point to another."""
+    sources = moved(views(rng, True), gpu)
+    huge = torch.tensor([[np.nan, 0, 0], [np.inf, 0, 0], [0, -np.inf, 0], [3e38, 3e38, 3e38], [50, 0, 0.5], [0, 0, 0]])
+    xyz = huge.float().to(gpu).requires_grad_()
+    samples = sample_sources(xyz, sources, None, 0.1)
+    assert bool((samples.trust[:, :4] == 0).all())
+    assert float(samples.channels[:, :4].detach().abs().max()) == 0
+    (gradient,) = torch.autograd.grad(samples.channels.sum(), xyz)
+    assert bool(torch.isfinite(gradient[5]).all())
+
+
+def test_operators_keep_torch_s_rules(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches a fake implementation of another shape, and a gradient that autograd does not know."""
+    sources = moved(views(rng, True), gpu)
+    cameras = [number for camera in sources.cameras for number in camera_numbers(camera)]
+    xyz = torch.randn(20, 3).to(gpu).requires_grad_()
+    features = torch.randn(VIEWS, 2, 20, 24).to(gpu).requires_grad_()
+    arguments = (xyz, features, sources.images, sources.mattes, sources.depth, cameras, 0.1)
+    torch.library.opcheck(
+        sample, arguments, test_utils=("test_schema", "test_faketensor", "test_autograd_registration")
+    )
+
+
+def test_too_many_views_are_refused(gpu: torch.device) -> None:
+    """Catches cameras written past the kernel's argument."""
+    many = torch.zeros(17, 3, 4, 4, device=gpu)
+    with pytest.raises(ValueError, match="images: expected 1 to 16 views on a GPU"):
+        gpu_of(gpu).kernels.sample_sources(
+            torch.zeros(1, 3, device=gpu),
+            many,
+            many[:, 0].contiguous(),
+            None,
+            None,
+            [0.0] * 21 * 17,
+            1.0,
+            0,
+            torch.zeros(17, 3, 1, device=gpu),
+            torch.zeros(17, 1, device=gpu),
+        )
