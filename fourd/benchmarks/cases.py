@@ -29,11 +29,13 @@ class Case:
         name: what is done, with its size.
         work: does it once.
         rivals: others that do the same work, by name; timed where they are not too slow.
+        parts: how often the work is done at a time.
     """
 
     name: str
     work: Work
     rivals: dict[str, Work] = field(default_factory=dict)
+    parts: int = 1
 
 
 def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:

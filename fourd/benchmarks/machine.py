@@ -10,6 +10,7 @@ from pathlib import Path
 
 import torch
 
+from fourd.raster.gpu import cuda_missing
 from fourd.raster.loading import native
 from fourd.raster.validation import simd_name, thread_count
 
@@ -19,6 +20,8 @@ class Machine:
     """The machine and the programs, in words and numbers."""
 
     processor: str
+    gpu: str | None
+    """The CUDA device that has kernels here."""
     threads: int
     simd: str
     system: str
@@ -30,13 +33,15 @@ class Machine:
 
     def __str__(self) -> str:
         built = self.fourd if self.commit is None else f"{self.fourd} ({self.commit})"
-        return f"{self.processor}, {self.threads} threads, {self.simd}; torch {self.torch}, fourd {built}"
+        gpu = "" if self.gpu is None else f", {self.gpu}"
+        return f"{self.processor}{gpu}, {self.threads} threads, {self.simd}; torch {self.torch}, fourd {built}"
 
 
 def this_machine() -> Machine:
     """Describe where this program runs."""
     return Machine(
         processor=_processor(),
+        gpu=torch.cuda.get_device_name() if has_gpu() else None,
         threads=thread_count(0, torch.get_num_threads()),
         simd=simd_name() or native().simd_default(),
         system=f"{platform.system()} {platform.machine()}",
@@ -45,6 +50,11 @@ def this_machine() -> Machine:
         fourd=version("fourd"),
         commit=_commit(),
     )
+
+
+def has_gpu() -> bool:
+    """Whether CUDA kernels can be timed here."""
+    return torch.cuda.is_available() and not cuda_missing()
 
 
 def _processor() -> str:

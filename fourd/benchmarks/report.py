@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 
 from rich.table import Table
 
+from fourd.benchmarks.cases import Case
 from fourd.benchmarks.machine import Machine
-from fourd.benchmarks.timing import Timing
+from fourd.benchmarks.timing import Clock, Timing
 
 FORMAT_VERSION = 1
 
@@ -21,6 +22,12 @@ class Row:
     name: str
     timing: Timing
     rivals: dict[str, Timing]
+
+    @classmethod
+    def of(cls, case: Case, clock: Clock, *, rivals: bool) -> Row:
+        """Time a case, and where wanted its rivals."""
+        others = {name: clock.time(work, case.parts) for name, work in case.rivals.items()} if rivals else {}
+        return cls(case.name, clock.time(case.work, case.parts), others)
 
 
 def table(rows: Iterable[Row]) -> Table:

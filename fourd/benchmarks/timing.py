@@ -40,8 +40,8 @@ class Clock:
         self._least = least
         self._most = most
 
-    def time(self, work: Work) -> Timing:
-        """Time ``work``, which is run once before to warm up."""
+    def time(self, work: Work, parts: int = 1) -> Timing:
+        """Time ``work``, which is run once before to warm up, as a mean of the ``parts`` that it does."""
         first = _ms(work)
         runs = max(self._least, min(self._most, int(1000 * self._seconds / max(first, 0.1))))
         units, times = [], []
@@ -49,7 +49,7 @@ class Clock:
             units.append(_ms(lambda: self._square @ self._square))
             # The product's threads spin for a while after it, and would slow the first run of what follows.
             work()
-            times.append(_ms(work))
+            times.append(_ms(work) / parts)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]
         return Timing(statistics.median(times), statistics.median(ratios), runs)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,7 @@ import tyro
 from rich.console import Console
 
 from fourd.benchmarks.cases import cases
+from fourd.benchmarks.gpu_cases import gpu_cases
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.report import Row, markdown, table, to_json
 from fourd.benchmarks.timing import Clock
@@ -20,7 +22,8 @@ from fourd.files import write_text_atomically
 @dataclass(frozen=True)
 class Arguments:
     """One unit is a product of two 2048 x 2048 float32 matrices by torch, timed beside every run: where others
-    share the machine, units are steadier than milliseconds. FOURD_THREADS and FOURD_SIMD hold here as everywhere."""
+    share the machine, units are steadier than milliseconds. Where there is a CUDA device and its kernels are
+    built, they are timed as well. FOURD_THREADS and FOURD_SIMD hold here as everywhere."""
 
     json: Path | None = None
     """Write all figures to this file."""
@@ -38,10 +41,9 @@ def run(arguments: Arguments) -> None:
     clock = Clock(seconds=1.0 if arguments.quick else 6.0)
     rows: list[Row] = []
     with ExitStack() as resources, console.status("") as status:
-        for case in cases(resources, steps=not arguments.quick):
+        for case in chain(cases(resources, steps=not arguments.quick), gpu_cases()):
             status.update(case.name)
-            rivals = {} if arguments.quick else {name: clock.time(work) for name, work in case.rivals.items()}
-            rows.append(Row(case.name, clock.time(case.work), rivals))
+            rows.append(Row.of(case, clock, rivals=not arguments.quick))
     console.print(table(rows))
     if arguments.json is not None:
         write_text_atomically(arguments.json, to_json(rows, machine))

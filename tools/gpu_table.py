@@ -1,0 +1,30 @@
+"""Print the benchmark table of this machine's CUDA device; part of gpu_check.sh, and needs torch and rich alone."""
+
+from __future__ import annotations
+
+import sys
+
+from rich.console import Console
+
+from fourd.benchmarks.gpu_cases import gpu_cases
+from fourd.benchmarks.machine import has_gpu, this_machine
+from fourd.benchmarks.report import Row, markdown
+from fourd.benchmarks.timing import Clock
+
+
+def main() -> int:
+    """The table in Markdown on standard output."""
+    if not has_gpu():
+        print("gpu_table: expected a CUDA device and its kernels, found none", file=sys.stderr)
+        return 2
+    clock, console = Clock(seconds=3.0), Console(stderr=True)
+    rows = []
+    for case in gpu_cases():
+        console.print(case.name, soft_wrap=True)
+        rows.append(Row.of(case, clock, rivals=True))
+    print(markdown(rows, this_machine()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
