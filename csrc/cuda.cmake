@@ -1,4 +1,5 @@
 # The CUDA kernels: as a module where nvcc is found, and emulated on the CPU for tests.
+set(FOURD_CUDA_ROOT ${CMAKE_CURRENT_LIST_DIR})
 set(FOURD_CUDA_SOURCES
   planes/cuda/sample
   play/cuda/draw
@@ -13,9 +14,9 @@ set(FOURD_CUDA_BINDINGS
   binding/cuda/sources.cpp
 )
 
-# Adds the kernels and their bindings, compiled for the CPU, to a target.
+# Adds the kernels, compiled for the CPU, to a target.
 function(fourd_emulate target)
-  target_sources(${target} PRIVATE ${FOURD_CUDA_BINDINGS} device/emulated.cpp)
+  target_sources(${target} PRIVATE ${FOURD_CUDA_ROOT}/device/emulated.cpp)
   foreach(source IN LISTS FOURD_CUDA_SOURCES)
     set(emulated ${CMAKE_CURRENT_BINARY_DIR}/emulated/${source}.cpp)
     file(CONFIGURE OUTPUT ${emulated} CONTENT "#include \"${source}.cu\"\n")

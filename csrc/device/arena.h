@@ -4,6 +4,10 @@
 #include <cstddef>
 #include <cstdint>
 
+#if defined(__SANITIZE_ADDRESS__)
+#include <sanitizer/asan_interface.h>
+#endif
+
 namespace fourd::device {
 
 // Given no memory, an arena only counts the bytes that its arrays need.
@@ -13,8 +17,9 @@ class Arena {
 
     template <typename T>
     T* take(std::size_t count) {
-        const std::size_t begin = bytes_;
-        bytes_ += (count * sizeof(T) + kAlign - 1) / kAlign * kAlign;
+        const std::size_t begin = bytes_, used = count * sizeof(T);
+        bytes_ += (used + kAlign - 1) / kAlign * kAlign + kGap;
+        guard(begin, used);
         return memory_ ? reinterpret_cast<T*>(memory_ + begin) : nullptr;
     }
 
@@ -22,6 +27,22 @@ class Arena {
 
   private:
     static constexpr std::size_t kAlign = 256;
+
+#if defined(__SANITIZE_ADDRESS__)
+    // Between arrays lies what the sanitizer lets nobody touch.
+    static constexpr std::size_t kGap = kAlign;
+
+    void guard(std::size_t begin, std::size_t used) const {
+        if (!memory_) return;
+        ASAN_UNPOISON_MEMORY_REGION(memory_ + begin, used);
+        ASAN_POISON_MEMORY_REGION(memory_ + begin + used, bytes_ - begin - used);
+    }
+#else
+    static constexpr std::size_t kGap = 0;
+
+    void guard(std::size_t, std::size_t) const {}
+#endif
+
     unsigned char* memory_;
     std::size_t bytes_ = 0;
 };

@@ -1,10 +1,7 @@
 // Runs the kernels on small random and hostile inputs, for sanitizer builds: whatever a point holds, nothing is
 // read or written out of bounds, no thread races another, and what comes out is finite.
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
-#include <limits>
-#include <random>
 #include <vector>
 
 #include "blend/blend.h"
@@ -12,57 +9,16 @@
 #include "play/play.h"
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
+#include "tests/random_inputs.h"
 
 namespace {
 
-using Random = std::mt19937;
-using Floats = std::vector<float>;
-
-constexpr float kNothing = std::numeric_limits<float>::quiet_NaN();
-constexpr float kInfinity = std::numeric_limits<float>::infinity();
-constexpr float kHostile[] = {kNothing, kInfinity, -kInfinity, 3e38f, -3e38f, 1e-42f, 0.0f, -0.0f, -1.0f};
-
-float uniform(Random& random, float low, float high) {
-    return std::uniform_real_distribution<float>(low, high)(random);
-}
-
-int whole(Random& random, int low, int high) { return std::uniform_int_distribution<int>(low, high)(random); }
-
-void expect_finite(const Floats& values, const char* what, unsigned seed) {
-    for (const float value : values) {
-        if (std::isfinite(value)) continue;
-        std::fprintf(stderr, "seed %u: %s: expected finite values, got %g\n", seed, what, static_cast<double>(value));
-        std::exit(1);
-    }
-}
-
-Floats random_floats(Random& random, std::size_t count, float low, float high, float hostile_share) {
-    Floats values(count);
-    for (float& value : values) {
-        value = uniform(random, low, high);
-        if (uniform(random, 0, 1) < hostile_share) value = kHostile[whole(random, 0, 8)];
-    }
-    return values;
-}
-
-fourd::points::Settings random_settings(Random& random, const char* simd) {
-    fourd::points::Settings settings{};
-    const int width = whole(random, 1, 70), height = whole(random, 1, 50);
-    const float focal = uniform(random, 1, 100);
-    const float intrinsics[9] = {focal, 0, width / 2.0f, 0, focal, height / 2.0f, 0, 0, 1};
-    const float rotation[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
-    const float translation[3] = {0, 0, uniform(random, -1, 4)};
-    for (int i = 0; i < 9; ++i) settings.camera.intrinsics[i] = intrinsics[i];
-    for (int i = 0; i < 9; ++i) settings.camera.rotation[i] = rotation[i];
-    for (int i = 0; i < 3; ++i) settings.camera.translation[i] = translation[i];
-    settings.camera.width = width;
-    settings.camera.height = height;
-    settings.near = 0.01f;
-    settings.layers = whole(random, 1, 30);
-    settings.threads = whole(random, 1, 4);
-    settings.simd = fourd::simd_named(simd);
-    return settings;
-}
+using fourd::tests::expect_finite;
+using fourd::tests::Floats;
+using fourd::tests::Random;
+using fourd::tests::random_floats;
+using fourd::tests::random_settings;
+using fourd::tests::whole;
 
 void run_points(unsigned seed, const char* simd) {
     Random random(seed);

@@ -61,6 +61,16 @@ def test_bad_points_change_nothing_and_get_no_gradient(gpu: torch.device, rng: n
         assert float((value[sound] - wanted).abs().max()) <= 1e-5 * float(wanted.abs().max())
 
 
+def test_weights_too_small_to_show_in_alpha(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches a depth's gradient divided by a weight of 1e-42, which makes every gradient of its point NaN."""
+    cloud = random_cloud(rng, 40, 2)
+    cloud.density[:] = 1e-42
+    gradients = run(cloud, (30, 20), "auto", 8, device=gpu)[1]
+    expected = run(cloud, (30, 20), "reference", 8)[1]
+    assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
+    torch.testing.assert_close(gradients[3], expected[3], rtol=1e-4, atol=1e-4)
+
+
 def test_no_points_at_all(gpu: torch.device) -> None:
     """Catches a kernel started on nothing, or a sort of no entries that fails."""
     cloud = Cloud(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0))

@@ -40,16 +40,18 @@ struct GradientPixel {
         DepthSum depth;
         // A transmittance of exactly 0 ends no pixel here: what lies behind a point of alpha 1 is the
         // gradient of that alpha.
-        walk(view.entries, row, pixel, view.layers, -1.0f, lane,
-             [&](std::size_t place, std::size_t, const Splat& splat, const PixelTouch& at, float passed) {
-                 places[left] = static_cast<std::uint32_t>(place);
-                 transmittances[left] = passed;
-                 ++left;
-                 depth.add(splat.z, passed * at.alpha);
-             });
+        const float transmittance =
+            walk(view.entries, row, pixel, view.layers, -1.0f, lane,
+                 [&](std::size_t place, std::size_t, const Splat& splat, const PixelTouch& at, float passed) {
+                     places[left] = static_cast<std::uint32_t>(place);
+                     transmittances[left] = passed;
+                     ++left;
+                     depth.add(splat.z, passed * at.alpha);
+                 });
+        const bool seen = 1.0f - transmittance > 0.0f;
         const Upstream<kRoom> upstream(gradient, pixel, channels);
-        const float per_weight = depth.weight > 0.0f ? upstream.depth / depth.weight : 0.0f;
-        const float mean_behind = depth.mean_behind();
+        const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
+        const float mean_behind = seen ? depth.mean_behind() : 0.0f;
         float behind = 0.0f;   // the composite value of what lies behind
         float through = 1.0f;  // and the light that it lets through
         while (true) {

@@ -25,7 +25,8 @@ struct DepthSum {
         behind += w * (z - nearest);
     }
 
-    FOURD_DEVICE float mean_behind() const { return weight > 0.0f ? behind / weight : 0.0f; }
+    // Where the pixel is seen: weights too small to show in alpha say nothing of depth.
+    FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 
 // kRoom: at least as many as channels, so that loops over them have no index known only at run time.

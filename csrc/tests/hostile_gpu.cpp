@@ -1,0 +1,158 @@
+// Runs the emulated CUDA kernels on small random and hostile inputs, for sanitizer builds: whatever a point holds and
+// however little room there is, nothing is read or written out of bounds, no warp loses a lane, and what comes out
+// is finite.
+#include <cstdio>
+#include <cstdlib>
+#include <vector>
+
+#include "planes/cuda/sample.h"
+#include "play/cuda/draw.h"
+#include "points/cuda/render.h"
+#include "sources/cuda/sample.h"
+#include "tests/random_inputs.h"
+
+namespace {
+
+using fourd::tests::expect_finite;
+using fourd::tests::Floats;
+using fourd::tests::Random;
+using fourd::tests::random_floats;
+using fourd::tests::random_settings;
+using fourd::tests::whole;
+
+// Memory of just the size that is asked for.
+class Memory {
+  public:
+    Memory(std::size_t bytes, std::size_t entries) : bytes_(bytes), room_{bytes_.data(), entries, &needed_} {}
+    const fourd::points::cuda::Room& room() const { return room_; }
+
+  private:
+    std::vector<unsigned char> bytes_;
+    std::uint64_t needed_ = 0;
+    fourd::points::cuda::Room room_;
+};
+
+void run_points(unsigned seed) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 150));
+    const std::size_t channels = static_cast<std::size_t>(whole(random, 1, 32));
+    const float hostile = seed % 2 ? 0.2f : 0.0f;
+    const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, hostile);
+    const Floats features = random_floats(random, channels * count, -1, 1, 0);
+    const Floats radius = random_floats(random, count, 0, whole(random, 0, 3) ? 0.2f : 5.0f, hostile);
+    const Floats density = random_floats(random, count, 0, 1, hostile);
+    const fourd::points::Settings settings = random_settings(random, "");
+    const fourd::points::Cloud cloud{xyz.data(), features.data(), radius.data(), density.data(), count,
+                                     static_cast<int>(channels)};
+    const int width = settings.camera.width, height = settings.camera.height;
+    const std::size_t pixels = static_cast<std::size_t>(width) * height;
+    const std::size_t entries = static_cast<std::size_t>(whole(random, 0, 2) ? 4000 : whole(random, 0, 20));
+    const Memory memory(
+        fourd::points::cuda::workspace_bytes(count, cloud.channels, width, height, entries), entries);
+    Floats image(pixels * channels), alpha(pixels), depth(pixels), seen(count);
+    fourd::points::cuda::render(cloud, settings, memory.room(), {image.data(), alpha.data(), depth.data()}, nullptr);
+    expect_finite(image, "features", seed);
+    expect_finite(alpha, "alpha", seed);
+    expect_finite(depth, "depth", seed);
+    fourd::points::cuda::visibility(cloud, settings, memory.room(), seen.data(), nullptr);
+    expect_finite(seen, "visibility", seed);
+    const Floats up_image = random_floats(random, pixels * channels, -1, 1, 0);
+    const Floats up_plane = random_floats(random, pixels, -1, 1, 0);
+    Floats to_xyz(3 * count), to_features(channels * count), to_radius(count), to_density(count);
+    const float* up_depth = seed % 3 ? up_plane.data() : nullptr;
+    fourd::points::cuda::render_backward(cloud, settings, memory.room(), {up_image.data(), up_plane.data(), up_depth},
+                                         {to_xyz.data(), to_features.data(), to_radius.data(), to_density.data()},
+                                         nullptr);
+    expect_finite(to_xyz, "gradient of xyz", seed);
+    expect_finite(to_radius, "gradient of radius", seed);
+    expect_finite(to_features, "gradient of features", seed);
+    expect_finite(to_density, "gradient of density", seed);
+}
+
+void run_play(unsigned seed) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 150));
+    const std::size_t views = static_cast<std::size_t>(whole(random, 1, 5));
+    const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, seed % 2 ? 0.2f : 0.0f);
+    std::vector<std::uint16_t> sh(48 * count, 0x3000), weights(views * count, 0x3c00), radius(count), density(count);
+    std::vector<std::uint8_t> rgb(3 * views * count, 200);
+    for (auto& half : radius) half = static_cast<std::uint16_t>(whole(random, 0, 0x7bff));
+    for (auto& half : density) half = static_cast<std::uint16_t>(whole(random, 0, 0x3c00));
+    const std::int32_t chosen[] = {0};
+    const fourd::points::Settings settings = random_settings(random, "");
+    const int width = settings.camera.width, height = settings.camera.height;
+    const fourd::shade::Settings shading{chosen, 1, {0, 0, -3}, 0.25f, 0.0f, 1, settings.simd};
+    std::vector<std::uint8_t> rgba(std::size_t{4} * width * height);
+    const fourd::play::Frame frame{{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views},
+                                   radius.data(), density.data()};
+    const Memory memory(fourd::play::cuda::workspace_bytes(count, width, height, 1000), 1000);
+    fourd::play::cuda::draw(frame, settings, shading, memory.room(), {rgba.data(), {0, 0.5f, 1}}, nullptr);
+}
+
+void run_planes(unsigned seed) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 200));
+    const int features = whole(random, 0, 2) ? 8 : whole(random, 1, 64);
+    const int columns = whole(random, 2, 40), rows = whole(random, 2, 40);
+    const Floats coordinates = random_floats(random, 4 * count, -1.2f, 1.2f, seed % 2 ? 0.2f : 0.0f);
+    const Floats values = random_floats(random, static_cast<std::size_t>(columns) * rows * features, -1, 1, 0);
+    const fourd::planes::Plane plane{values.data(), columns, rows, whole(random, 0, 3), whole(random, 0, 3)};
+    const fourd::planes::Query query{&plane, 1, features, coordinates.data(), count, 1, fourd::Simd::baseline};
+    Floats out(count * features), to_values(values.size()), to_coordinates(4 * count);
+    float* const target = to_values.data();
+    fourd::planes::cuda::sample(query, out.data(), nullptr);
+    expect_finite(out, "samples", seed);
+    fourd::planes::cuda::sample_backward(query, out.data(), &target, to_coordinates.data(), nullptr);
+    expect_finite(to_values, "gradient of planes", seed);
+    expect_finite(to_coordinates, "gradient of coordinates", seed);
+}
+
+void run_sources(unsigned seed) {
+    Random random(seed);
+    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 200)), views = whole(random, 1, 4);
+    const int width = whole(random, 1, 30), height = whole(random, 1, 30);
+    const int channels = whole(random, 0, 6), across = whole(random, 1, 20), down = whole(random, 1, 20);
+    const std::size_t pixels = static_cast<std::size_t>(width) * height;
+    const Floats images = random_floats(random, 3 * views * pixels, 0, 1, 0);
+    const Floats mattes = random_floats(random, views * pixels, 0, 1, 0);
+    const Floats depth = random_floats(random, views * pixels, 1, 5, 0);
+    const Floats features = random_floats(random, views * channels * across * down, -1, 1, 0);
+    const Floats xyz = random_floats(random, 3 * count, -2, 2, seed % 2 ? 0.2f : 0.0f);
+    std::vector<fourd::sources::Pinhole> cameras;
+    for (std::size_t view = 0; view < views; ++view) {
+        const fourd::points::Pinhole from = random_settings(random, "").camera;
+        fourd::sources::Pinhole to{};
+        for (int i = 0; i < 9; ++i) to.intrinsics[i] = from.intrinsics[i];
+        for (int i = 0; i < 9; ++i) to.rotation[i] = from.rotation[i];
+        for (int i = 0; i < 3; ++i) to.translation[i] = from.translation[i];
+        cameras.push_back(to);
+    }
+    fourd::sources::Query query{};
+    query.maps = {images.data(), mattes.data(), seed % 3 ? depth.data() : nullptr, channels ? features.data() : nullptr,
+                  width, height, channels, channels ? across : 0, channels ? down : 0};
+    query.cameras = cameras.data();
+    query.views = static_cast<int>(views);
+    query.xyz = xyz.data();
+    query.count = count;
+    query.softness = 0.1f;
+    Floats samples(views * (channels + 3) * count), trust(views * count), to_xyz(3 * count), to_features(features.size());
+    fourd::sources::cuda::sample(query, {samples.data(), trust.data()}, nullptr);
+    expect_finite(samples, "channels", seed);
+    expect_finite(trust, "trust", seed);
+    fourd::sources::cuda::sample_backward(query, samples.data(), {to_xyz.data(), channels ? to_features.data() : nullptr},
+                                          nullptr);
+    expect_finite(to_features, "gradient of features", seed);
+}
+
+}  // namespace
+
+int main(int count, char** words) {
+    const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(words[1])) : 100;
+    for (unsigned seed = 0; seed < runs; ++seed) {
+        run_points(seed);
+        run_play(seed);
+        run_planes(seed);
+        run_sources(seed);
+    }
+    std::printf("points, play, planes and sources, emulated GPU: %u inputs each\n", runs);
+}
