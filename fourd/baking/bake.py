@@ -15,6 +15,7 @@ from fourd.baking.container import SceneWriter
 from fourd.baking.scene import BakedFrame, SceneManifest, triple
 from fourd.errors import UserError
 from fourd.model.appearance import LEAST_TRUST
+from fourd.model.point_model import PointFeatures
 from fourd.model.sources import sample_sources
 from fourd.training.frames import FramePoints
 from fourd.training.run import TrainedRun
@@ -86,7 +87,7 @@ def _blend_data(
     radius: Tensor,
     density: Tensor,
     xyz: Tensor,
-    features: Tensor,
+    features: PointFeatures,
     frame: int,
     sources: list[int],
 ) -> tuple[Tensor, Tensor]:

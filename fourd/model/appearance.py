@@ -56,9 +56,9 @@ class BlendHead(nn.Module):
         nn.init.uniform_(self.out.weight, -1e-2, 1e-2)
         nn.init.zeros_(self.out.bias)
 
-    def forward(self, features: Tensor, samples: Tensor, directions: Tensor | None = None) -> Tensor:
-        """features (N, F), samples (V, N, C), directions (V, N, 4) when continuous -> (V, N) in +-5."""
-        point = self.point(features)
+    def forward(self, point: Tensor, samples: Tensor, directions: Tensor | None = None) -> Tensor:
+        """What ``point`` made of the features (N, H), samples (V, N, C), directions (V, N, 4) when continuous
+        -> (V, N) in +-5."""
         if self.direction is None:
             return blend_logits(point, samples.transpose(1, 2), self.image.weight, self.out.weight[0], self.out.bias)
         assert directions is not None, "continuous blending needs directions"
@@ -71,16 +71,16 @@ class HarmonicsHead(nn.Module):
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
         super().__init__()
-        self.layers = nn.Sequential(
-            nn.Linear(in_features, config.hidden), nn.ReLU(), nn.Linear(config.hidden, 3 * SH_TERMS)
-        )
+        self.first = nn.Linear(in_features, config.hidden)
+        self.layers = nn.Sequential(nn.ReLU(), nn.Linear(config.hidden, 3 * SH_TERMS))
         last = self.layers[-1]
         assert isinstance(last, nn.Linear)
         nn.init.uniform_(last.weight, -1e-3, 1e-3)
         nn.init.zeros_(last.bias)
 
-    def forward(self, features: Tensor) -> Tensor:
-        return self.layers(features).reshape(-1, 3, SH_TERMS)
+    def forward(self, hidden: Tensor) -> Tensor:
+        """What ``first`` made of the features, (N, H) -> (N, 3, 16)."""
+        return self.layers(hidden).reshape(-1, 3, SH_TERMS)
 
 
 def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:

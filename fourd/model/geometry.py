@@ -27,8 +27,8 @@ class GeometryHead(nn.Module):
         self.radius_offset = math.log(start / (1 - start))
         self.radius_low = low * spacing
         self.radius_high = high * spacing
+        self.first = nn.Linear(in_features, config.hidden)
         self.layers = nn.Sequential(
-            nn.Linear(in_features, config.hidden),
             nn.ReLU(),
             nn.Linear(config.hidden, config.hidden),
             nn.ReLU(),
@@ -39,9 +39,9 @@ class GeometryHead(nn.Module):
         nn.init.uniform_(last.weight, -1e-3, 1e-3)
         nn.init.zeros_(last.bias)
 
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, in_features) -> radius (N,) in world units, density (N,) in (0, 1)."""
-        raw_radius, raw_density = self.layers(features).unbind(-1)
+    def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
+        """What ``first`` made of the features (N, H) -> radius (N,) in world units, density (N,) in (0, 1)."""
+        raw_radius, raw_density = self.layers(hidden).unbind(-1)
         share = torch.sigmoid(raw_radius + self.radius_offset)
         radius = self.radius_low + (self.radius_high - self.radius_low) * share
         return radius, torch.sigmoid(raw_density + DENSITY_START)

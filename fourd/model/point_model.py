@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -11,9 +13,25 @@ from fourd.model.appearance import BlendHead, HarmonicsHead, ImageEncoder, blend
 from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.model.geometry import GeometryHead
 from fourd.model.kplanes import KPlanes
+from fourd.model.shared_linear import shared_linear
 from fourd.model.sources import SourceSamples, SourceViews, sample_sources
 
 RGB = 3
+
+
+@dataclass(frozen=True)
+class PointFeatures:
+    """What the planes say of N points, as each head's hidden layer of width H takes it: (N, H), before its ReLU.
+
+    Attributes:
+        geometry: for :meth:`PointModel.geometry`.
+        blend: for :meth:`PointModel.blend_logits`; None without an image-based part.
+        harmonics: for :meth:`PointModel.harmonics`; None where no MLP makes them.
+    """
+
+    geometry: Tensor
+    blend: Tensor | None
+    harmonics: Tensor | None
 
 
 class PointModel(nn.Module):
@@ -82,30 +100,37 @@ class PointModel(nn.Module):
         """(N, 3) learnt displacement in world units, or None without the residual field."""
         return None if self.residual is None else self.residual(self.coordinates(xyz, time))
 
-    def point_features(self, xyz: Tensor, time: float) -> Tensor:
-        """(N, F) K-Planes features. The points' positions get no gradient through the planes."""
-        return self.planes(self.coordinates(xyz.detach(), time))
+    def point_features(self, xyz: Tensor, time: float) -> PointFeatures:
+        """K-Planes features of points (N, 3). Their positions get no gradient through the planes."""
+        features = self.planes(self.coordinates(xyz.detach(), time))
+        layers = [self.geometry_head.first]
+        layers += [] if self.blend_head is None else [self.blend_head.point]
+        layers += [] if self.harmonics_head is None else [self.harmonics_head.first]
+        hidden = shared_linear(features, layers)
+        blend = hidden[1].contiguous() if self.blend_head is not None else None
+        return PointFeatures(hidden[0], blend, hidden[-1] if self.harmonics_head is not None else None)
 
-    def geometry(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """(N, F) -> radius (N,) in world units, density (N,) in (0, 1)."""
-        return self.geometry_head(features)
+    def geometry(self, features: PointFeatures) -> tuple[Tensor, Tensor]:
+        """Radius (N,) in world units, density (N,) in (0, 1)."""
+        return self.geometry_head(features.geometry)
 
     def encode_images(self, images: Tensor) -> Tensor | None:
         """(V, 3, H, W) -> (V, image_features, H / stride, W / stride), or None without an image-based part."""
         return None if self.image_encoder is None else self.image_encoder(images)
 
-    def harmonics(self, features: Tensor, explicit: Tensor | None) -> Tensor | None:
+    def harmonics(self, features: PointFeatures, explicit: Tensor | None) -> Tensor | None:
         """(N, 3, 16) SH from the MLP or ``explicit`` (N, 48); None without an SH part."""
         if self.config.appearance == "ibr":
             return None
         if self.harmonics_head is not None:
-            return self.harmonics_head(features)
+            assert features.harmonics is not None
+            return self.harmonics_head(features.harmonics)
         assert explicit is not None, "explicit spherical harmonics come with the frame's points"
         return explicit.reshape(-1, 3, 16)
 
     def blend_logits(
         self,
-        features: Tensor,
+        features: PointFeatures,
         samples: SourceSamples,
         xyz: Tensor,
         sources: SourceViews,
@@ -113,16 +138,17 @@ class PointModel(nn.Module):
     ) -> Tensor:
         """(V, N) logits of the source views; ``viewer`` matters to continuous blending alone."""
         assert self.blend_head is not None
+        assert features.blend is not None
         directions = None
         if self.config.continuous:
             assert viewer is not None, "continuous blending needs the viewing camera"
             directions = _relative_directions(xyz, viewer, sources.cameras)
-        return self.blend_head(features, samples.channels, directions)
+        return self.blend_head(features.blend, samples.channels, directions)
 
     def colour(
         self,
         xyz: Tensor,
-        features: Tensor,
+        features: PointFeatures,
         viewer: Camera,
         sources: SourceViews | None,
         explicit: Tensor | None = None,

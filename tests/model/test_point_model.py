@@ -100,7 +100,7 @@ def test_the_shared_first_layer_is_the_joint_one() -> None:
     weight = torch.cat([head.point.weight, head.image.weight], dim=1)
     hidden = torch.relu(joined @ weight.T + head.point.bias)
     raw = head.out(hidden)[..., 0]
-    torch.testing.assert_close(head(features, samples), 5 * torch.tanh(raw / 5))
+    torch.testing.assert_close(head(head.point(features), samples), 5 * torch.tanh(raw / 5))
 
 
 @pytest.mark.parametrize("stride", [1, 2])

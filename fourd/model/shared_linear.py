@@ -1,0 +1,37 @@
+"""Linear layers that read the same features, computed as one product: memory-bound, each would read them anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.autograd.function import once_differentiable
+
+
+def shared_linear(features: Tensor, layers: Sequence[nn.Linear]) -> list[Tensor]:
+    """What each of the layers makes of ``features`` (N, F): (N, its width), views of one array.
+
+    The same sums as of the layers one by one, in another order. Differentiable once in everything.
+    """
+    return list(_SharedLinear.apply(features, *(part for layer in layers for part in (layer.weight, layer.bias))))
+
+
+class _SharedLinear(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, features: Tensor, *weights_and_biases: Tensor) -> tuple[Tensor, ...]:
+        weights = torch.cat(weights_and_biases[::2])
+        ctx.widths = [bias.shape[0] for bias in weights_and_biases[1::2]]
+        ctx.save_for_backward(features, weights)
+        return torch.addmm(torch.cat(weights_and_biases[1::2]), features, weights.T).split(ctx.widths, dim=1)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
+        features, weights = ctx.saved_tensors
+        gradient = torch.cat(gradients, dim=1)
+        to_weights = (gradient.T @ features).split(ctx.widths)
+        to_biases = gradient.sum(dim=0).split(ctx.widths)
+        pairs = zip(to_weights, to_biases, strict=True)
+        return gradient @ weights, *(part for pair in pairs for part in pair)
