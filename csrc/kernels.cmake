@@ -12,10 +12,12 @@ add_library(fourd_kernels STATIC
   ${FOURD_KERNELS}/points/cpu/render.cpp
   ${FOURD_KERNELS}/points/cpu/tiles_baseline.cpp
   ${FOURD_KERNELS}/shade/cpu/shade.cpp
+  ${FOURD_KERNELS}/sources/cpu/sample.cpp
 )
-# Its promise is a tolerance: sums may be fused, and choices between numbers made without branches.
+# Their promise is a tolerance: sums may be fused, and choices between numbers made without branches.
 set(FOURD_TOLERANT -ffp-contract=fast -fno-trapping-math -fno-math-errno)
-set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
+set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp ${FOURD_KERNELS}/sources/cpu/sample.cpp
+  PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
 set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_baseline.cpp
   PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
 # Each instruction set has its own copy of the tile kernels; which one runs is decided at run time.

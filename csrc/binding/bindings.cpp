@@ -37,4 +37,5 @@ NB_MODULE(_native, module) {
     fourd::bind_play(module);
     fourd::bind_points(module);
     fourd::bind_shade(module);
+    fourd::bind_sources(module);
 }

@@ -71,6 +71,12 @@ FOURD_HD static inline Around around(float x, float y, int width, int height) {
     return out;
 }
 
+// How the sum of a map's samples, times g, changes as the place moves; added to a pixel's gradient.
+FOURD_HD static inline void move(float value, const Around& at, int corner, float g, float* grad_u, float* grad_v) {
+    if (at.across[corner] != 0.0f) *grad_u += g * at.across[corner] * value;
+    if (at.down[corner] != 0.0f) *grad_v += g * at.down[corner] * value;
+}
+
 FOURD_HD static inline float sample(const float* map, const Around& at) {
     float sum = 0.0f;
     for (int corner = 0; corner < 4; ++corner) {

@@ -1,8 +1,10 @@
 // Points sampled in the source views around a camera. Callers check shapes; every pointer is to a dense row-major array.
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 
+#include "common/simd.h"
 #include "sources/maths.h"
 
 namespace fourd::sources {
@@ -11,7 +13,7 @@ struct Maps {
     const float* images;    // (views, 3, height, width)
     const float* mattes;    // (views, height, width) in [0, 1]
     const float* depth;     // (views, height, width), of the nearest surface; null: nothing hides points
-    const float* features;  // (views, channels, feature_height, feature_width), over the same images; null for none
+    const float* features;  // (views, feature_height, feature_width, channels), over the same images; null for none
     int width, height;
     int channels, feature_width, feature_height;  // 0 without features
 };
@@ -22,7 +24,9 @@ struct Query {
     int views;
     const float* xyz;  // (count, 3)
     std::size_t count;
-    float softness;    // depth over which a hidden point loses its say
+    float softness;    // depth over which a hidden point loses its say, above 0
+    int threads;       // at least 1; the result does not depend on it. Of the CPU alone, as is
+    Simd simd;         // one that this machine runs
 };
 
 struct Samples {
@@ -30,9 +34,45 @@ struct Samples {
     float* trust;     // (views, count)
 };
 
+// With respect to Samples' channels; trust has none.
 struct Gradients {
     float* xyz;       // (count, 3)
     float* features;  // as Maps' features; null where it is not wanted
 };
+
+// The samples around a point in a view's image, and in its features.
+FOURD_HD static inline Around around_in_image(const Maps& maps, const Projected& at) {
+    return around(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
+}
+
+FOURD_HD static inline Around around_in_features(const Maps& maps, const Projected& at) {
+    const float across = static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
+    const float down = static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
+    return around(at.u * across - 0.5f, at.v * down - 0.5f, maps.feature_width, maps.feature_height);
+}
+
+FOURD_HD static inline int nearest(float place, int size) {
+    const float last = static_cast<float>(size - 1);
+    place = place > 0.0f ? place : 0.0f;
+    return static_cast<int>(std::rint(place < last ? place : last));
+}
+
+// How far a view can be trusted at a point. A pixel on the silhouette mixes in background, so that trust falls
+// faster than coverage does.
+FOURD_HD static inline float trust(const Maps& maps, std::size_t view, const Projected& at, const Around& image,
+                                   float softness) {
+    if (!(at.z > 0.0f)) return 0.0f;
+    const std::size_t size = static_cast<std::size_t>(maps.width) * maps.height;
+    const float matte = sample(maps.mattes + view * size, image);
+    if (!maps.depth || matte == 0.0f) return matte * matte;
+    const std::size_t row = nearest(at.v - 0.5f, maps.height), column = nearest(at.u - 0.5f, maps.width);
+    const float behind = at.z - maps.depth[view * size + row * maps.width + column] - 2.0f * softness;
+    return behind > 0.0f ? matte * matte * std::exp(-behind / softness) : matte * matte;
+}
+
+void sample(const Query& query, const Samples& out);
+
+// All of out is written; features where there are any.
+void sample_backward(const Query& query, const float* gradient, const Gradients& out);
 
 }  // namespace fourd::sources

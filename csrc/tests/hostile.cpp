@@ -10,6 +10,7 @@
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
 #include "tests/random_inputs.h"
+#include "tests/source_inputs.h"
 
 namespace {
 
@@ -145,6 +146,15 @@ void run_shade(unsigned seed, const char* simd) {
     expect_finite(out, "colours", seed);
 }
 
+void run_sources(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::SourceInputs inputs(random, seed % 2 ? 0.2f : 0.0f);
+    inputs.query.simd = fourd::simd_named(simd);
+    fourd::sources::sample(inputs.query, inputs.out());
+    fourd::sources::sample_backward(inputs.query, inputs.samples.data(), inputs.gradients());
+    inputs.expect_sound(seed);
+}
+
 }  // namespace
 
 int main(int count, char** words) {
@@ -157,7 +167,8 @@ int main(int count, char** words) {
             run_blend(seed, simd);
             run_play(seed, simd);
             run_shade(seed, simd);
+            run_sources(seed, simd);
         }
-        std::printf("points, planes, blend, play and shade, %s: %u inputs each\n", simd, runs);
+        std::printf("points, planes, blend, play, shade and sources, %s: %u inputs each\n", simd, runs);
     }
 }

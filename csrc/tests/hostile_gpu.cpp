@@ -10,6 +10,7 @@
 #include "points/cuda/render.h"
 #include "sources/cuda/sample.h"
 #include "tests/random_inputs.h"
+#include "tests/source_inputs.h"
 
 namespace {
 
@@ -109,39 +110,10 @@ void run_planes(unsigned seed) {
 
 void run_sources(unsigned seed) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 200)), views = whole(random, 1, 4);
-    const int width = whole(random, 1, 30), height = whole(random, 1, 30);
-    const int channels = whole(random, 0, 6), across = whole(random, 1, 20), down = whole(random, 1, 20);
-    const std::size_t pixels = static_cast<std::size_t>(width) * height;
-    const Floats images = random_floats(random, 3 * views * pixels, 0, 1, 0);
-    const Floats mattes = random_floats(random, views * pixels, 0, 1, 0);
-    const Floats depth = random_floats(random, views * pixels, 1, 5, 0);
-    const Floats features = random_floats(random, views * channels * across * down, -1, 1, 0);
-    const Floats xyz = random_floats(random, 3 * count, -2, 2, seed % 2 ? 0.2f : 0.0f);
-    std::vector<fourd::sources::Pinhole> cameras;
-    for (std::size_t view = 0; view < views; ++view) {
-        const fourd::points::Pinhole from = random_settings(random, "").camera;
-        fourd::sources::Pinhole to{};
-        for (int i = 0; i < 9; ++i) to.intrinsics[i] = from.intrinsics[i];
-        for (int i = 0; i < 9; ++i) to.rotation[i] = from.rotation[i];
-        for (int i = 0; i < 3; ++i) to.translation[i] = from.translation[i];
-        cameras.push_back(to);
-    }
-    fourd::sources::Query query{};
-    query.maps = {images.data(), mattes.data(), seed % 3 ? depth.data() : nullptr, channels ? features.data() : nullptr,
-                  width, height, channels, channels ? across : 0, channels ? down : 0};
-    query.cameras = cameras.data();
-    query.views = static_cast<int>(views);
-    query.xyz = xyz.data();
-    query.count = count;
-    query.softness = 0.1f;
-    Floats samples(views * (channels + 3) * count), trust(views * count), to_xyz(3 * count), to_features(features.size());
-    fourd::sources::cuda::sample(query, {samples.data(), trust.data()}, nullptr);
-    expect_finite(samples, "channels", seed);
-    expect_finite(trust, "trust", seed);
-    fourd::sources::cuda::sample_backward(query, samples.data(), {to_xyz.data(), channels ? to_features.data() : nullptr},
-                                          nullptr);
-    expect_finite(to_features, "gradient of features", seed);
+    fourd::tests::SourceInputs inputs(random, seed % 2 ? 0.2f : 0.0f);
+    fourd::sources::cuda::sample(inputs.query, inputs.out(), nullptr);
+    fourd::sources::cuda::sample_backward(inputs.query, inputs.samples.data(), inputs.gradients(), nullptr);
+    inputs.expect_sound(seed);
 }
 
 }  // namespace

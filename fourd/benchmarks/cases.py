@@ -16,8 +16,10 @@ from fourd.benchmarks.training_step import training_steps
 from fourd.benchmarks.workloads import baked_figure, camera, figure, planes
 from fourd.cameras import Camera
 from fourd.model.plane_lookup import sample_planes, sample_planes_reference
+from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
 from fourd.raster import render_points
 
+CPU = torch.device("cpu")
 Lookup = Callable[[Tensor, list[Tensor], list[int]], Tensor]
 
 
@@ -49,7 +51,8 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
         yield _composite(65_536, camera(512, 512), 15, backward)
     yield _play(262_144, camera(1920, 1080), 12)
     yield _play(1_000_000, camera(1920, 1080), 12)
-    yield _lookup(65_536)
+    yield lookup(65_536, CPU)
+    yield sampling(65_536, CPU)
     if steps:
         for name, work in training_steps(resources):
             yield Case(name, work)
@@ -66,6 +69,47 @@ def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: boo
         return torch.autograd.grad(out.features.sum() + out.alpha.sum(), list(free.values()))
 
     return work
+
+
+def lookup(count: int, device: torch.device) -> Case:
+    """K-Planes at random points, with the planes' gradient."""
+    made, axes = planes()
+    leaves = [plane.to(device).requires_grad_() for plane in made]
+    levels, features = len(made) // 6, made[0].shape[2]
+    generator = torch.Generator().manual_seed(count)
+    coordinates = torch.rand(count, 4, generator=generator) * 2 - 1
+    coordinates[:, 3] = 0.3
+    upstream = torch.randn(count, len(made) * features, generator=generator).to(device)
+    coordinates = coordinates.to(device)
+
+    def both(look: Lookup) -> Work:
+        return lambda: torch.autograd.grad(look(coordinates, leaves, axes), leaves, upstream)
+
+    name = f"K-Planes, {levels} levels x 6 x {features} features, {count:,} points, forward + backward"
+    return Case(name, both(sample_planes), {"torch grid_sample": both(sample_planes_reference)})
+
+
+def sampling(count: int, device: torch.device) -> Case:
+    """The figure's points sampled in four source views, with the gradient of points and features."""
+    generator = torch.Generator().manual_seed(count)
+
+    def random(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=generator).to(device)
+
+    cameras = tuple(camera(512, 512, 0.3 * view) for view in range(4))
+    sources = SourceViews(random(4, 3, 512, 512), random(4, 512, 512), 4 * random(4, 512, 512), cameras)
+    xyz = figure(count)["xyz"].to(device).requires_grad_()
+    features = random(4, 16, 256, 256).contiguous(memory_format=torch.channels_last).requires_grad_()
+
+    def both(sample: Callable[..., SourceSamples]) -> Work:
+        def work() -> object:
+            channels = sample(xyz, sources, features, 0.02).channels
+            return torch.autograd.grad(channels.sum(), (xyz, features))
+
+        return work
+
+    name = f"{count:,} points sampled in 4 views of 512 x 512, 16 features + RGB, forward + backward"
+    return Case(name, both(sample_sources), {"torch grid_sample": both(sample_sources_reference)})
 
 
 def _composite(count: int, view: Camera, layers: int, backward: bool, reference: bool = False) -> Case:
@@ -85,22 +129,3 @@ def _play(count: int, view: Camera, layers: int) -> Case:
     out = player.draw(frame, view, scene, layers=layers)
     name = f"play {count:,} points, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
     return Case(name, lambda: player.draw(frame, view, scene, layers=layers, out=out))
-
-
-def _lookup(count: int) -> Case:
-    made, axes = planes()
-    levels, features = len(made) // 6, made[0].shape[2]
-    generator = torch.Generator().manual_seed(count)
-    coordinates = torch.rand(count, 4, generator=generator) * 2 - 1
-    coordinates[:, 3] = 0.3
-    upstream = torch.randn(count, len(made) * features, generator=generator)
-
-    def both(lookup: Lookup) -> Work:
-        def work() -> object:
-            leaves = [plane.requires_grad_() for plane in made]
-            return torch.autograd.grad(lookup(coordinates, leaves, axes), leaves, upstream)
-
-        return work
-
-    name = f"K-Planes, {levels} levels x 6 x {features} features, {count:,} points, forward + backward"
-    return Case(name, both(sample_planes), {"torch grid_sample": both(sample_planes_reference)})

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import torch
-from torch import Tensor
 
 from fourd.baking.gpu_player import GpuFrame, GpuPlayer
-from fourd.benchmarks.cases import Case, composite
+from fourd.benchmarks.cases import Case, composite, lookup, sampling
 from fourd.benchmarks.machine import has_gpu
 from fourd.benchmarks.timing import Work
-from fourd.benchmarks.workloads import baked_figure, camera, figure, planes
+from fourd.benchmarks.workloads import baked_figure, camera, figure
 from fourd.cameras import Camera
-from fourd.model.plane_lookup import sample_planes, sample_planes_reference
-from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
 
 PARTS = 20
 """Runs between two waits for the device."""
@@ -33,8 +30,8 @@ def gpu_cases() -> Iterator[Case]:
     for count in (262_144, 1_000_000):
         for size in SIZES:
             yield _play(device, count, camera(*size), 12)
-    yield _lookup(device, 65_536)
-    yield _sources(device, 65_536)
+    yield _on_gpu(lookup(65_536, device))
+    yield _on_gpu(sampling(65_536, device))
 
 
 def repeated(work: Work) -> Work:
@@ -63,35 +60,7 @@ def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
     return Case(name, repeated(lambda: player.draw(held, view, scene, layers=layers, out=out)), parts=PARTS)
 
 
-def _lookup(device: torch.device, count: int) -> Case:
-    made, axes = planes()
-    leaves = [plane.to(device).requires_grad_() for plane in made]
-    coordinates = torch.rand(count, 4, generator=torch.Generator().manual_seed(count)).to(device) * 2 - 1
-    upstream = torch.ones(count, len(made) * made[0].shape[2], device=device)
-    ours = repeated(lambda: torch.autograd.grad(sample_planes(coordinates, leaves, axes), leaves, upstream))
-    torchs = repeated(lambda: torch.autograd.grad(sample_planes_reference(coordinates, leaves, axes), leaves, upstream))
-    name = f"GPU: K-Planes, 4 levels x 6 x 8 features, {count:,} points, forward + backward"
-    return Case(name, ours, {"torch grid_sample": torchs}, PARTS)
-
-
-def _sources(device: torch.device, count: int) -> Case:
-    generator = torch.Generator().manual_seed(count)
-
-    def random(*shape: int) -> Tensor:
-        return torch.rand(*shape, generator=generator).to(device)
-
-    cameras = tuple(camera(512, 512, 0.3 * view) for view in range(4))
-    sources = SourceViews(random(4, 3, 512, 512), random(4, 512, 512), 4 * random(4, 512, 512), cameras)
-    xyz = figure(count)["xyz"].to(device).requires_grad_()
-    features = random(4, 16, 256, 256).requires_grad_()
-
-    def both(sample: Callable[..., SourceSamples]) -> Work:
-        def work() -> object:
-            channels = sample(xyz, sources, features, 0.02).channels
-            return torch.autograd.grad(channels.sum(), (xyz, features))
-
-        return repeated(work)
-
-    rivals = {"torch grid_sample": both(sample_sources_reference)}
-    name = f"GPU: {count:,} points sampled in 4 views, 16 features + RGB, forward + backward"
-    return Case(name, both(sample_sources), rivals, PARTS)
+def _on_gpu(case: Case) -> Case:
+    """A case whose work and rivals run on the device."""
+    rivals = {name: repeated(work) for name, work in case.rivals.items()}
+    return Case(f"GPU: {case.name}", repeated(case.work), rivals, PARTS)

@@ -33,6 +33,8 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
+        # Channels side by side, as the sampling of the result reads them.
+        images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
         quarter = self.at_quarter(half)

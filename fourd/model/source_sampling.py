@@ -1,7 +1,7 @@
-"""Source views sampled by the CUDA kernel: ``torch.ops.fourd.sample_sources`` and its gradient.
+"""Source views sampled: ``torch.ops.fourd.sample_sources`` and its gradient.
 
-What they compute is :func:`fourd.model.sources.sample_sources_reference`, which the CPU uses. On CPU tensors
-the operators run the kernel's source emulated, for tests.
+What they compute is :func:`fourd.model.sources.sample_sources_reference`. With FOURD_SIMD=emulated the CPU runs the
+CUDA kernel's source, for tests.
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.raster.gpu import gpu_of
+from fourd.raster.gpu import emulated, gpu_of
+from fourd.raster.loading import as_array, native
+from fourd.raster.validation import simd_name, thread_count
 
-MOST_VIEWS = 16
+MOST_VIEWS_GPU = 16
 
 
-@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types=("cpu", "cuda"))
+@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types="cpu")
 def sample(
     xyz: Tensor,
     features: Tensor | None,
@@ -29,14 +31,42 @@ def sample(
     """Channels (V, C + 3, N) and trust (V, N) of points (N, 3) in V views.
 
     Args:
-        features: (V, C, h, w), or None.
+        features: (V, C, h, w), or None. In torch's channels_last format they are read as they are, else copied.
         images, mattes, depth: (V, 3, H, W), (V, H, W) and (V, H, W) or None; no gradient.
         cameras: the 21 numbers of each view, one after another.
         softness: above 0, world units.
     """
+    if emulated():
+        return _sample_gpu(xyz, features, images, mattes, depth, cameras, softness)
+    out = _empty_samples(xyz, features, images)
+    native().sample_sources(
+        as_array(xyz),
+        as_array(images),
+        as_array(mattes),
+        None if depth is None else as_array(depth),
+        None if features is None else as_array(_rows(features)),
+        cameras,
+        softness,
+        thread_count(0, torch.get_num_threads()),
+        simd_name(),
+        *map(as_array, out),
+    )
+    return out
+
+
+@sample.register_kernel("cuda")
+def _sample_gpu(
+    xyz: Tensor,
+    features: Tensor | None,
+    images: Tensor,
+    mattes: Tensor,
+    depth: Tensor | None,
+    cameras: list[float],
+    softness: float,
+) -> tuple[Tensor, Tensor]:
     out = _empty_samples(xyz, features, images)
     gpu = gpu_of(xyz.device)
-    maps = (_dense(images), _dense(mattes), _dense(depth), _dense(features))
+    maps = (_dense(images), _dense(mattes), _dense(depth), _dense(None if features is None else _rows(features)))
     with gpu.current():
         gpu.kernels.sample_sources(_dense(xyz), *maps, cameras, softness, gpu.stream, *out)
     return out
@@ -55,7 +85,7 @@ def _(
     return _empty_samples(xyz, features, images)
 
 
-@torch.library.custom_op("fourd::sample_sources_backward", mutates_args=(), device_types=("cpu", "cuda"))
+@torch.library.custom_op("fourd::sample_sources_backward", mutates_args=(), device_types="cpu")
 def sample_backward(
     xyz: Tensor,
     features: Tensor | None,
@@ -66,12 +96,41 @@ def sample_backward(
     learns: bool,
 ) -> tuple[Tensor, Tensor]:
     """Gradients of xyz and, where the features learn, of these (else an empty tensor)."""
+    if emulated():
+        return _sample_backward_gpu(xyz, features, images, mattes, cameras, gradient, learns)
+    grad_xyz, grad_features = _empty_gradients(xyz, features, learns)
+    native().sample_sources_backward(
+        as_array(xyz),
+        as_array(images),
+        as_array(mattes),
+        None if features is None else as_array(_rows(features)),
+        cameras,
+        thread_count(0, torch.get_num_threads()),
+        simd_name(),
+        as_array(gradient),
+        as_array(grad_xyz),
+        as_array(_rows(grad_features)) if learns else None,
+    )
+    return grad_xyz, grad_features
+
+
+@sample_backward.register_kernel("cuda")
+def _sample_backward_gpu(
+    xyz: Tensor,
+    features: Tensor | None,
+    images: Tensor,
+    mattes: Tensor,
+    cameras: list[float],
+    gradient: Tensor,
+    learns: bool,
+) -> tuple[Tensor, Tensor]:
     grad_xyz, grad_features = _empty_gradients(xyz, features, learns)
     gpu = gpu_of(xyz.device)
-    maps = (_dense(images), _dense(mattes), _dense(features))
+    maps = (_dense(images), _dense(mattes), _dense(None if features is None else _rows(features)))
+    to_features = _rows(grad_features) if learns else None
     with gpu.current():
         gpu.kernels.sample_sources_backward(
-            _dense(xyz), *maps, cameras, gpu.stream, _dense(gradient), grad_xyz, grad_features if learns else None
+            _dense(xyz), *maps, cameras, gpu.stream, _dense(gradient), grad_xyz, to_features
         )
     return grad_xyz, grad_features
 
@@ -114,6 +173,11 @@ def _dense(tensor: Tensor | None) -> Any:
     return None if tensor is None else tensor.detach().contiguous()
 
 
+def _rows(features: Tensor) -> Tensor:
+    """(V, C, h, w) -> (V, h, w, C), the order in memory of torch's channels_last."""
+    return features.permute(0, 2, 3, 1)
+
+
 def _empty_samples(xyz: Tensor, features: Tensor | None, images: Tensor) -> tuple[Tensor, Tensor]:
     views, count = images.shape[0], xyz.shape[0]
     channels = 3 + (0 if features is None else features.shape[1])
@@ -124,4 +188,4 @@ def _empty_gradients(xyz: Tensor, features: Tensor | None, learns: bool) -> tupl
     grad_xyz = torch.empty_like(xyz, memory_format=torch.contiguous_format)
     if features is None or not learns:
         return grad_xyz, xyz.new_empty(0)
-    return grad_xyz, torch.empty_like(features, memory_format=torch.contiguous_format)
+    return grad_xyz, torch.empty_like(features, memory_format=torch.channels_last)

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.cameras import Camera
-from fourd.model.source_sampling import MOST_VIEWS, sample
-from fourd.raster.gpu import cuda_missing, emulated
+from fourd.model.source_sampling import MOST_VIEWS_GPU, sample
+from fourd.raster.gpu import cuda_missing
 from fourd.raster.validation import camera_numbers
 
 
@@ -62,10 +62,11 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
         softness: depth in world units over which a hidden point loses its say.
 
     The matte is squared: a pixel on the silhouette mixes in background, so that trust must fall
-    faster than coverage does. On a CUDA device whose kernels are built all is one kernel.
+    faster than coverage does. In float32, on the CPU or a CUDA device with kernels, all is one kernel.
     """
-    gpu = xyz.device.type == "cuda" and not cuda_missing()
-    if not (gpu or emulated()) or len(sources.cameras) > MOST_VIEWS:
+    device = xyz.device.type
+    on_gpu = device == "cuda" and not cuda_missing() and len(sources.cameras) <= MOST_VIEWS_GPU
+    if xyz.dtype != torch.float32 or not (on_gpu or device == "cpu"):
         return sample_sources_reference(xyz, sources, features, softness)
     cameras = [number for camera in sources.cameras for number in camera_numbers(camera)]
     channels, trust = sample(xyz, features, sources.images, sources.mattes, sources.depth, cameras, softness)

@@ -1,7 +1,5 @@
 #include "sources/cuda/sample.h"
 
-#include <cmath>
-
 #include "device/clear.h"
 #include "device/machine.h"
 
@@ -21,27 +19,18 @@ struct Views {
         for (int view = 0; view < query.views; ++view) cameras[view] = query.cameras[view];
     }
 
-    FOURD_DEVICE Around in_image(const Projected& at) const {
-        return around(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
-    }
-
-    FOURD_DEVICE Around in_features(const Projected& at) const {
-        const float across = static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
-        const float down = static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
-        return around(at.u * across - 0.5f, at.v * down - 0.5f, maps.feature_width, maps.feature_height);
-    }
-
     FOURD_DEVICE std::size_t image_size() const { return static_cast<std::size_t>(maps.width) * maps.height; }
-    FOURD_DEVICE std::size_t feature_size() const {
-        return static_cast<std::size_t>(maps.feature_width) * maps.feature_height;
+
+    // Where a view's features begin.
+    FOURD_DEVICE std::size_t features(std::size_t view) const {
+        return view * maps.feature_width * static_cast<std::size_t>(maps.feature_height) * maps.channels;
+    }
+
+    // Where a view's channels of a point begin; they lie count apart.
+    FOURD_DEVICE std::size_t channels(std::size_t view, std::size_t point) const {
+        return view * static_cast<std::size_t>(maps.channels + 3) * count + point;
     }
 };
-
-FOURD_DEVICE static inline int nearest(float place, int size) {
-    const float last = static_cast<float>(size - 1);
-    place = place > 0.0f ? place : 0.0f;
-    return static_cast<int>(std::rint(place < last ? place : last));
-}
 
 struct Sample {
     Views views;
@@ -51,28 +40,23 @@ struct Sample {
         const std::size_t view = index / views.count, point = index % views.count;
         const Maps& maps = views.maps;
         const Projected at = project(views.cameras[view], views.xyz + 3 * point);
-        float* to = out.channels + view * static_cast<std::size_t>(maps.channels + 3) * views.count + point;
-        const Around feature = views.in_features(at);
+        float* to = out.channels + views.channels(view, point);
+        const Around feature = around_in_features(maps, at);
+        const float* from = maps.features + views.features(view);
         for (int c = 0; c < maps.channels; ++c) {
-            to[c * views.count] = sample(maps.features + (view * maps.channels + c) * views.feature_size(), feature);
+            float sum = 0.0f;
+            for (int corner = 0; corner < 4; ++corner) {
+                if (feature.weight[corner] != 0.0f) {
+                    sum += feature.weight[corner] * from[feature.offset[corner] * maps.channels + c];
+                }
+            }
+            to[c * views.count] = sum;
         }
-        const Around image = views.in_image(at);
+        const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             to[(maps.channels + c) * views.count] = sample(maps.images + (view * 3 + c) * views.image_size(), image);
         }
-        out.trust[index] = trust(view, at, image);
-    }
-
-    // A pixel on the silhouette mixes in background, so that trust falls faster than coverage does.
-    FOURD_DEVICE float trust(std::size_t view, const Projected& at, const Around& image) const {
-        if (!(at.z > 0.0f)) return 0.0f;
-        const Maps& maps = views.maps;
-        const float matte = sample(maps.mattes + view * views.image_size(), image);
-        if (!maps.depth) return matte * matte;
-        const std::size_t row = nearest(at.v - 0.5f, maps.height), column = nearest(at.u - 0.5f, maps.width);
-        const float surface = maps.depth[view * views.image_size() + row * maps.width + column];
-        const float behind = at.z - surface - 2.0f * views.softness;
-        return matte * matte * std::exp(behind > 0.0f ? -behind / views.softness : 0.0f);
+        out.trust[index] = trust(maps, view, at, image, views.softness);
     }
 };
 
@@ -85,39 +69,32 @@ struct SampleBackward {
         const std::size_t view = index / views.count, point = index % views.count;
         const Maps& maps = views.maps;
         const Projected at = project(views.cameras[view], views.xyz + 3 * point);
-        const float* from = gradient + view * static_cast<std::size_t>(maps.channels + 3) * views.count + point;
+        const float* from = gradient + views.channels(view, point);
         float grad_u = 0.0f, grad_v = 0.0f;
-        const Around feature = views.in_features(at);
-        for (int c = 0; c < maps.channels; ++c) {
-            const std::size_t map = (view * maps.channels + c) * views.feature_size();
-            const float g = from[c * views.count];
-            move(maps.features + map, feature, g, &grad_u, &grad_v);
-            if (out.features) spread(out.features + map, feature, g);
+        const Around feature = around_in_features(maps, at);
+        for (int corner = 0; corner < 4; ++corner) {
+            const std::size_t first = views.features(view) + feature.offset[corner] * maps.channels;
+            for (int c = 0; c < maps.channels; ++c) {
+                const float g = from[c * views.count];
+                move(maps.features[first + c], feature, corner, g, &grad_u, &grad_v);
+                if (out.features && feature.weight[corner] != 0.0f) {
+                    device::add_shared(out.features + first + c, g * feature.weight[corner]);
+                }
+            }
         }
         grad_u *= static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
         grad_v *= static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
-        const Around image = views.in_image(at);
+        const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
-            move(maps.images + (view * 3 + c) * views.image_size(), image, from[(maps.channels + c) * views.count],
-                 &grad_u, &grad_v);
+            const float* map = maps.images + (view * 3 + c) * views.image_size();
+            const float g = from[(maps.channels + c) * views.count];
+            for (int corner = 0; corner < 4; ++corner) {
+                move(map[image.offset[corner]], image, corner, g, &grad_u, &grad_v);
+            }
         }
         float grad_xyz[3] = {};
         project_backward(views.cameras[view], at, grad_u, grad_v, grad_xyz);
         for (int axis = 0; axis < 3; ++axis) device::add_shared(out.xyz + 3 * point + axis, grad_xyz[axis]);
-    }
-
-    FOURD_DEVICE static void move(const float* map, const Around& at, float g, float* grad_u, float* grad_v) {
-        for (int corner = 0; corner < 4; ++corner) {
-            const float value = map[at.offset[corner]];
-            if (at.across[corner] != 0.0f) *grad_u += g * at.across[corner] * value;
-            if (at.down[corner] != 0.0f) *grad_v += g * at.down[corner] * value;
-        }
-    }
-
-    FOURD_DEVICE static void spread(float* map, const Around& at, float g) {
-        for (int corner = 0; corner < 4; ++corner) {
-            if (at.weight[corner] != 0.0f) device::add_shared(map + at.offset[corner], g * at.weight[corner]);
-        }
     }
 };
 
