@@ -97,7 +97,7 @@ class Trainer:
             except KeyboardInterrupt:
                 self._checkpoint()
                 raise
-            trimmer.trim_if_large()
+            trimmer.after_step()
             self.seconds += time.monotonic() - started
             show(f"step {self.done}  {self.psnr:.2f} dB")
             if self._save_due(self.seconds - last_save):

@@ -12,11 +12,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-RESIDENT_BYTES = 1100 * 2**20
-"""What a process may hold before its heap is trimmed: an aim, for what is alive cannot be given back."""
+RESIDENT_BYTES = 1400 * 2**20
+"""What a process may hold: an aim, for what is alive cannot be given back."""
 
-GROWTH_BYTES = 256 * 2**20
-"""Between two trims at least: with less, every step would pay for the page faults of fresh memory."""
+LEAST_GROWTH_BYTES = 128 * 2**20
+"""Between two trims: with less, every step would pay for the page faults of fresh memory."""
 
 _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # of malloc.h
 
@@ -34,30 +34,33 @@ def keep_freed_memory() -> None:
 
 
 class HeapTrimmer:
-    """Gives the heap's free pages back whenever the process holds too much."""
+    """Gives the heap's free pages back before the process holds too much."""
 
-    def __init__(self, resident: int = RESIDENT_BYTES, growth: int = GROWTH_BYTES) -> None:
-        """Aim at ``resident`` bytes, but let ``growth`` bytes be touched between two trims."""
+    def __init__(self, resident: int = RESIDENT_BYTES, least_growth: int = LEAST_GROWTH_BYTES) -> None:
+        """Aim at ``resident`` bytes, but let ``least_growth`` bytes be touched between two trims."""
         self._malloc_trim = _function("malloc_trim")
         self._resident = resident
-        self._growth = growth
-        self._floor = 0
+        self._least_growth = least_growth
+        self._floor = self._last = resident_bytes() if self._malloc_trim is not None else 0
+        self._largest_step = 0
 
-    def trim_if_large(self) -> None:
-        """To be called after every step."""
+    def after_step(self) -> None:
+        """Trim if a step like the largest seen would hold too much."""
         if self._malloc_trim is None:
             return
-        resident = resident_bytes()
-        if resident > max(self._resident, self._floor + self._growth):
+        now = resident_bytes()
+        if self._last > self._floor:  # the first step after a trim touches everything anew
+            self._largest_step = max(self._largest_step, now - self._last)
+        self._last = now
+        self._floor = min(self._floor, now)
+        if now + self._largest_step > self._resident and now > self._floor + self._least_growth:
             self.trim()
-        else:
-            self._floor = min(self._floor, resident)
 
     def trim(self) -> None:
         """To be called before what is seldom done and takes much memory."""
         if self._malloc_trim is not None:
             self._malloc_trim(ctypes.c_size_t(0))
-            self._floor = resident_bytes()
+            self._floor = self._last = resident_bytes()
 
 
 def resident_bytes() -> int:

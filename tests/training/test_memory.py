@@ -22,12 +22,12 @@ library = ctypes.CDLL(None)
 library.malloc.restype = ctypes.c_void_p
 keep_freed_memory()
 before = resident_bytes()
-trimmer = HeapTrimmer(before + 64 * 2**20, growth=0)
+trimmer = HeapTrimmer(before + 64 * 2**20, least_growth=0)
 use_and_free(library, 32)
-trimmer.trim_if_large()
+trimmer.after_step()
 kept = resident_bytes() - before
 use_and_free(library, 96)
-trimmer.trim_if_large()
+trimmer.after_step()
 print(kept // 2**20, (resident_bytes() - before) // 2**20)
 """
 
