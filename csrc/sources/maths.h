@@ -4,6 +4,7 @@
 #include <cstddef>
 
 #include "common/host_device.h"
+#include "common/inline.h"
 
 namespace fourd::sources {
 
@@ -21,7 +22,7 @@ struct Projected {
     bool in_front;
 };
 
-FOURD_HD static inline Projected project(const Pinhole& camera, const float* xyz) {
+FOURD_HD FOURD_INLINE Projected project(const Pinhole& camera, const float* xyz) {
     const float *r = camera.rotation, *k = camera.intrinsics;
     float at[3];
     for (int i = 0; i < 3; ++i) {
@@ -33,7 +34,7 @@ FOURD_HD static inline Projected project(const Pinhole& camera, const float* xyz
 }
 
 // Adds to the point's gradient what moves its pixel by (grad_u, grad_v).
-FOURD_HD static inline void project_backward(const Pinhole& camera, const Projected& at, float grad_u, float grad_v,
+FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Projected& at, float grad_u, float grad_v,
                                              float* grad_xyz) {
     if (!at.in_front) return;
     const float *r = camera.rotation, *k = camera.intrinsics;
@@ -43,46 +44,49 @@ FOURD_HD static inline void project_backward(const Pinhole& camera, const Projec
     for (int i = 0; i < 3; ++i) grad_xyz[i] = r[i] * x + r[3 + i] * y + r[6 + i] * z;
 }
 
-// The four samples around a place in a map of height x width, as torch's grid_sample takes them with
-// align_corners off: sample (0, 0) lies half a sample from the border, and 0 lies beyond.
+// The four samples around a place in a map of height x width, row by row, as torch's grid_sample takes them with
+// align_corners off: sample (0, 0) lies half a sample from the border. Where there is none, another's offset stands
+// for it, and all that multiplies it is 0.
 struct Around {
-    std::size_t offset[4];  // row by row; 0 where there is no sample
-    float weight[4];        // 0 there
-    float across[4];        // the weights' slopes along the width, per sample; 0 there
+    std::size_t offset[4];
+    float weight[4];
+    float across[4];  // the weights' slopes along the width, per sample
     float down[4];
 };
 
-FOURD_HD static inline Around around(float x, float y, int width, int height) {
-    Around out{};
-    // Beyond these nothing is near, and what is no number is beyond.
-    if (!(x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height))) return out;
+FOURD_HD FOURD_INLINE Around around(float x, float y, int width, int height) {
+    // Beyond these nothing is near, and what is no number is beyond. The place is moved to where all is 0.
+    const bool near = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
+    x = near ? x : -1.0f;
+    y = near ? y : -1.0f;
     const int left = static_cast<int>(x + 1.0f) - 1, top = static_cast<int>(y + 1.0f) - 1;
     const float right_share = x - static_cast<float>(left), bottom_share = y - static_cast<float>(top);
-    for (int corner = 0; corner < 4; ++corner) {
-        const bool right = corner % 2 == 1, bottom = corner / 2 == 1;
-        const int column = left + (right ? 1 : 0), row = top + (bottom ? 1 : 0);
-        if (column < 0 || row < 0 || column >= width || row >= height) continue;
-        const float wx = right ? right_share : 1.0f - right_share, wy = bottom ? bottom_share : 1.0f - bottom_share;
-        out.offset[corner] = static_cast<std::size_t>(row) * width + column;
-        out.weight[corner] = wx * wy;
-        out.across[corner] = right ? wy : -wy;
-        out.down[corner] = bottom ? wx : -wx;
-    }
-    return out;
+    const float in_left = near && left >= 0 ? 1.0f : 0.0f, in_right = near && left + 1 < width ? 1.0f : 0.0f;
+    const float in_top = top >= 0 ? 1.0f : 0.0f, in_bottom = top + 1 < height ? 1.0f : 0.0f;
+    const float wl = (1.0f - right_share) * in_left, wr = right_share * in_right;
+    const float wt = (1.0f - bottom_share) * in_top, wb = bottom_share * in_bottom;
+    const std::size_t column = left >= 0 ? left : 0, next = left + 1 < width ? left + 1 : left;
+    const std::size_t row = static_cast<std::size_t>(top >= 0 ? top : 0) * width;
+    const std::size_t below = static_cast<std::size_t>(top + 1 < height ? top + 1 : top) * width;
+    return {{row + column, row + next, below + column, below + next},
+            {wl * wt, wr * wt, wl * wb, wr * wb},
+            {-in_left * wt, in_right * wt, -in_left * wb, in_right * wb},
+            {-wl * in_top, -wr * in_top, wl * in_bottom, wr * in_bottom}};
 }
 
-// How the sum of a map's samples, times g, changes as the place moves; added to a pixel's gradient.
-FOURD_HD static inline void move(float value, const Around& at, int corner, float g, float* grad_u, float* grad_v) {
-    if (at.across[corner] != 0.0f) *grad_u += g * at.across[corner] * value;
-    if (at.down[corner] != 0.0f) *grad_v += g * at.down[corner] * value;
+FOURD_HD FOURD_INLINE float sample(const float* map, const Around& at) {
+    return at.weight[0] * map[at.offset[0]] + at.weight[1] * map[at.offset[1]] + at.weight[2] * map[at.offset[2]] +
+           at.weight[3] * map[at.offset[3]];
 }
 
-FOURD_HD static inline float sample(const float* map, const Around& at) {
-    float sum = 0.0f;
-    for (int corner = 0; corner < 4; ++corner) {
-        if (at.weight[corner] != 0.0f) sum += at.weight[corner] * map[at.offset[corner]];
-    }
-    return sum;
+// What moves a place by one sample in x and y, times g: how the sum of a map's samples changes.
+struct Pull {
+    float u, v;
+};
+
+FOURD_HD FOURD_INLINE void pull(Pull& sum, const Around& at, int corner, float value_times_g) {
+    sum.u += at.across[corner] * value_times_g;
+    sum.v += at.down[corner] * value_times_g;
 }
 
 }  // namespace fourd::sources

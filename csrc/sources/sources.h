@@ -41,17 +41,25 @@ struct Gradients {
 };
 
 // The samples around a point in a view's image, and in its features.
-FOURD_HD static inline Around around_in_image(const Maps& maps, const Projected& at) {
+FOURD_HD FOURD_INLINE Around around_in_image(const Maps& maps, const Projected& at) {
     return around(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
 }
 
-FOURD_HD static inline Around around_in_features(const Maps& maps, const Projected& at) {
-    const float across = static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
-    const float down = static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
-    return around(at.u * across - 0.5f, at.v * down - 0.5f, maps.feature_width, maps.feature_height);
+// Samples of the features a pixel of the image.
+FOURD_HD FOURD_INLINE float feature_scale_across(const Maps& maps) {
+    return static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
 }
 
-FOURD_HD static inline int nearest(float place, int size) {
+FOURD_HD FOURD_INLINE float feature_scale_down(const Maps& maps) {
+    return static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
+}
+
+FOURD_HD FOURD_INLINE Around around_in_features(const Maps& maps, const Projected& at) {
+    return around(at.u * feature_scale_across(maps) - 0.5f, at.v * feature_scale_down(maps) - 0.5f,
+                  maps.feature_width, maps.feature_height);
+}
+
+FOURD_HD FOURD_INLINE int nearest(float place, int size) {
     const float last = static_cast<float>(size - 1);
     place = place > 0.0f ? place : 0.0f;
     return static_cast<int>(std::rint(place < last ? place : last));
@@ -59,7 +67,7 @@ FOURD_HD static inline int nearest(float place, int size) {
 
 // How far a view can be trusted at a point. A pixel on the silhouette mixes in background, so that trust falls
 // faster than coverage does.
-FOURD_HD static inline float trust(const Maps& maps, std::size_t view, const Projected& at, const Around& image,
+FOURD_HD FOURD_INLINE float trust(const Maps& maps, std::size_t view, const Projected& at, const Around& image,
                                    float softness) {
     if (!(at.z > 0.0f)) return 0.0f;
     const std::size_t size = static_cast<std::size_t>(maps.width) * maps.height;

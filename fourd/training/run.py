@@ -21,6 +21,7 @@ from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.seeding import Bounds, carve_capture, read_ply, write_ply
+from fourd.seeding.order import morton_order
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
 from fourd.training.data import ViewStore
@@ -105,13 +106,13 @@ class Run:
         return FrameStore(scratch, self.capture.frame_count, self.carved, self.config.train.memory_mb // 2, saved)
 
     def carved(self, frame: int) -> FramePoints:
-        """Points of a frame as carved, at most as many as the config asks for."""
+        """Points of a frame as carved, at most as many as the config asks for; neighbours lie side by side."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
-        xyz = read_ply(self.folder / "hull" / f"{number:06d}.ply").xyz
+        xyz = read_ply(self.folder / "hull" / f"{number:06d}.ply").xyz[: train.points]
         radius = train.model.radius_start * self.config.scene.spacing
         explicit = train.model.sh == "explicit" and train.model.appearance != "ibr"
-        return FramePoints.fresh(torch.from_numpy(xyz[: train.points].copy()), radius, explicit)
+        return FramePoints.fresh(torch.from_numpy(xyz[morton_order(xyz)]), radius, explicit)
 
 
 @dataclass(frozen=True)

@@ -28,12 +28,10 @@ FOURD_INLINE int channels_of(const Maps& maps) {
 template <int Channels>
 FOURD_INLINE void gather(const Maps& maps, const float* features, const Around& at, float* out) {
     const int channels = channels_of<Channels>(maps);
-    for (int c = 0; c < channels; ++c) out[c] = 0.0f;
-    for (int corner = 0; corner < 4; ++corner) {
-        const float weight = at.weight[corner];
-        if (weight == 0.0f) continue;
-        const float* from = features + at.offset[corner] * channels;
-        for (int c = 0; c < channels; ++c) out[c] += weight * from[c];
+    const float *a = features + at.offset[0] * channels, *b = features + at.offset[1] * channels;
+    const float *c = features + at.offset[2] * channels, *d = features + at.offset[3] * channels;
+    for (int k = 0; k < channels; ++k) {
+        out[k] = at.weight[0] * a[k] + at.weight[1] * b[k] + at.weight[2] * c[k] + at.weight[3] * d[k];
     }
 }
 
@@ -60,25 +58,20 @@ FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t f
     }
 }
 
-struct Pull {
-    float u, v;
-};
-
 // How the features around a point pull at its pixel; and, where they learn, their own gradient.
 template <int Channels>
 FOURD_INLINE Pull scatter(const Maps& maps, const float* features, const Around& at, const float* g, float* to) {
     const int channels = channels_of<Channels>(maps);
-    Pull out = {0, 0};
+    Pull out = {0.0f, 0.0f};
     for (int corner = 0; corner < 4; ++corner) {
-        const float weight = at.weight[corner], across = at.across[corner], down = at.down[corner];
-        if (across == 0.0f && down == 0.0f) continue;
-        const std::size_t offset = at.offset[corner] * channels;
-        float dot = 0;
-        for (int c = 0; c < channels; ++c) dot += g[c] * features[offset + c];
-        out.u += across * dot;
-        out.v += down * dot;
-        if (!to || weight == 0.0f) continue;
-        for (int c = 0; c < channels; ++c) to[offset + c] += weight * g[c];
+        const float weight = at.weight[corner];
+        const float* from = features + at.offset[corner] * channels;
+        float dot = 0.0f;
+        for (int c = 0; c < channels; ++c) dot += g[c] * from[c];
+        pull(out, at, corner, dot);
+        if (!to) continue;
+        float* at_corner = to + at.offset[corner] * channels;
+        for (int c = 0; c < channels; ++c) at_corner[c] += weight * g[c];
     }
     return out;
 }
@@ -94,23 +87,21 @@ FOURD_INLINE void backward_run(const Query& query, const float* gradient, std::s
         for (int i = 0; i < count; ++i) rows[i * channels + c] = from[static_cast<std::size_t>(c) * query.count + i];
     }
     const float* features = maps.features + view * feature_size(maps);
-    const float across = static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
-    const float down = static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
+    const float across = feature_scale_across(maps), down = feature_scale_down(maps);
     for (int i = 0; i < count; ++i) {
         const Projected at = project(query.cameras[view], query.xyz + 3 * (first + i));
-        Pull pull = {0, 0};
+        Pull by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
         if (channels > 0) {
-            pull = scatter<Channels>(maps, features, around_in_features(maps, at), rows + i * channels, to_features);
+            const float* g = rows + i * channels;
+            by_features = scatter<Channels>(maps, features, around_in_features(maps, at), g, to_features);
         }
-        float grad_u = across * pull.u, grad_v = down * pull.v;
         const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             const float* map = maps.images + (view * 3 + c) * image_size(maps);
             const float g = from[static_cast<std::size_t>(channels + c) * query.count + i];
-            for (int corner = 0; corner < 4; ++corner) {
-                move(map[image.offset[corner]], image, corner, g, &grad_u, &grad_v);
-            }
+            for (int corner = 0; corner < 4; ++corner) pull(by_image, image, corner, g * map[image.offset[corner]]);
         }
+        const float grad_u = by_image.u + across * by_features.u, grad_v = by_image.v + down * by_features.v;
         project_backward(query.cameras[view], at, grad_u, grad_v, to_xyz + 3 * (first + i));
     }
 }

@@ -46,9 +46,7 @@ struct Sample {
         for (int c = 0; c < maps.channels; ++c) {
             float sum = 0.0f;
             for (int corner = 0; corner < 4; ++corner) {
-                if (feature.weight[corner] != 0.0f) {
-                    sum += feature.weight[corner] * from[feature.offset[corner] * maps.channels + c];
-                }
+                sum += feature.weight[corner] * from[feature.offset[corner] * maps.channels + c];
             }
             to[c * views.count] = sum;
         }
@@ -70,28 +68,26 @@ struct SampleBackward {
         const Maps& maps = views.maps;
         const Projected at = project(views.cameras[view], views.xyz + 3 * point);
         const float* from = gradient + views.channels(view, point);
-        float grad_u = 0.0f, grad_v = 0.0f;
+        Pull by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
         const Around feature = around_in_features(maps, at);
-        for (int corner = 0; corner < 4; ++corner) {
+        for (int corner = 0; corner < 4 && maps.channels > 0; ++corner) {
             const std::size_t first = views.features(view) + feature.offset[corner] * maps.channels;
             for (int c = 0; c < maps.channels; ++c) {
                 const float g = from[c * views.count];
-                move(maps.features[first + c], feature, corner, g, &grad_u, &grad_v);
+                pull(by_features, feature, corner, g * maps.features[first + c]);
                 if (out.features && feature.weight[corner] != 0.0f) {
                     device::add_shared(out.features + first + c, g * feature.weight[corner]);
                 }
             }
         }
-        grad_u *= static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
-        grad_v *= static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
         const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             const float* map = maps.images + (view * 3 + c) * views.image_size();
             const float g = from[(maps.channels + c) * views.count];
-            for (int corner = 0; corner < 4; ++corner) {
-                move(map[image.offset[corner]], image, corner, g, &grad_u, &grad_v);
-            }
+            for (int corner = 0; corner < 4; ++corner) pull(by_image, image, corner, g * map[image.offset[corner]]);
         }
+        const float grad_u = by_image.u + feature_scale_across(maps) * by_features.u;
+        const float grad_v = by_image.v + feature_scale_down(maps) * by_features.v;
         float grad_xyz[3] = {};
         project_backward(views.cameras[view], at, grad_u, grad_v, grad_xyz);
         for (int axis = 0; axis < 3; ++axis) device::add_shared(out.xyz + 3 * point + axis, grad_xyz[axis]);
