@@ -12,11 +12,13 @@ add_library(fourd_kernels STATIC
   ${FOURD_KERNELS}/points/cpu/render.cpp
   ${FOURD_KERNELS}/points/cpu/tiles_baseline.cpp
   ${FOURD_KERNELS}/shade/cpu/shade.cpp
+  ${FOURD_KERNELS}/similarity/cpu/similarity.cpp
   ${FOURD_KERNELS}/sources/cpu/sample.cpp
 )
 # Their promise is a tolerance: sums may be fused, and choices between numbers made without branches.
 set(FOURD_TOLERANT -ffp-contract=fast -fno-trapping-math -fno-math-errno)
-set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp ${FOURD_KERNELS}/sources/cpu/sample.cpp
+set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp
+  ${FOURD_KERNELS}/similarity/cpu/similarity.cpp ${FOURD_KERNELS}/sources/cpu/sample.cpp
   PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
 set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_baseline.cpp
   PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")

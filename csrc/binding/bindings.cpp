@@ -37,5 +37,6 @@ NB_MODULE(_native, module) {
     fourd::bind_play(module);
     fourd::bind_points(module);
     fourd::bind_shade(module);
+    fourd::bind_similarity(module);
     fourd::bind_sources(module);
 }

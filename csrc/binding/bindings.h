@@ -10,6 +10,7 @@ void bind_planes(nanobind::module_& module);
 void bind_play(nanobind::module_& module);
 void bind_points(nanobind::module_& module);
 void bind_shade(nanobind::module_& module);
+void bind_similarity(nanobind::module_& module);
 void bind_sources(nanobind::module_& module);
 
 }  // namespace fourd

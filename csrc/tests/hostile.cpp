@@ -9,6 +9,7 @@
 #include "play/play.h"
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
+#include "similarity/similarity.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
 
@@ -146,6 +147,19 @@ void run_shade(unsigned seed, const char* simd) {
     expect_finite(out, "colours", seed);
 }
 
+void run_similarity(unsigned seed, const char* simd) {
+    Random random(seed);
+    const int width = whole(random, 11, 40), height = whole(random, 11, 60), channels = whole(random, 1, 4);
+    const std::size_t size = static_cast<std::size_t>(width) * height * channels;
+    const Floats picture = random_floats(random, size, 0, 1, 0), truth = random_floats(random, size, 0, 1, 0);
+    Floats gradient(size);
+    const double value = fourd::similarity::similarity(
+        {picture.data(), truth.data(), width, height, channels, whole(random, 1, 4), fourd::simd_named(simd)},
+        seed % 4 ? gradient.data() : nullptr);
+    expect_finite({static_cast<float>(value)}, "similarity", seed);
+    expect_finite(gradient, "gradient of similarity", seed);
+}
+
 void run_sources(unsigned seed, const char* simd) {
     Random random(seed);
     fourd::tests::SourceInputs inputs(random, seed % 2 ? 0.2f : 0.0f);
@@ -167,8 +181,9 @@ int main(int count, char** words) {
             run_blend(seed, simd);
             run_play(seed, simd);
             run_shade(seed, simd);
+            run_similarity(seed, simd);
             run_sources(seed, simd);
         }
-        std::printf("points, planes, blend, play, shade and sources, %s: %u inputs each\n", simd, runs);
+        std::printf("points, planes, blend, play, shade, similarity and sources, %s: %u inputs each\n", simd, runs);
     }
 }

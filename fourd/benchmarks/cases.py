@@ -18,6 +18,8 @@ from fourd.cameras import Camera
 from fourd.model.plane_lookup import sample_planes, sample_planes_reference
 from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
 from fourd.raster import render_points
+from fourd.training.metrics import ssim
+from fourd.training.similarity import similarity
 
 CPU = torch.device("cpu")
 Lookup = Callable[[Tensor, list[Tensor], list[int]], Tensor]
@@ -53,6 +55,7 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     yield _play(1_000_000, camera(1920, 1080), 12)
     yield lookup(65_536, CPU)
     yield sampling(65_536, CPU)
+    yield _similarity(512)
     if steps:
         for name, work in training_steps(resources):
             yield Case(name, work)
@@ -129,3 +132,15 @@ def _play(count: int, view: Camera, layers: int) -> Case:
     out = player.draw(frame, view, scene, layers=layers)
     name = f"play {count:,} points, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
     return Case(name, lambda: player.draw(frame, view, scene, layers=layers, out=out))
+
+
+def _similarity(side: int) -> Case:
+    generator = torch.Generator().manual_seed(side)
+    truth = torch.rand(side, side, 3, generator=generator)
+    picture = torch.rand(side, side, 3, generator=generator).requires_grad_()
+
+    def both(compare: Callable[[Tensor, Tensor], Tensor]) -> Work:
+        return lambda: torch.autograd.grad(compare(picture, truth), picture)
+
+    name = f"structural similarity, {side} x {side} x 3, forward + backward"
+    return Case(name, both(similarity), {"torch conv2d": both(ssim)})

@@ -7,7 +7,7 @@ from torch.nn import functional
 
 from fourd.training.config import LossConfig
 from fourd.training.lpips import LPIPS
-from fourd.training.metrics import ssim
+from fourd.training.similarity import similarity
 
 
 class ImageLoss:
@@ -36,7 +36,7 @@ class ImageLoss:
         if self.lpips is not None and self.config.perceptual > 0:
             terms["lpips"] = self.config.perceptual * self.lpips(predicted, truth)
         elif self.lpips is None and self.config.stand_in > 0 and min(matte.shape) >= 11:
-            terms["ssim"] = self.config.stand_in * (1 - ssim(predicted, truth))
+            terms["ssim"] = self.config.stand_in * (1 - similarity(predicted, truth))
         if self.config.mask > 0:
             terms["mask"] = self.config.mask * functional.mse_loss(alpha, matte)
         return terms
