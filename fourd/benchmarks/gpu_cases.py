@@ -9,6 +9,7 @@ import torch
 from fourd.baking.gpu_player import GpuFrame, GpuPlayer
 from fourd.benchmarks.cases import Case, composite, lookup, sampling
 from fourd.benchmarks.machine import has_gpu
+from fourd.benchmarks.peers import gsplat_rasterizer
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import baked_figure, camera, figure
 from fourd.cameras import Camera
@@ -49,7 +50,9 @@ def _composite(device: torch.device, count: int, view: Camera, layers: int, back
     cloud = {name: array.to(device) for name, array in figure(count).items()}
     passes = "forward + backward" if backward else "forward"
     name = f"GPU: composite {count:,} points, {view.width} x {view.height}, K = {layers}, {passes}"
-    return Case(name, repeated(composite(cloud, view, layers, backward)), parts=PARTS)
+    peer = gsplat_rasterizer(cloud, view, backward)
+    rivals = {} if peer is None else {"gsplat": repeated(peer)}
+    return Case(name, repeated(composite(cloud, view, layers, backward)), rivals, PARTS)
 
 
 def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:

@@ -45,3 +45,39 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
         return torch.autograd.grad(image.sum(), list(free.values())) if backward else image
 
     return work
+
+
+def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:
+    """gsplat's rasteriser on round Gaussians that reach as far, which is other work of the same kind.
+
+    None where it is not installed. The cloud is on a CUDA device: gsplat knows no other.
+    """
+    try:
+        rendering: Any = import_module("gsplat.rendering")
+    except ImportError:
+        return None
+    count, device = cloud["xyz"].shape[0], cloud["xyz"].device
+    view_matrix = torch.eye(4, device=device)
+    view_matrix[:3, :3] = torch.from_numpy(view.rotation)
+    view_matrix[:3, 3] = torch.from_numpy(view.translation)
+    intrinsics = torch.from_numpy(view.intrinsics).float().to(device)
+    unturned = torch.tensor([1.0, 0, 0, 0], device=device).expand(count, 4)
+
+    def work() -> object:
+        free = {name: array.requires_grad_(backward) for name, array in cloud.items()}
+        # It ends a Gaussian at three standard deviations.
+        scales = (free["radius"] / 3)[:, None].expand(count, 3)
+        image, alpha, _ = rendering.rasterization(
+            free["xyz"],
+            unturned,
+            scales,
+            free["density"],
+            free["features"],
+            view_matrix[None],
+            intrinsics[None],
+            view.width,
+            view.height,
+        )
+        return torch.autograd.grad(image.sum() + alpha.sum(), list(free.values())) if backward else image
+
+    return work
