@@ -29,6 +29,9 @@ WORKLOADS = {
     "play": "play 16384 480 270 12",
     "planes": "planes 8192 1 1 1",
     "planes backward": "planes_backward 8192 1 1 1",
+    "sources": "sources 8192 256 256 1",
+    "sources backward": "sources_backward 8192 256 256 1",
+    "similarity": "similarity 1 128 128 1",
 }
 
 

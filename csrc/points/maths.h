@@ -26,7 +26,7 @@ constexpr int kBlock = 4;               // a tile is made of blocks of 4 x 4 pix
 constexpr int kLongestSide = 1 << 18;   // of an image, in pixels: blocks are counted in 16 bits
 
 // A point as its pixels see it: alpha(pixel) = density * (1 - |(u, v) - pixel|^2 * inverse_square).
-struct Splat {
+struct alignas(16) Splat {
     float u, v;            // projected centre, pixels
     float inverse_square;  // 1 / rho^2, rho the radius in pixels
     float density;         // at most 1

@@ -1,6 +1,6 @@
 // Runs one kernel on a synthetic figure, for profilers and for counting instructions:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
-// KERNEL is render, backward, play, planes or planes_backward. Prints the milliseconds of a repeat.
+// KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward or similarity. Prints the milliseconds of a repeat.
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -15,6 +15,8 @@
 #include "planes/planes.h"
 #include "play/play.h"
 #include "points/points.h"
+#include "similarity/similarity.h"
+#include "sources/sources.h"
 
 namespace {
 
@@ -147,6 +149,48 @@ std::function<void()> looking_up(const Size& size, bool backward) {
     };
 }
 
+// In four views beside one another, with 16 features at half the pictures' resolution.
+std::function<void()> sampling(const Size& size, bool backward) {
+    constexpr int kViews = 4, kChannels = 16;
+    const Figure figure(size.points);
+    const fourd::points::Pinhole from = settings_of(size).camera;
+    std::vector<fourd::sources::Pinhole> cameras(kViews);
+    for (int view = 0; view < kViews; ++view) {
+        std::memcpy(cameras[view].intrinsics, from.intrinsics, sizeof from.intrinsics);
+        std::memcpy(cameras[view].rotation, from.rotation, sizeof from.rotation);
+        std::memcpy(cameras[view].translation, from.translation, sizeof from.translation);
+        cameras[view].translation[0] = 0.1f * static_cast<float>(view);
+    }
+    const std::size_t pixels = static_cast<std::size_t>(size.width) * size.height;
+    return [=, images = Floats(3 * kViews * pixels, 0.4f), mattes = Floats(kViews * pixels, 1.0f),
+            depth = Floats(kViews * pixels, 3.0f), features = Floats(kViews * kChannels * (pixels / 4), 0.2f),
+            samples = Floats(kViews * (kChannels + 3) * size.points, 0.5f), trust = Floats(kViews * size.points),
+            to_features = Floats(kViews * kChannels * (pixels / 4)), to_xyz = Floats(3 * size.points)]() mutable {
+        const fourd::sources::Maps maps{images.data(), mattes.data(), depth.data(), features.data(), size.width,
+                                        size.height,   kChannels,     size.width / 2, size.height / 2};
+        const fourd::sources::Query query{maps,  cameras.data(), kViews,       figure.xyz.data(), size.points,
+                                          0.02f, size.threads,   size.simd};
+        if (backward) {
+            fourd::sources::sample_backward(query, samples.data(), {to_xyz.data(), to_features.data()});
+        } else {
+            fourd::sources::sample(query, {samples.data(), trust.data()});
+        }
+    };
+}
+
+std::function<void()> comparing(const Size& size) {
+    const std::size_t values = static_cast<std::size_t>(size.width) * size.height * 3;
+    Floats picture(values), truth(values);
+    for (std::size_t i = 0; i < values; ++i) {
+        picture[i] = static_cast<float>(i % 97) / 97.0f;
+        truth[i] = static_cast<float>(i % 89) / 89.0f;
+    }
+    return [=, gradient = Floats(values)]() mutable {
+        fourd::similarity::similarity(
+            {picture.data(), truth.data(), size.width, size.height, 3, size.threads, size.simd}, gradient.data());
+    };
+}
+
 }  // namespace
 
 int main(int count, char** words) {
@@ -163,6 +207,9 @@ int main(int count, char** words) {
     if (kernel == "play") work = playing(size);
     if (kernel == "planes") work = looking_up(size, false);
     if (kernel == "planes_backward") work = looking_up(size, true);
+    if (kernel == "sources") work = sampling(size, false);
+    if (kernel == "sources_backward") work = sampling(size, true);
+    if (kernel == "similarity") work = comparing(size);
     if (!work) {
         std::fprintf(stderr, "workload: no kernel %s\n", words[1]);
         return 2;

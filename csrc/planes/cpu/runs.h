@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <cstring>
 
+#include "common/eight.h"
 #include "common/inline.h"
 #include "planes/planes.h"
 
@@ -56,16 +57,10 @@ FOURD_INLINE void place_run(const Plan& plan, std::size_t begin, int count, cons
     }
 }
 
-#if defined(__GNUC__)
-typedef float Eight __attribute__((vector_size(32)));  // features of one sample; compilers do not see them as one
-
-FOURD_INLINE void load(const float* from, Eight* to) { std::memcpy(to, from, sizeof *to); }
-#endif
-
 // The bilinear mean of four samples: those at top and bottom, and the ones right of them.
 template <int Features>
 FOURD_INLINE void mix(const Corners& c, const float* top, const float* bottom, int features, float* to) {
-#if defined(__GNUC__)
+#if defined(FOURD_EIGHT)
     if (Features == 8) {
         Eight corner[4];
         load(top, corner), load(top + 8, corner + 1), load(bottom, corner + 2), load(bottom + 8, corner + 3);
@@ -84,7 +79,7 @@ FOURD_INLINE void mix(const Corners& c, const float* top, const float* bottom, i
 // Adds the samples' shares of a gradient to theirs.
 template <int Features>
 FOURD_INLINE void spread(const Corners& c, const float* gradient, int features, float* top, float* bottom) {
-#if defined(__GNUC__)
+#if defined(FOURD_EIGHT)
     if (Features == 8) {
         Eight from, to;
         load(gradient, &from);
@@ -109,7 +104,7 @@ FOURD_INLINE void spread(const Corners& c, const float* gradient, int features, 
 template <int Features>
 FOURD_INLINE void slopes(const Between& x, const Between& y, const float* gradient, const float* top,
                          const float* bottom, int features, float* along_x, float* along_y) {
-#if defined(__GNUC__)
+#if defined(FOURD_EIGHT)
     if (Features == 8) {
         Eight from, corner[4], to_x, to_y;
         load(gradient, &from);

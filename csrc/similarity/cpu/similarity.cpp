@@ -3,9 +3,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <type_traits>
 #include <vector>
 
 #include "common/buffer.h"
+#include "common/eight.h"
 #include "common/inline.h"
 #include "common/team.h"
 
@@ -52,43 +55,57 @@ constexpr int kMeans = 5;
 // What the similarity's sum changes by as the picture's mean, mean square and mean product do.
 constexpr int kSlopes = 3;
 
-// Down the columns; out has kMeans rows of stride.
-FOURD_INLINE void down(const Plan& plan, std::size_t row, float* out) {
+// Down the columns, i and, for eight numbers, those after it; out has kMeans rows of stride.
+template <typename Number>
+FOURD_INLINE void down_at(const Plan& plan, const float* picture, const float* truth, std::size_t i, float* out) {
     const std::size_t stride = plan.stride;
-    float *mean_x = out, *mean_y = out + stride, *square_x = out + 2 * stride, *square_y = out + 3 * stride;
-    float* product = out + 4 * stride;
-    std::fill_n(out, kMeans * stride, 0.0f);
+    Number mean_x{}, mean_y{}, square_x{}, square_y{}, product{};
     for (int k = 0; k < kWindow; ++k) {
-        const float* x = plan.pictures.picture + (row + k) * stride;
-        const float* y = plan.pictures.truth + (row + k) * stride;
-        const float weight = plan.window[k];
-        for (std::size_t i = 0; i < stride; ++i) {
-            const float wx = weight * x[i], wy = weight * y[i];
-            mean_x[i] += wx;
-            mean_y[i] += wy;
-            square_x[i] += wx * x[i];
-            square_y[i] += wy * y[i];
-            product[i] += wx * y[i];
-        }
+        Number x, y;
+        load(picture + k * stride + i, &x);
+        load(truth + k * stride + i, &y);
+        const Number wx = plan.window[k] * x, wy = plan.window[k] * y;
+        mean_x += wx;
+        mean_y += wy;
+        square_x += wx * x;
+        square_y += wy * y;
+        product += wx * y;
     }
+    store(&mean_x, out + i);
+    store(&mean_y, out + stride + i);
+    store(&square_x, out + 2 * stride + i);
+    store(&square_y, out + 3 * stride + i);
+    store(&product, out + 4 * stride + i);
+}
+
+// The window's sum at from, which steps by step.
+template <typename Number>
+FOURD_INLINE void window_at(const Window& window, int first, int last, const float* from, std::ptrdiff_t step,
+                            float* to) {
+    Number sum{};
+    for (int k = first; k < last; ++k) {
+        Number value;
+        load(from + k * step, &value);
+        sum += window[k] * value;
+    }
+    store(&sum, to);
 }
 
 // Along a row: count values, each from kWindow that lie step apart.
 FOURD_INLINE void along(const Window& window, const float* from, std::size_t count, std::size_t step, float* to) {
-    for (std::size_t i = 0; i < count; ++i) to[i] = window[0] * from[i];
-    for (int k = 1; k < kWindow; ++k) {
-        const float weight = window[k];
-        const float* shifted = from + k * step;
-        for (std::size_t i = 0; i < count; ++i) to[i] += weight * shifted[i];
-    }
+    in_eights(count, [&](std::size_t i, auto* number) FOURD_ALWAYS {
+        using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
+        window_at<Number>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step), to + i);
+    });
 }
 
-// The sum of a row's similarities from its means (rows of stride); slopes has kSlopes rows of valid, or is null.
-FOURD_INLINE double compare(const Plan& plan, const float* means, float* slopes) {
+// A row's similarities from its means (rows of stride), and where wanted its slopes (kSlopes rows of valid).
+template <bool kWithSlopes>
+FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_ALONE values, float* FOURD_ALONE slopes) {
     const std::size_t stride = plan.stride, valid = plan.valid;
-    const float *mean_x = means, *mean_y = means + stride, *square_x = means + 2 * stride;
-    const float *square_y = means + 3 * stride, *product = means + 4 * stride;
-    double sums[kLanes] = {};
+    const float *FOURD_ALONE mean_x = means, *FOURD_ALONE mean_y = means + stride;
+    const float *FOURD_ALONE square_x = means + 2 * stride, *FOURD_ALONE square_y = means + 3 * stride;
+    const float* FOURD_ALONE product = means + 4 * stride;
     for (std::size_t i = 0; i < valid; ++i) {
         const float x = mean_x[i], y = mean_y[i];
         const float luminance_up = 2 * x * y + kLuminance, luminance_down = x * x + y * y + kLuminance;
@@ -96,14 +113,22 @@ FOURD_INLINE double compare(const Plan& plan, const float* means, float* slopes)
         const float contrast_down = (square_x[i] - x * x) + (square_y[i] - y * y) + kContrast;
         const float share = 1.0f / (luminance_down * contrast_down);
         const float value = luminance_up * contrast_up * share;
-        sums[i % kLanes] += value;
-        if (!slopes) continue;
-        slopes[i] = 2 * y * (contrast_up - luminance_up) * share +
-                    2 * x * value * (1.0f / contrast_down - 1.0f / luminance_down);
-        slopes[valid + i] = -value / contrast_down;
+        values[i] = value;
+        if (!kWithSlopes) continue;
+        const float per_luminance = contrast_down * share, per_contrast = luminance_down * share;
+        slopes[i] = 2 * y * (contrast_up - luminance_up) * share + 2 * x * value * (per_contrast - per_luminance);
+        slopes[valid + i] = -value * per_contrast;
         slopes[2 * valid + i] = 2 * luminance_up * share;
     }
-    double total = 0;
+}
+
+FOURD_INLINE double sum_of(const float* values, std::size_t count) {
+    double sums[kLanes] = {}, total = 0;
+    std::size_t i = 0;
+    for (; i + kLanes <= count; i += kLanes) {
+        for (int lane = 0; lane < kLanes; ++lane) sums[lane] += values[i + lane];
+    }
+    for (; i < count; ++i) total += values[i];
     for (const double sum : sums) total += sum;
     return total;
 }
@@ -111,16 +136,27 @@ FOURD_INLINE double compare(const Plan& plan, const float* means, float* slopes)
 // Valid row: its sum of similarities, and where wanted its slopes. scratch has 2 * kMeans rows of stride.
 FOURD_INLINE double compare_row(const Plan& plan, std::size_t row, float* scratch, float* slopes) {
     float* means = scratch + kMeans * plan.stride;
-    down(plan, row, scratch);
+    const float* picture = plan.pictures.picture + row * plan.stride;
+    const float* truth = plan.pictures.truth + row * plan.stride;
+    in_eights(plan.stride, [&](std::size_t i, auto* number) FOURD_ALWAYS {
+        using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
+        down_at<Number>(plan, picture, truth, i, scratch);
+    });
     for (int mean = 0; mean < kMeans; ++mean) {
         along(plan.window, scratch + mean * plan.stride, plan.valid, plan.pictures.channels, means + mean * plan.stride);
     }
-    return compare(plan, means, slopes);
+    if (slopes) {
+        compare<true>(plan, means, scratch, slopes);
+    } else {
+        compare<false>(plan, means, scratch, slopes);
+    }
+    return sum_of(scratch, plan.valid);
 }
 
 // Row of the picture: its gradient, from the slopes of all windows that hold it. scratch has 2 rows of
 // stride + kReach * channels.
-FOURD_INLINE void gradient_row(const Plan& plan, int row, const float* slopes, float* scratch, float* out) {
+FOURD_INLINE void gradient_row(const Plan& plan, int row, const float* slopes, float* scratch,
+                               float* FOURD_ALONE out) {
     const std::size_t stride = plan.stride, valid = plan.valid;
     const std::size_t border = static_cast<std::size_t>(kReach) * plan.pictures.channels;
     const float* x = plan.pictures.picture + row * stride;
@@ -128,18 +164,21 @@ FOURD_INLINE void gradient_row(const Plan& plan, int row, const float* slopes, f
     float *padded = scratch, *spread = scratch + stride + border;
     for (int slope = 0; slope < kSlopes; ++slope) {
         // Nothing beyond the valid part: a window's weights end there. They are symmetric.
-        std::fill_n(padded, stride + border, 0.0f);
-        for (int k = std::max(0, row - plan.valid_rows + 1); k < kWindow && k <= row; ++k) {
-            const float* from = slopes + (static_cast<std::size_t>(row - k) * kSlopes + slope) * valid;
-            const float weight = plan.window[k];
-            for (std::size_t i = 0; i < valid; ++i) padded[border + i] += weight * from[i];
-        }
+        std::fill_n(padded, border, 0.0f);
+        std::fill_n(padded + stride, border, 0.0f);
+        const int first = std::max(0, row - plan.valid_rows + 1), last = std::min(kWindow, row + 1);
+        const std::ptrdiff_t step = static_cast<std::ptrdiff_t>(kSlopes * valid);
+        const float* from = slopes + row * step + static_cast<std::ptrdiff_t>(slope * valid);
+        in_eights(valid, [&](std::size_t i, auto* number) FOURD_ALWAYS {
+            using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
+            window_at<Number>(plan.window, first, last, from + i, -step, padded + border + i);
+        });
         along(plan.window, padded, stride, plan.pictures.channels, spread);
         if (slope == 0) {
             for (std::size_t i = 0; i < stride; ++i) out[i] = plan.scale * spread[i];
         } else {
             const float factor = slope == 1 ? 2 * plan.scale : plan.scale;
-            const float* by = slope == 1 ? x : y;
+            const float* FOURD_ALONE by = slope == 1 ? x : y;
             for (std::size_t i = 0; i < stride; ++i) out[i] += factor * by[i] * spread[i];
         }
     }

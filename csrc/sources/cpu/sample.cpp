@@ -1,8 +1,8 @@
 #include <algorithm>
-#include <cstring>
+#include <type_traits>
 #include <vector>
 
-#include "common/buffer.h"
+#include "common/eight.h"
 #include "common/inline.h"
 #include "common/team.h"
 #include "sources/sources.h"
@@ -25,14 +25,16 @@ FOURD_INLINE int channels_of(const Maps& maps) {
     return Channels > 0 ? Channels : maps.channels;
 }
 
-template <int Channels>
-FOURD_INLINE void gather(const Maps& maps, const float* features, const Around& at, float* out) {
-    const int channels = channels_of<Channels>(maps);
-    const float *a = features + at.offset[0] * channels, *b = features + at.offset[1] * channels;
-    const float *c = features + at.offset[2] * channels, *d = features + at.offset[3] * channels;
-    for (int k = 0; k < channels; ++k) {
-        out[k] = at.weight[0] * a[k] + at.weight[1] * b[k] + at.weight[2] * c[k] + at.weight[3] * d[k];
+// The four samples' channels c and, for eight numbers, those after it, by weight.
+template <typename Number>
+FOURD_INLINE void gather_at(const float* features, const Around& at, int channels, std::size_t c, float* out) {
+    Number sum{};
+    for (int corner = 0; corner < 4; ++corner) {
+        Number value;
+        load(features + at.offset[corner] * channels + c, &value);
+        sum += at.weight[corner] * value;
     }
+    store(&sum, out + c);
 }
 
 // Points first to first + count of a view.
@@ -45,7 +47,11 @@ FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t f
     float* to = out.channels + view * static_cast<std::size_t>(channels + 3) * query.count + first;
     for (int i = 0; i < count; ++i) {
         const Projected at = project(query.cameras[view], query.xyz + 3 * (first + i));
-        if (channels > 0) gather<Channels>(maps, features, around_in_features(maps, at), rows + i * channels);
+        const Around feature = around_in_features(maps, at);
+        in_eights(channels, [&](std::size_t c, auto* number) FOURD_ALWAYS {
+            using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
+            gather_at<Number>(features, feature, channels, c, rows + i * channels);
+        });
         const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             const float* map = maps.images + (view * 3 + c) * image_size(maps);
@@ -58,22 +64,36 @@ FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t f
     }
 }
 
-// How the features around a point pull at its pixel; and, where they learn, their own gradient.
-template <int Channels>
-FOURD_INLINE Pull scatter(const Maps& maps, const float* features, const Around& at, const float* g, float* to) {
-    const int channels = channels_of<Channels>(maps);
-    Pull out = {0.0f, 0.0f};
+FOURD_INLINE float total(const float* number) { return *number; }
+#if defined(FOURD_EIGHT)
+FOURD_INLINE float total(const Eight* number) {
+    const Eight& of = *number;
+    return ((of[0] + of[4]) + (of[1] + of[5])) + ((of[2] + of[6]) + (of[3] + of[7]));
+}
+#endif
+
+// How channels c of the features around a point pull at its pixel; and, where they learn, their own gradient.
+template <typename Number>
+FOURD_INLINE void scatter_at(const float* features, const Around& at, int channels, std::size_t c, const float* gradient,
+                             float* to, Pull* sum) {
+    Number g, across{}, down{};
+    load(gradient + c, &g);
     for (int corner = 0; corner < 4; ++corner) {
-        const float weight = at.weight[corner];
-        const float* from = features + at.offset[corner] * channels;
-        float dot = 0.0f;
-        for (int c = 0; c < channels; ++c) dot += g[c] * from[c];
-        pull(out, at, corner, dot);
+        const std::size_t offset = at.offset[corner] * channels + c;
+        Number value;
+        load(features + offset, &value);
+        across += at.across[corner] * value;
+        down += at.down[corner] * value;
         if (!to) continue;
-        float* at_corner = to + at.offset[corner] * channels;
-        for (int c = 0; c < channels; ++c) at_corner[c] += weight * g[c];
+        Number grown;
+        load(to + offset, &grown);
+        grown += at.weight[corner] * g;
+        store(&grown, to + offset);
     }
-    return out;
+    across *= g;
+    down *= g;
+    sum->u += total(&across);
+    sum->v += total(&down);
 }
 
 template <int Channels>
@@ -91,10 +111,11 @@ FOURD_INLINE void backward_run(const Query& query, const float* gradient, std::s
     for (int i = 0; i < count; ++i) {
         const Projected at = project(query.cameras[view], query.xyz + 3 * (first + i));
         Pull by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
-        if (channels > 0) {
-            const float* g = rows + i * channels;
-            by_features = scatter<Channels>(maps, features, around_in_features(maps, at), g, to_features);
-        }
+        const Around feature = around_in_features(maps, at);
+        in_eights(channels, [&](std::size_t c, auto* number) FOURD_ALWAYS {
+            using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
+            scatter_at<Number>(features, feature, channels, c, rows + i * channels, to_features, &by_features);
+        });
         const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             const float* map = maps.images + (view * 3 + c) * image_size(maps);
