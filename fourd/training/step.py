@@ -91,11 +91,12 @@ class Stepper:
     def _apply(
         self, points: FramePoints, rows: Tensor, free: dict[str, Tensor], terms: dict[str, Tensor], factor: float
     ) -> None:
-        self.optimizer.zero_grad(set_to_none=True)
         torch.stack(list(terms.values())).sum().backward()
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * factor
         self.optimizer.step()
+        # At once, not before the next: what lives from step to step among what does not splits the heap.
+        self.optimizer.zero_grad(set_to_none=True)
         rates = self.config.rates
         gradients = {name: torch.nan_to_num(value.grad) for name, value in free.items() if value.grad is not None}
         with torch.no_grad():
