@@ -10,7 +10,7 @@ from torch import Tensor
 
 from fourd.baking.player import HIDDEN
 from fourd.baking.scene import BakedFrame, SceneManifest
-from fourd.baking.shade import chosen_views
+from fourd.baking.shade import shading_arguments
 from fourd.cameras import Camera
 from fourd.raster.gpu import gpu_of
 from fourd.raster.validation import camera_numbers, check_points
@@ -89,10 +89,7 @@ class GpuPlayer:
                 frame.sh,
                 frame.blend_weights,
                 frame.rgb,
-                np.asarray(chosen_views(camera, manifest), dtype=np.int32),
-                np.ascontiguousarray(camera.centre),
-                manifest.sh_range,
-                manifest.sh_base,
+                *shading_arguments(camera, manifest),
                 camera_numbers(camera),
                 layers,
                 manifest.near,
@@ -116,10 +113,7 @@ class GpuPlayer:
                 frame.sh,
                 frame.blend_weights,
                 frame.rgb,
-                np.asarray(chosen_views(camera, manifest), dtype=np.int32),
-                np.ascontiguousarray(camera.centre),
-                manifest.sh_range,
-                manifest.sh_base,
+                *shading_arguments(camera, manifest),
                 gpu.stream,
                 out,
             )

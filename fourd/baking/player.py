@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
-from fourd.baking.shade import chosen_views
+from fourd.baking.shade import shading_arguments
 from fourd.cameras import Camera
 from fourd.raster.loading import native
 from fourd.raster.validation import camera_numbers, check_points, simd_name, thread_count
@@ -64,10 +64,7 @@ class Player:
             frame.sh.view(np.uint16),
             frame.blend_weights.view(np.uint16),
             frame.rgb,
-            np.asarray(chosen_views(camera, manifest), dtype=np.int32),
-            np.ascontiguousarray(camera.centre),
-            manifest.sh_range,
-            manifest.sh_base,
+            *shading_arguments(camera, manifest),
             camera_numbers(camera),
             layers,
             manifest.near,

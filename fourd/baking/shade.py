@@ -17,6 +17,7 @@ from fourd.cameras import Camera, nearest_views
 from fourd.raster.validation import simd_name, thread_count
 
 _CHUNK = 1 << 15
+Floats64 = NDArray[np.float64]
 
 
 def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads: int = 0) -> NDArray[np.float32]:
@@ -30,7 +31,6 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
         frame: finite, as :class:`fourd.baking.container.SceneReader` guarantees.
         threads: of the native kernel; 0 for FOURD_THREADS if that is set, else one a core.
     """
-    chosen = chosen_views(camera, manifest)
     native = _native()
     if native is None:
         return shade_reference(frame, camera, manifest)
@@ -39,10 +39,7 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
         frame.sh.view(np.uint16),
         frame.blend_weights.view(np.uint16),
         frame.rgb,
-        np.asarray(chosen, dtype=np.int32),
-        np.ascontiguousarray(camera.centre),
-        manifest.sh_range,
-        manifest.sh_base,
+        *shading_arguments(camera, manifest),
         thread_count(threads),
         simd_name(),
     )
@@ -70,6 +67,12 @@ def chosen_views(camera: Camera, manifest: SceneManifest) -> list[int]:
     """Indices of the source views that are blended for ``camera``; empty when the scene has none."""
     sources = list(manifest.source_cameras)
     return nearest_views(camera, sources, manifest.neighbours, np.asarray(manifest.focus))
+
+
+def shading_arguments(camera: Camera, manifest: SceneManifest) -> tuple[NDArray[np.int32], Floats64, float, float]:
+    """What the native kernels take: the views to blend, the camera's centre, and the SH part's range and base."""
+    chosen = np.asarray(chosen_views(camera, manifest), dtype=np.int32)
+    return chosen, np.ascontiguousarray(camera.centre), manifest.sh_range, manifest.sh_base
 
 
 def sh_basis(directions: NDArray[np.float32]) -> NDArray[np.float32]:

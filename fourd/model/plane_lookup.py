@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fourd.raster.gpu import cuda_missing, emulated, gpu_of
+from fourd.raster.gpu import cuda_missing, dense, gpu_of, takes
 from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
 
@@ -71,23 +71,17 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
             raise ValueError(f"planes[{k}]: expected shape {expected}, got {tuple(plane.shape)}")
 
 
-@torch.library.custom_op("fourd::sample_planes", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::sample_planes", mutates_args=(), device_types=("cpu", "cuda"))
 def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
-    if emulated():
-        return _sample_gpu(coordinates, planes, axes)
     out = _empty_samples(coordinates, planes)
+    if takes(coordinates):
+        gpu = gpu_of(coordinates.device)
+        with gpu.current():
+            gpu.kernels.sample_planes(dense(coordinates), [dense(plane) for plane in planes], axes, gpu.stream, out)
+        return out
     threads = thread_count(0, torch.get_num_threads())
     arrays = [as_array(plane) for plane in planes]
     native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), out.numpy())
-    return out
-
-
-@_sample.register_kernel("cuda")
-def _sample_gpu(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
-    out = _empty_samples(coordinates, planes)
-    gpu = gpu_of(coordinates.device)
-    with gpu.current():
-        gpu.kernels.sample_planes(_dense(coordinates), [_dense(plane) for plane in planes], axes, gpu.stream, out)
     return out
 
 
@@ -96,13 +90,17 @@ def _(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Ten
     return _empty_samples(coordinates, planes)
 
 
-@torch.library.custom_op("fourd::sample_planes_backward", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::sample_planes_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def _sample_backward(
     coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, moves: bool
 ) -> tuple[list[Tensor], Tensor]:
-    if emulated():
-        return _sample_backward_gpu(coordinates, planes, axes, gradient, moves)
     grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, moves)
+    if takes(coordinates):
+        gpu = gpu_of(coordinates.device)
+        arrays = (dense(coordinates), [dense(plane) for plane in planes], axes, gpu.stream, dense(gradient))
+        with gpu.current():
+            gpu.kernels.sample_planes_backward(*arrays, grad_planes, grad_coordinates if moves else None)
+        return grad_planes, grad_coordinates
     native().sample_planes_backward(
         as_array(coordinates),
         [as_array(plane) for plane in planes],
@@ -113,25 +111,6 @@ def _sample_backward(
         [plane.numpy() for plane in grad_planes],
         grad_coordinates.numpy() if moves else None,
     )
-    return grad_planes, grad_coordinates
-
-
-@_sample_backward.register_kernel("cuda")
-def _sample_backward_gpu(
-    coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, moves: bool
-) -> tuple[list[Tensor], Tensor]:
-    grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, moves)
-    gpu = gpu_of(coordinates.device)
-    with gpu.current():
-        gpu.kernels.sample_planes_backward(
-            _dense(coordinates),
-            [_dense(plane) for plane in planes],
-            axes,
-            gpu.stream,
-            _dense(gradient),
-            grad_planes,
-            grad_coordinates if moves else None,
-        )
     return grad_planes, grad_coordinates
 
 
@@ -156,10 +135,6 @@ def _backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, list[Tensor], 
 
 
 _sample.register_autograd(_backward, setup_context=_setup)
-
-
-def _dense(tensor: Tensor) -> Tensor:
-    return tensor.detach().contiguous()
 
 
 def _empty_samples(coordinates: Tensor, planes: Sequence[Tensor]) -> Tensor:

@@ -11,14 +11,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.raster.gpu import emulated, gpu_of
+from fourd.raster.gpu import dense, gpu_of, takes
 from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
 
 MOST_VIEWS_GPU = 16
 
 
-@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types=("cpu", "cuda"))
 def sample(
     xyz: Tensor,
     features: Tensor | None,
@@ -36,39 +36,25 @@ def sample(
         cameras: the 21 numbers of each view, one after another.
         softness: above 0, world units.
     """
-    if emulated():
-        return _sample_gpu(xyz, features, images, mattes, depth, cameras, softness)
     out = _empty_samples(xyz, features, images)
+    if takes(xyz):
+        gpu = gpu_of(xyz.device)
+        maps = (dense(images), dense(mattes), _dense(depth), _dense(_rows(features)))
+        with gpu.current():
+            gpu.kernels.sample_sources(dense(xyz), *maps, cameras, softness, gpu.stream, *out)
+        return out
     native().sample_sources(
         as_array(xyz),
         as_array(images),
         as_array(mattes),
-        None if depth is None else as_array(depth),
-        None if features is None else as_array(_rows(features)),
+        _array(depth),
+        _array(_rows(features)),
         cameras,
         softness,
         thread_count(0, torch.get_num_threads()),
         simd_name(),
         *map(as_array, out),
     )
-    return out
-
-
-@sample.register_kernel("cuda")
-def _sample_gpu(
-    xyz: Tensor,
-    features: Tensor | None,
-    images: Tensor,
-    mattes: Tensor,
-    depth: Tensor | None,
-    cameras: list[float],
-    softness: float,
-) -> tuple[Tensor, Tensor]:
-    out = _empty_samples(xyz, features, images)
-    gpu = gpu_of(xyz.device)
-    maps = (_dense(images), _dense(mattes), _dense(depth), _dense(None if features is None else _rows(features)))
-    with gpu.current():
-        gpu.kernels.sample_sources(_dense(xyz), *maps, cameras, softness, gpu.stream, *out)
     return out
 
 
@@ -85,7 +71,7 @@ def _(
     return _empty_samples(xyz, features, images)
 
 
-@torch.library.custom_op("fourd::sample_sources_backward", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::sample_sources_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def sample_backward(
     xyz: Tensor,
     features: Tensor | None,
@@ -96,42 +82,28 @@ def sample_backward(
     learns: bool,
 ) -> tuple[Tensor, Tensor]:
     """Gradients of xyz and, where the features learn, of these (else an empty tensor)."""
-    if emulated():
-        return _sample_backward_gpu(xyz, features, images, mattes, cameras, gradient, learns)
     grad_xyz, grad_features = _empty_gradients(xyz, features, learns)
+    to_features = _rows(grad_features) if learns else None
+    if takes(xyz):
+        gpu = gpu_of(xyz.device)
+        maps = (dense(images), dense(mattes), _dense(_rows(features)))
+        with gpu.current():
+            gpu.kernels.sample_sources_backward(
+                dense(xyz), *maps, cameras, gpu.stream, dense(gradient), grad_xyz, to_features
+            )
+        return grad_xyz, grad_features
     native().sample_sources_backward(
         as_array(xyz),
         as_array(images),
         as_array(mattes),
-        None if features is None else as_array(_rows(features)),
+        _array(_rows(features)),
         cameras,
         thread_count(0, torch.get_num_threads()),
         simd_name(),
         as_array(gradient),
         as_array(grad_xyz),
-        as_array(_rows(grad_features)) if learns else None,
+        _array(to_features),
     )
-    return grad_xyz, grad_features
-
-
-@sample_backward.register_kernel("cuda")
-def _sample_backward_gpu(
-    xyz: Tensor,
-    features: Tensor | None,
-    images: Tensor,
-    mattes: Tensor,
-    cameras: list[float],
-    gradient: Tensor,
-    learns: bool,
-) -> tuple[Tensor, Tensor]:
-    grad_xyz, grad_features = _empty_gradients(xyz, features, learns)
-    gpu = gpu_of(xyz.device)
-    maps = (_dense(images), _dense(mattes), _dense(None if features is None else _rows(features)))
-    to_features = _rows(grad_features) if learns else None
-    with gpu.current():
-        gpu.kernels.sample_sources_backward(
-            _dense(xyz), *maps, cameras, gpu.stream, _dense(gradient), grad_xyz, to_features
-        )
     return grad_xyz, grad_features
 
 
@@ -169,13 +141,17 @@ def _backward(
 sample.register_autograd(_backward, setup_context=_setup)
 
 
-def _dense(tensor: Tensor | None) -> Any:
-    return None if tensor is None else tensor.detach().contiguous()
+def _dense(tensor: Tensor | None) -> Tensor | None:
+    return None if tensor is None else dense(tensor)
 
 
-def _rows(features: Tensor) -> Tensor:
+def _array(tensor: Tensor | None) -> Any:
+    return None if tensor is None else as_array(tensor)
+
+
+def _rows(features: Tensor | None) -> Tensor | None:
     """(V, C, h, w) -> (V, h, w, C), the order in memory of torch's channels_last."""
-    return features.permute(0, 2, 3, 1)
+    return None if features is None else features.permute(0, 2, 3, 1)
 
 
 def _empty_samples(xyz: Tensor, features: Tensor | None, images: Tensor) -> tuple[Tensor, Tensor]:

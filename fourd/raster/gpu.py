@@ -76,9 +76,9 @@ def cuda_missing() -> str:
     return ""
 
 
-def emulated() -> bool:
-    """Whether FOURD_SIMD asks for the emulated GPU on the CPU."""
-    return simd_name() == "emulated"
+def takes(tensor: Tensor) -> bool:
+    """Whether the kernels here are those for a tensor: on a CUDA device, or where FOURD_SIMD wants them emulated."""
+    return tensor.device.type == "cuda" or simd_name() == "emulated"
 
 
 def render(
@@ -94,7 +94,7 @@ def render(
     height, width = out[1].shape
     with gpu.current():
         room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
-        gpu.kernels.render_points(*_dense(inputs), camera, layers, near, transmittance_min, *room, gpu.stream, *out)
+        gpu.kernels.render_points(*_all_dense(inputs), camera, layers, near, transmittance_min, *room, gpu.stream, *out)
 
 
 def render_backward(
@@ -111,14 +111,14 @@ def render_backward(
     with gpu.current():
         room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
         gpu.kernels.render_points_backward(
-            *_dense(inputs),
+            *_all_dense(inputs),
             camera,
             layers,
             near,
             *room,
             gpu.stream,
-            *_dense(gradients[:2]),
-            None if gradients[2] is None else gradients[2].detach().contiguous(),
+            *_all_dense(gradients[:2]),
+            None if gradients[2] is None else dense(gradients[2]),
             *out,
         )
 
@@ -135,7 +135,7 @@ def visibility(
     gpu = gpu_of(inputs[0].device)
     with gpu.current():
         room = _room(gpu, inputs[0].shape[0], 0, *size)
-        gpu.kernels.point_visibility(*_dense(inputs), camera, *size, layers, near, *room, gpu.stream, out)
+        gpu.kernels.point_visibility(*_all_dense(inputs), camera, *size, layers, near, *room, gpu.stream, out)
 
 
 def _room(gpu: Gpu, count: int, channels: int, width: int, height: int) -> tuple[Any, int, Tensor]:
@@ -143,5 +143,10 @@ def _room(gpu: Gpu, count: int, channels: int, width: int, height: int) -> tuple
     return gpu.rooms, entries, gpu.memory(size)
 
 
-def _dense(tensors: tuple[Tensor, ...]) -> list[Tensor]:
-    return [tensor.detach().contiguous() for tensor in tensors]
+def dense(tensor: Tensor) -> Tensor:
+    """The tensor as kernels take it; a copy only where it is not contiguous."""
+    return tensor.detach().contiguous()
+
+
+def _all_dense(tensors: tuple[Tensor, ...]) -> list[Tensor]:
+    return [dense(tensor) for tensor in tensors]

@@ -16,7 +16,7 @@ from fourd.raster.loading import as_array, native
 from fourd.raster.validation import simd_name, thread_count
 
 
-@torch.library.custom_op("fourd::render_points", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::render_points", mutates_args=(), device_types=("cpu", "cuda"))
 def render(
     xyz: Tensor,
     features: Tensor,
@@ -32,31 +32,12 @@ def render(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Features (H, W, C), alpha (H, W) and depth (H, W) of points; ``camera`` is camera_numbers(...)."""
     out = _empty_image(features, width, height)
-    if gpu.emulated():
+    if gpu.takes(xyz):
         gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
         return out
     arrays = [as_array(tensor) for tensor in (xyz, features, radius, density)]
     count = thread_count(threads, torch.get_num_threads())
     native().render_points(*arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(as_array, out))
-    return out
-
-
-@render.register_kernel("cuda")
-def _(
-    xyz: Tensor,
-    features: Tensor,
-    radius: Tensor,
-    density: Tensor,
-    camera: list[float],
-    width: int,
-    height: int,
-    layers: int,
-    near: float,
-    transmittance_min: float,
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    out = _empty_image(features, width, height)
-    gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
     return out
 
 
@@ -77,7 +58,7 @@ def _(
     return _empty_image(features, width, height)
 
 
-@torch.library.custom_op("fourd::render_points_backward", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::render_points_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def render_backward(
     xyz: Tensor,
     features: Tensor,
@@ -94,7 +75,7 @@ def render_backward(
     """Gradients of xyz, features, radius and density from those of the image."""
     inputs = (xyz, features, radius, density)
     out = _empty_cloud(*inputs)
-    if gpu.emulated():
+    if gpu.takes(xyz):
         gpu.render_backward(inputs, camera, layers, near, (grad_features, grad_alpha, grad_depth), out)
         return out
     native().render_points_backward(
@@ -109,26 +90,6 @@ def render_backward(
         None if grad_depth is None else as_array(grad_depth),
         *map(as_array, out),
     )
-    return out
-
-
-@render_backward.register_kernel("cuda")
-def _(
-    xyz: Tensor,
-    features: Tensor,
-    radius: Tensor,
-    density: Tensor,
-    grad_features: Tensor,
-    grad_alpha: Tensor,
-    grad_depth: Tensor | None,
-    camera: list[float],
-    layers: int,
-    near: float,
-    threads: int,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    out = _empty_cloud(xyz, features, radius, density)
-    gradients = (grad_features, grad_alpha, grad_depth)
-    gpu.render_backward((xyz, features, radius, density), camera, layers, near, gradients, out)
     return out
 
 
@@ -154,7 +115,7 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> Non
     if transmittance_min > 0 and any(tensor.requires_grad for tensor in (xyz, features, radius, density)):
         raise ValueError(f"transmittance_min: expected 0 where gradients are wanted, got {transmittance_min}")
     if any(tensor.requires_grad for tensor in (xyz, features, radius, density)):
-        _check_layers(xyz.device, layers)
+        _check_layers(xyz, layers)
     ctx.set_materialize_grads(False)
     ctx.save_for_backward(xyz, features, radius, density)
     ctx.size = (height, width)
@@ -177,7 +138,7 @@ def _backward(
 render.register_autograd(_backward, setup_context=_setup)
 
 
-@torch.library.custom_op("fourd::point_visibility", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::point_visibility", mutates_args=(), device_types=("cpu", "cuda"))
 def visibility(
     xyz: Tensor,
     radius: Tensor,
@@ -191,29 +152,12 @@ def visibility(
 ) -> Tensor:
     """The largest weight (N,) that each point has in any pixel."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
-    if gpu.emulated():
+    if gpu.takes(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
         return out
     count = thread_count(threads, torch.get_num_threads())
     arrays = [as_array(tensor) for tensor in (xyz, radius, density)]
     native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), as_array(out))
-    return out
-
-
-@visibility.register_kernel("cuda")
-def _(
-    xyz: Tensor,
-    radius: Tensor,
-    density: Tensor,
-    camera: list[float],
-    width: int,
-    height: int,
-    layers: int,
-    near: float,
-    threads: int,
-) -> Tensor:
-    out = torch.empty_like(radius, memory_format=torch.contiguous_format)
-    gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
     return out
 
 
@@ -232,10 +176,9 @@ def _(
     return torch.empty_like(radius, memory_format=torch.contiguous_format)
 
 
-def _check_layers(device: torch.device, layers: int) -> None:
-    """A pixel's layers lie in its thread's own memory on the way back."""
-    on_gpu = device.type == "cuda" or gpu.emulated()
-    if on_gpu and layers > gpu.MOST_LAYERS_BACKWARD:
+def _check_layers(xyz: Tensor, layers: int) -> None:
+    """On a GPU a pixel's layers lie in its thread's own memory on the way back."""
+    if gpu.takes(xyz) and layers > gpu.MOST_LAYERS_BACKWARD:
         expected = f"at most {gpu.MOST_LAYERS_BACKWARD} where gradients are wanted on a GPU"
         raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' takes any number")
 
