@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstring>
+#include <type_traits>
 
 #include "common/inline.h"
 
@@ -20,7 +21,11 @@ FOURD_INLINE void store(const Eight* from, float* to) { std::memcpy(to, from, si
 FOURD_INLINE void load(const float* from, float* to) { *to = *from; }
 FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 
-// Calls at(i, number) for i below count, in eights as long as there are eight; number tells the type alone.
+// What a pointer to numbers points to: float or Eight.
+template <typename Pointer>
+using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
+
+// Calls at(i, number) for i below count, in eights as long as there are eight; number's type alone tells which.
 template <typename At>
 FOURD_INLINE void in_eights(std::size_t count, const At& at) {
     std::size_t i = 0;

@@ -14,7 +14,7 @@
 namespace fourd::device {
 namespace {
 
-enum class Call { none, any, sum, largest, largest_whole };
+enum class Call { none, any, sum, largest };
 
 constexpr std::size_t kStackBytes = 128 << 10;
 
@@ -111,9 +111,8 @@ class Warp {
 
 bool Lane::any(bool value) const { return warp_.meet(number_, Call::any, value) != 0; }
 float Lane::sum(float value) const { return static_cast<float>(warp_.meet(number_, Call::sum, value)); }
-float Lane::largest(float value) const { return static_cast<float>(warp_.meet(number_, Call::largest, value)); }
 std::uint32_t Lane::largest(std::uint32_t value) const {
-    return static_cast<std::uint32_t>(warp_.meet(number_, Call::largest_whole, value));
+    return static_cast<std::uint32_t>(warp_.meet(number_, Call::largest, value));
 }
 
 void run_warp(const std::function<void(const Lane&)>& body) { Warp(body).run(); }

@@ -26,11 +26,6 @@ class Lane {
         return value;
     }
 
-    FOURD_DEVICE float largest(float value) const {
-        for (int step = kWarp / 2; step > 0; step /= 2) value = fmaxf(value, __shfl_xor_sync(kAll, value, step));
-        return value;
-    }
-
     FOURD_DEVICE std::uint32_t largest(std::uint32_t value) const {
         for (int step = kWarp / 2; step > 0; step /= 2) {
             const std::uint32_t other = __shfl_xor_sync(kAll, value, step);
@@ -55,7 +50,6 @@ class Lane {
     bool any(bool value) const;
     bool first() const { return number_ == 0; }
     float sum(float value) const;
-    float largest(float value) const;
     std::uint32_t largest(std::uint32_t value) const;
 
   private:

@@ -48,6 +48,24 @@ def run(
     return samples, [gradient.cpu() for gradient in torch.autograd.grad(total, leaves)]
 
 
+def random_features(rng: np.random.Generator, channels: int) -> Tensor | None:
+    """At half the pictures' resolution; None for no channels."""
+    if channels == 0:
+        return None
+    return torch.from_numpy(rng.normal(size=(VIEWS, channels, SIZE // 2, (SIZE + 8) // 2)).astype(np.float32))
+
+
+def assert_same(got: tuple[SourceSamples, list[Tensor]], wanted: tuple[SourceSamples, list[Tensor]]) -> None:
+    """Samples, trust and gradients of :func:`run`."""
+    channels, expected = got[0].channels.detach().cpu(), wanted[0].channels.detach()
+    torch.testing.assert_close(channels, expected, rtol=1e-4, atol=2e-5)
+    torch.testing.assert_close(got[0].trust.cpu(), wanted[0].trust, rtol=1e-4, atol=2e-5)
+    for found, truth in zip(got[1], wanted[1], strict=True):
+        # Where a pixel falls on the seam between samples, rounding decides which slope counts.
+        close = (found - truth).abs() <= 1e-3 * truth.abs().max()
+        assert float(close.float().mean()) >= 0.995
+
+
 @pytest.mark.parametrize("occlusion", [False, True])
 @pytest.mark.parametrize("channels", [0, 5])
 def test_values_and_gradients_equal_the_reference(
@@ -56,19 +74,10 @@ def test_values_and_gradients_equal_the_reference(
     """Catches samples half a pixel off, views in another order, and a gradient at another resolution's scale."""
     sources = views(rng, occlusion)
     xyz = torch.from_numpy(rng.normal(0, 1.2, (400, 3)).astype(np.float32))
-    features = None
-    if channels > 0:
-        shape = (VIEWS, channels, SIZE // 2, (SIZE + 8) // 2)
-        features = torch.from_numpy(rng.normal(size=shape).astype(np.float32))
+    features = random_features(rng, channels)
     on_gpu = None if features is None else features.to(gpu)
-    got, gradients = run(sample_sources, xyz.to(gpu), moved(sources, gpu), on_gpu, 1)
-    wanted, expected = run(sample_sources_reference, xyz, sources, features, 1)
-    torch.testing.assert_close(got.channels.detach().cpu(), wanted.channels.detach(), rtol=1e-4, atol=2e-5)
-    torch.testing.assert_close(got.trust.cpu(), wanted.trust, rtol=1e-4, atol=2e-5)
-    for found, truth in zip(gradients, expected, strict=True):
-        # Where a pixel falls on the seam between samples, rounding decides which slope counts.
-        close = (found - truth).abs() <= 1e-3 * truth.abs().max()
-        assert float(close.float().mean()) >= 0.995
+    got = run(sample_sources, xyz.to(gpu), moved(sources, gpu), on_gpu, 1)
+    assert_same(got, run(sample_sources_reference, xyz, sources, features, 1))
 
 
 @pytest.mark.parametrize("simd", ["baseline", "avx2"])
@@ -82,19 +91,11 @@ def test_the_cpu_equals_the_reference(
     monkeypatch.setenv("FOURD_SIMD", simd)
     sources = views(rng, True)
     xyz = torch.from_numpy(rng.normal(0, 1.2, (700, 3)).astype(np.float32))
-    features = None
-    if channels > 0:
-        shape = (VIEWS, channels, SIZE // 2, (SIZE + 8) // 2)
-        features = torch.from_numpy(rng.normal(size=shape).astype(np.float32))
-    wanted, expected = run(sample_sources_reference, xyz, sources, features, 1)
+    features = random_features(rng, channels)
+    wanted = run(sample_sources_reference, xyz, sources, features, 1)
     orders = (torch.contiguous_format, torch.channels_last)
     for held in (features,) if features is None else (features.contiguous(memory_format=order) for order in orders):
-        got, gradients = run(sample_sources, xyz, sources, held, 1)
-        torch.testing.assert_close(got.channels.detach(), wanted.channels.detach(), rtol=1e-4, atol=2e-5)
-        torch.testing.assert_close(got.trust, wanted.trust, rtol=1e-4, atol=2e-5)
-        for found, truth in zip(gradients, expected, strict=True):
-            close = (found - truth).abs() <= 1e-3 * truth.abs().max()
-            assert float(close.float().mean()) >= 0.995
+        assert_same(run(sample_sources, xyz, sources, held, 1), wanted)
 
 
 def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
-#include <type_traits>
 #include <vector>
 
 #include "common/buffer.h"
@@ -94,8 +93,7 @@ FOURD_INLINE void window_at(const Window& window, int first, int last, const flo
 // Along a row: count values, each from kWindow that lie step apart.
 FOURD_INLINE void along(const Window& window, const float* from, std::size_t count, std::size_t step, float* to) {
     in_eights(count, [&](std::size_t i, auto* number) FOURD_ALWAYS {
-        using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
-        window_at<Number>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step), to + i);
+        window_at<NumberOf<decltype(number)>>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step), to + i);
     });
 }
 
@@ -139,8 +137,7 @@ FOURD_INLINE double compare_row(const Plan& plan, std::size_t row, float* scratc
     const float* picture = plan.pictures.picture + row * plan.stride;
     const float* truth = plan.pictures.truth + row * plan.stride;
     in_eights(plan.stride, [&](std::size_t i, auto* number) FOURD_ALWAYS {
-        using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
-        down_at<Number>(plan, picture, truth, i, scratch);
+        down_at<NumberOf<decltype(number)>>(plan, picture, truth, i, scratch);
     });
     for (int mean = 0; mean < kMeans; ++mean) {
         along(plan.window, scratch + mean * plan.stride, plan.valid, plan.pictures.channels, means + mean * plan.stride);
@@ -170,8 +167,7 @@ FOURD_INLINE void gradient_row(const Plan& plan, int row, const float* slopes, f
         const std::ptrdiff_t step = static_cast<std::ptrdiff_t>(kSlopes * valid);
         const float* from = slopes + row * step + static_cast<std::ptrdiff_t>(slope * valid);
         in_eights(valid, [&](std::size_t i, auto* number) FOURD_ALWAYS {
-            using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
-            window_at<Number>(plan.window, first, last, from + i, -step, padded + border + i);
+            window_at<NumberOf<decltype(number)>>(plan.window, first, last, from + i, -step, padded + border + i);
         });
         along(plan.window, padded, stride, plan.pictures.channels, spread);
         if (slope == 0) {

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <type_traits>
 #include <vector>
 
 #include "common/eight.h"
@@ -49,8 +48,7 @@ FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t f
         const Projected at = project(query.cameras[view], query.xyz + 3 * (first + i));
         const Around feature = around_in_features(maps, at);
         in_eights(channels, [&](std::size_t c, auto* number) FOURD_ALWAYS {
-            using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
-            gather_at<Number>(features, feature, channels, c, rows + i * channels);
+            gather_at<NumberOf<decltype(number)>>(features, feature, channels, c, rows + i * channels);
         });
         const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
@@ -113,8 +111,7 @@ FOURD_INLINE void backward_run(const Query& query, const float* gradient, std::s
         Pull by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
         const Around feature = around_in_features(maps, at);
         in_eights(channels, [&](std::size_t c, auto* number) FOURD_ALWAYS {
-            using Number = std::remove_const_t<std::remove_pointer_t<decltype(number)>>;
-            scatter_at<Number>(features, feature, channels, c, rows + i * channels, to_features, &by_features);
+            scatter_at<NumberOf<decltype(number)>>(features, feature, channels, c, rows + i * channels, to_features, &by_features);
         });
         const Around image = around_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
