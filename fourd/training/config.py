@@ -101,7 +101,7 @@ class TrainConfig:
     """Steps between checkpoints."""
     validation_seconds: float = 60.0
     """Time between pictures and PSNR of a held-out (or else a training) view."""
-    memory_mb: int = 128
+    memory_mb: int = 96
     """Bound on decoded images kept; half of it bounds the points kept. The rest is read again when needed."""
 
     def __post_init__(self) -> None:

@@ -14,6 +14,7 @@ from torch import Tensor
 from fourd.cameras import Camera
 from fourd.capture import Capture
 from fourd.model.sources import SourceViews
+from fourd.training.memory import in_own_pages
 
 CROP_MARGIN_PX = 16
 STEP_PX = 32
@@ -89,7 +90,7 @@ class ViewStore:
             left, top, width, height = _matte_window(matte)
         rows, columns = slice(top, top + height), slice(left, left + width)
         part = whole.cropped(left, top, width, height)
-        return View(rgb[rows, columns].copy(), matte[rows, columns].copy(), part, left, top)
+        return View(in_own_pages(rgb[rows, columns]), in_own_pages(matte[rows, columns]), part, left, top)
 
 
 def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:

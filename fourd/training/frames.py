@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from fourd.files import atomic_path
+from fourd.training.memory import in_own_pages
 
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
@@ -88,6 +90,10 @@ class FramePoints:
             steps=named["steps"],
         )
 
+    def in_own_pages(self) -> FramePoints:
+        """A copy outside the heap, to be kept for long."""
+        return self.from_tensors({name: _in_own_pages(value) for name, value in self.tensors().items()})
+
     @property
     def nbytes(self) -> int:
         return sum(value.numel() * value.element_size() for value in self.tensors().values())
@@ -129,29 +135,45 @@ class FrameStore:
         if frame in self._kept:
             self._kept.move_to_end(frame)
             return self._kept[frame]
-        points = self._loaded(frame)
+        points = self._loaded(frame).in_own_pages()
         self._kept[frame] = points
         while len(self._kept) > 1 and len(self._kept) * points.nbytes > self._budget:
             oldest, dropped = self._kept.popitem(last=False)
-            save_file(dropped.tensors(), self._scratch / f"{oldest:06d}.safetensors")
+            save_file(dropped.tensors(), self._scratch / _file_name(oldest))
             self._spilled.add(oldest)
         return points
 
     def save(self, folder: Path) -> None:
         """Write every frame below ``folder``, one at a time."""
         for frame in range(self.frames):
-            points = self._kept.get(frame) or self._loaded(frame)
-            with atomic_path(folder / f"{frame:06d}.safetensors") as temporary:
-                save_file(points.tensors(), temporary)
+            with atomic_path(folder / _file_name(frame)) as temporary:
+                self._write(frame, temporary)
         self._saved = folder
 
+    def _write(self, frame: int, target: Path) -> None:
+        """Write a frame's file: as it is in memory, or else a copy of the newest file, unread."""
+        file = self._file(frame)
+        if frame in self._kept or file is None:
+            save_file((self._kept.get(frame) or self._make(frame)).tensors(), target)
+        else:
+            shutil.copyfile(file, target)
+
     def _loaded(self, frame: int) -> FramePoints:
-        name = f"{frame:06d}.safetensors"
-        if frame in self._spilled:
-            return FramePoints.from_tensors(load_file(self._scratch / name))
-        if self._saved is not None:
-            return FramePoints.from_tensors(load_file(self._saved / name))
-        return self._make(frame)
+        file = self._file(frame)
+        return self._make(frame) if file is None else FramePoints.from_tensors(load_file(file))
+
+    def _file(self, frame: int) -> Path | None:
+        """Where a frame's points were last written, if ever."""
+        folder = self._scratch if frame in self._spilled else self._saved
+        return None if folder is None else folder / _file_name(frame)
+
+
+def _file_name(frame: int) -> str:
+    return f"{frame:06d}.safetensors"
+
+
+def _in_own_pages(value: Tensor) -> Tensor:
+    return torch.from_numpy(in_own_pages(value.numpy()))
 
 
 def _below(prefix: str, named: dict[str, Tensor]) -> dict[str, Tensor]:

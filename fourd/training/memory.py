@@ -1,18 +1,23 @@
-"""The C library's heap (glibc's; elsewhere nothing is done): quick to reuse, and yet small.
+"""The C library's heap (glibc's; elsewhere nothing is done to it): quick to reuse, and yet small.
 
 Pictures differ in size, so freed memory does not always fit what is asked for next: the heap's address
-space grows for hours. Only the pages of it that were touched since the last trim cost memory.
+space grows for hours. Only the pages of it that were touched since the last trim cost memory. What lives
+for many steps stays out of it, in pages of its own: it would pin and split what lies around it.
 """
 
 from __future__ import annotations
 
 import ctypes
+import mmap
 import os
 import sys
 from pathlib import Path
 from typing import Any
 
-RESIDENT_BYTES = 1200 * 2**20
+import numpy as np
+from numpy.typing import NDArray
+
+RESIDENT_BYTES = 1000 * 2**20
 """What a process may hold: an aim, for what is alive cannot be given back."""
 
 LEAST_GROWTH_BYTES = 128 * 2**20
@@ -33,6 +38,14 @@ def keep_freed_memory() -> None:
         mallopt(ctypes.c_int(_TRIM_THRESHOLD), ctypes.c_int(2**31 - 1))
 
 
+def in_own_pages(array: NDArray[Any]) -> NDArray[Any]:
+    """A writable copy outside the heap; its pages go back to the system with its last view."""
+    pages = mmap.mmap(-1, max(array.nbytes, 1))
+    copy = np.frombuffer(pages, array.dtype, count=array.size).reshape(array.shape)
+    copy[...] = array
+    return copy
+
+
 class HeapTrimmer:
     """Gives the heap's free pages back before the process holds too much."""
 
@@ -41,26 +54,22 @@ class HeapTrimmer:
         self._malloc_trim = _function("malloc_trim")
         self._resident = resident
         self._least_growth = least_growth
-        self._floor = self._last = resident_bytes() if self._malloc_trim is not None else 0
-        self._largest_step = 0
+        self._floor = resident_bytes() if self._malloc_trim is not None else 0
 
     def after_step(self) -> None:
-        """Trim if a step like the largest seen would hold too much."""
+        """Trim if the process holds too much: the next step finds room in what this one has freed."""
         if self._malloc_trim is None:
             return
         now = resident_bytes()
-        if self._last > self._floor:  # the first step after a trim touches everything anew
-            self._largest_step = max(self._largest_step, now - self._last)
-        self._last = now
         self._floor = min(self._floor, now)
-        if now + self._largest_step > self._resident and now > self._floor + self._least_growth:
+        if now > max(self._resident, self._floor + self._least_growth):
             self.trim()
 
     def trim(self) -> None:
         """To be called before what is seldom done and takes much memory."""
         if self._malloc_trim is not None:
             self._malloc_trim(ctypes.c_size_t(0))
-            self._floor = self._last = resident_bytes()
+            self._floor = resident_bytes()
 
 
 def resident_bytes() -> int:

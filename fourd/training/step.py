@@ -23,6 +23,7 @@ from fourd.training.losses import ImageLoss
 from fourd.training.schedule import Choice
 
 NEAR = 0.01
+ROWS = 1024
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class Stepper:
         weight = point_visibility(
             points.xyz, points.radius, points.density, camera, layers=self.config.layers, near=NEAR
         )
-        return torch.nonzero(weight > self.config.hidden_weight)[:, 0]
+        return heaviest_rows(weight, self.config.hidden_weight)
 
     def _seen_by(self, view: View, sources: SourceViews | None) -> list[tuple[Camera, Tensor]]:
         """The step's target and source views with their mattes."""
@@ -121,6 +122,16 @@ class Stepper:
         if self.config.model.appearance == "sh":
             return None
         return with_depth(self.views.sources(choice.sources, choice.frame), points, self.config.model.occlusion)
+
+
+def heaviest_rows(weight: Tensor, least: float) -> Tensor:
+    """Ascending indices of the weights (N,) above ``least``, and of the next lower ones up to whole ROWS.
+
+    Tensors of a step then come in few sizes, and fit into the memory that the steps before it freed.
+    """
+    count = int((weight > least).sum())
+    rounded = min(weight.shape[0], -(-count // ROWS) * ROWS)
+    return weight.topk(rounded, sorted=False).indices.sort().values
 
 
 def keep_in_hull(points: FramePoints, rows: Tensor, before: Tensor, views: list[tuple[Camera, Tensor]]) -> None:

@@ -9,7 +9,7 @@ import torch
 
 from fourd.cameras import Camera
 from fourd.training.frames import FramePoints, FrameStore
-from fourd.training.step import keep_in_hull
+from fourd.training.step import ROWS, heaviest_rows, keep_in_hull
 
 
 def fresh(count: int = 6, seed: int = 0) -> FramePoints:
@@ -58,6 +58,30 @@ def test_a_saved_store_is_read_again_and_later_changes_are_not_in_it(tmp_path: P
     again = FrameStore(tmp_path / "other", 3, lambda frame: fresh(10, frame), 16, tmp_path / "saved")
     assert float(again.get(1).xyz[0, 0]) == 7
     assert torch.equal(again.get(2).xyz, fresh(10, 2).xyz)
+
+
+def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Path) -> None:
+    """Catches a checkpoint with the points of the one before it, or as carved, for frames that are not in memory."""
+    store = FrameStore(tmp_path / "scratch", 6, lambda frame: fresh(20_000, frame), 1, None)
+    for turn in (1, 2):
+        for frame in range(5):
+            store.get(frame).xyz[0] = 10 * turn + frame
+        store.save(tmp_path / f"saved{turn}")
+    assert store.kept == 1
+    again = FrameStore(tmp_path / "other", 6, lambda frame: fresh(20_000, frame), 1, tmp_path / "saved2")
+    assert [float(again.get(frame).xyz[0, 0]) for frame in range(5)] == [20, 21, 22, 23, 24]
+    assert torch.equal(again.get(5).xyz, fresh(20_000, 5).xyz), "never trained"
+
+
+def test_rows_in_sight_come_in_few_numbers() -> None:
+    """Catches a visible point left out, and hidden ones taken before heavier ones."""
+    weight = torch.rand(3 * ROWS + 5, generator=torch.Generator().manual_seed(1))
+    rows = heaviest_rows(weight, 0.5)
+    assert rows.tolist() == sorted(set(rows.tolist()))
+    assert len(rows) == -(-int((weight > 0.5).sum()) // ROWS) * ROWS
+    left_out = torch.ones_like(weight, dtype=torch.bool).index_fill(0, rows, False)
+    assert float(weight[left_out].max()) <= min(0.5, float(weight[rows].min()))
+    assert len(heaviest_rows(weight, 0.0)) == len(weight), "never more than there are"
 
 
 def test_points_may_not_leave_a_silhouette() -> None:
