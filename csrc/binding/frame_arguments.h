@@ -40,6 +40,14 @@ struct FrameArguments {
         return {found, bits(radius.data()), bits(density.data())};
     }
 
+    // Positions and sizes alone.
+    static play::Frame bare_frame(const Xyz& xyz, const Column& radius, const Column& density) {
+        const std::size_t count = xyz.shape(0);
+        require(count <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");
+        require(radius.shape(0) == count && density.shape(0) == count, "radius, density: expected as many points as xyz");
+        return {{xyz.data(), nullptr, nullptr, nullptr, count, 0}, bits(radius.data()), bits(density.data())};
+    }
+
   private:
     static const std::uint16_t* bits(const Half* halves) { return reinterpret_cast<const std::uint16_t*>(halves); }
 };

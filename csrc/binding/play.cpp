@@ -1,4 +1,4 @@
-// Drawing of baked frames: fourd/baking/player.py says what is computed.
+// Drawing and ordering of baked frames: fourd/baking/player.py and order.py say what is computed.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/string.h>
@@ -34,6 +34,18 @@ void draw(play::Player& player, const Arguments::Xyz& xyz, const Arguments::Colu
     player.draw(frame, settings, shading, {out.data(), {background[0], background[1], background[2]}});
 }
 
+using Indices = nb::ndarray<std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+std::size_t sort(play::DepthSorter& sorter, const Arguments::Xyz& xyz, const Arguments::Column& radius,
+                 const Arguments::Column& density, const std::vector<double>& camera, std::size_t width,
+                 std::size_t height, double near, int threads, const std::string& simd, const Indices& out) {
+    const play::Frame frame = Arguments::bare_frame(xyz, radius, density);
+    require(out.shape(0) == frame.points.count, "out: expected as many indices as points");
+    const points::Settings settings = points_settings(camera, width, height, 1, near, 0.0, threads, simd);
+    nb::gil_scoped_release release;
+    return sorter.sort(frame, settings, out.data());
+}
+
 }  // namespace
 
 void bind_play(nb::module_& module) {
@@ -43,6 +55,11 @@ void bind_play(nb::module_& module) {
              nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
              nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
              nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+    nb::class_<play::DepthSorter>(module, "DepthSorter", "Orders points; not to be shared between threads.")
+        .def(nb::init<>())
+        .def("sort", &sort, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("camera"),
+             nb::arg("width"), nb::arg("height"), nb::arg("near"), nb::arg("threads"), nb::arg("simd"),
+             nb::arg("out"));
 }
 
 }  // namespace fourd

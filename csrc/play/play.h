@@ -1,14 +1,24 @@
-// A baked frame drawn from a camera, from float16 arrays to bytes: shading and compositing in one call, in
-// memory that is kept from one picture to the next. Callers check shapes; arrays are dense and row-major.
+// What is done to a baked frame seen from a camera, on its float16 arrays, in memory that is kept from one picture to
+// the next. Callers check shapes; arrays are dense and row-major.
 #pragma once
 
 #include "common/buffer.h"
 #include "play/frame.h"
+#include "points/cpu/bins.h"
 #include "points/cpu/workspace.h"
 #include "points/points.h"
 
 namespace fourd::play {
 
+// Radii and densities as float32.
+struct Sizes {
+    Buffer<float> radius, density;
+
+    void require(std::size_t count);
+    void convert(const Frame& frame, std::size_t begin, std::size_t end);
+};
+
+// Shades and composites in one call, to bytes.
 class Player {
   public:
     // settings and shading agree on threads and simd. canvas.rgba has room for the camera's pixels.
@@ -17,7 +27,20 @@ class Player {
 
   private:
     points::Workspace space_;
-    Buffer<float> radius_, density_, colour_;
+    Sizes sizes_;
+    Buffer<float> colour_;
+};
+
+// Orders points by depth, for renderers that draw them one over the other.
+class DepthSorter {
+  public:
+    // Writes the indices of the points in sight, nearest first and ties by index, to out, which has room for
+    // all points; returns how many. settings.layers does not matter.
+    std::size_t sort(const Frame& frame, const points::Settings& settings, std::uint32_t* out);
+
+  private:
+    points::Bins bins_;
+    Sizes sizes_;
 };
 
 }  // namespace fourd::play

@@ -10,25 +10,54 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 8192;
 
+// Calls visit(begin, end) for runs of count things, side by side.
+template <typename Visit>
+void in_runs(std::size_t count, Team& team, const Visit& visit) {
+    team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
+        const std::size_t begin = task * kPointsPerTask;
+        visit(begin, std::min(count, begin + kPointsPerTask));
+    });
+}
+
 }  // namespace
+
+void Sizes::require(std::size_t count) {
+    radius.require(count);
+    density.require(count);
+}
+
+void Sizes::convert(const Frame& frame, std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) radius[i] = from_half(frame.radius[i]);
+    for (std::size_t i = begin; i < end; ++i) density[i] = from_half(frame.density[i]);
+}
 
 void Player::draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                   const points::Canvas& canvas) {
     const std::size_t count = frame.points.count;
-    radius_.require(count);
-    density_.require(count);
+    sizes_.require(count);
     colour_.require(3 * count);
     Team team(settings.threads);
-    team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
-        const std::size_t begin = task * kPointsPerTask, end = std::min(count, begin + kPointsPerTask);
-        for (std::size_t i = begin; i < end; ++i) radius_[i] = from_half(frame.radius[i]);
-        for (std::size_t i = begin; i < end; ++i) density_[i] = from_half(frame.density[i]);
+    in_runs(count, team, [&](std::size_t begin, std::size_t end) {
+        sizes_.convert(frame, begin, end);
         shade::shade_some(frame.points, shading, begin, end, colour_.data());
     });
-    const points::Cloud cloud{frame.points.xyz, colour_.data(), radius_.data(), density_.data(), count, 3};
+    const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
     space_.fill(cloud, settings, team);
     const points::TileKernels& kernels = points::tile_kernels(settings.simd);
     team.run(space_.bins.tiles(), [&](int index, int) { kernels.draw(space_.tile(settings, 3, index), canvas); });
+}
+
+std::size_t DepthSorter::sort(const Frame& frame, const points::Settings& settings, std::uint32_t* out) {
+    const std::size_t count = frame.points.count;
+    sizes_.require(count);
+    Team team(settings.threads);
+    in_runs(count, team, [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
+    const points::Cloud cloud{frame.points.xyz, nullptr, sizes_.radius.data(), sizes_.density.data(), count, 0};
+    bins_.sort_points(cloud, settings, team);
+    in_runs(bins_.visible(), team, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t rank = begin; rank < end; ++rank) out[rank] = bins_.order()[rank].point;
+    });
+    return bins_.visible();
 }
 
 }  // namespace fourd::play

@@ -146,16 +146,20 @@ std::size_t Bins::place(std::size_t rank, int column, int row) const {
     return static_cast<std::size_t>(row - splat.top / kBlocksPerSide) * across + (column - left);
 }
 
+void Bins::sort_points(const Cloud& cloud, const Settings& settings, Team& team) {
+    unsorted_.require(cloud.count);
+    items_.require(cloud.count);
+    spare_.require(cloud.count);
+    sort(project_all(cloud, settings, team), team);
+}
+
 void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
     columns_ = (settings.camera.width + kTile - 1) / kTile;
     rows_ = (settings.camera.height + kTile - 1) / kTile;
-    unsorted_.require(cloud.count);
     splats_.require(cloud.count);
     points_.require(cloud.count);
-    items_.require(cloud.count);
-    spare_.require(cloud.count);
     tile_begin_.require(static_cast<std::size_t>(tiles()) + 1);
-    sort(project_all(cloud, settings, team), team);
+    sort_points(cloud, settings, team);
     rank_splats(team);
     fill_tiles(team);
 }

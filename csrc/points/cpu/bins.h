@@ -18,6 +18,10 @@ class Bins {
     // Projects, sorts and bins; what was here before is forgotten.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
+    // Projects and sorts alone; order() is what is then there to read.
+    void sort_points(const Cloud& cloud, const Settings& settings, Team& team);
+    const Item* order() const { return items_.data(); }  // by rank
+
     int columns() const { return columns_; }  // tiles across
     int tiles() const { return columns_ * rows_; }
     std::size_t visible() const { return visible_; }  // how many points are

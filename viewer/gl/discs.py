@@ -1,0 +1,164 @@
+"""Points projected and coloured once a picture, and the discs that every pass draws of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking import BakedFrame
+from fourd.baking.shade import chosen_views
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.viewer.gl.arrays import UploadedFrame
+from fourd.viewer.gl.shaders import program, set_uniforms
+from fourd.viewer.look import Shot
+
+_BYTES_A_DISC = 32
+_MOST_RANKS = 1 << 24
+
+
+class Discs:
+    """Discs of the points in sight.
+
+    Nearest first, they are placed in the order in which they are drawn, and know their rank.
+    Farthest first, sprites are placed as their points lie in memory and drawn by index: reading
+    the points in the order of their depth takes twice the time.
+    """
+
+    def __init__(self, context: moderngl.Context, passes: Mapping[str, str], farthest_first: bool = False) -> None:
+        """``passes`` maps names to the fragment shaders that :meth:`draw` can draw with."""
+        self._context = context
+        self._farthest_first = farthest_first
+        self._shade = program(context, "shade.vert", varyings=("disc", "paint"))
+        self._programs = {
+            (name, shape): program(context, f"{shape}.vert", fragment)
+            for name, fragment in passes.items()
+            for shape in ("sprite", "square")
+        }
+        self._buffers: dict[str, moderngl.Buffer] = {}
+        self._shading: dict[str, moderngl.VertexArray] = {}
+        self._drawing: dict[tuple[str, str], moderngl.VertexArray] = {}
+        self._room = 0
+        self._count = 0
+        self._size = (1, 1)
+        self._margin: int | None = None
+
+    def place(self, uploaded: UploadedFrame, order: NDArray[np.uint32], shot: Shot) -> None:
+        """Project and shade the points of ``order``, nearest first, as the shot's camera sees them."""
+        if len(order) >= _MOST_RANKS:
+            raise UserError(
+                f"OpenGL: expected fewer than {_MOST_RANKS} points in sight, got {len(order)}; add --renderer cpu"
+            )
+        self._count = len(order)
+        self._size = (shot.camera.width, shot.camera.height)
+        if self._count == 0:
+            return
+        self._margin = self._sprite_margin(shot.frame, int(order[0]), shot)
+        self._make_room(shot.frame.point_count)
+        self._buffers["order"].write(np.ascontiguousarray(order[::-1]) if self._farthest_first else order)
+        set_uniforms(self._shade, **uploaded.use(), views=shot.frame.view_count, **_camera_uniforms(shot.camera))
+        set_uniforms(self._shade, **_shading_uniforms(shot))
+        if self._farthest_first and self._margin is not None:
+            shading, count = self._shading["sequence"], shot.frame.point_count
+        else:
+            shading, count = self._shading["order"], self._count
+        shading.transform(self._buffers["discs"], moderngl.POINTS, vertices=count)
+
+    def draw(self, name: str, framebuffer: moderngl.Framebuffer, upright: bool = False, **uniforms: object) -> None:
+        """Draw every disc with the pass of that name and ``uniforms`` of its shader.
+
+        Row 0 of the picture comes at the framebuffer's top with ``upright``, as it is seen; else at
+        its bottom, as textures have it.
+        """
+        if not self._count:
+            return
+        shape = "square" if self._margin is None else "sprite"
+        margin = self._margin or 0
+        width, height = self._size
+        set_uniforms(
+            self._programs[name, shape],
+            size=self._size,
+            upright=upright,
+            margin=margin,
+            **uniforms,
+        )
+        framebuffer.use()
+        framebuffer.viewport = (-margin, -margin, width + 2 * margin, height + 2 * margin)
+        if shape == "square":
+            self._drawing[name, shape].render(moderngl.TRIANGLE_STRIP, vertices=4, instances=self._count)
+        else:
+            self._context.enable(moderngl.PROGRAM_POINT_SIZE)
+            self._drawing[name, shape].render(moderngl.POINTS, vertices=self._count)
+        framebuffer.viewport = (0, 0, width, height)
+
+    def release(self) -> None:
+        self._release_buffers()
+        for compiled in (self._shade, *self._programs.values()):
+            compiled.release()
+
+    def _sprite_margin(self, frame: BakedFrame, nearest: int, shot: Shot) -> int | None:
+        """How far sprites can reach over an edge, in pixels; None where one may be larger than the driver allows."""
+        camera = shot.camera
+        depth = float(frame.xyz[nearest].astype(np.float64) @ camera.forward) + float(camera.translation[2])
+        depth = max(depth, shot.manifest.near)
+        reach = float(camera.intrinsics[1, 1]) * float(frame.radius.max()) / depth
+        limit = self._context.info.get("GL_POINT_SIZE_RANGE", (1.0, 1.0))[1]
+        most = self._context.info["GL_MAX_VIEWPORT_DIMS"]
+        margin = math.ceil(reach) + 1
+        fits = all(side + 2 * margin <= allowed for side, allowed in zip(self._size, most, strict=True))
+        return margin if 2 * margin <= limit and fits else None
+
+    def _make_room(self, count: int) -> None:
+        if count <= self._room:
+            return
+        self._release_buffers()
+        self._room = count
+        discs = self._context.buffer(reserve=_BYTES_A_DISC * count, dynamic=True)
+        order = self._context.buffer(reserve=4 * count, dynamic=True)
+        self._buffers = {"discs": discs, "order": order}
+        if self._farthest_first:
+            self._buffers["sequence"] = self._context.buffer(np.arange(count, dtype=np.uint32))
+        self._shading = {
+            name: self._context.vertex_array(self._shade, [(self._buffers[name], "1u4", "point")])
+            for name in self._buffers
+            if name != "discs"
+        }
+        for (name, shape), compiled in self._programs.items():
+            layout = "4f4 4f4" if shape == "sprite" else "4f4 4f4 /i"
+            index = order if self._farthest_first and shape == "sprite" else None
+            self._drawing[name, shape] = self._context.vertex_array(
+                compiled, [(discs, layout, "disc", "paint")], index_buffer=index, index_element_size=4
+            )
+
+    def _release_buffers(self) -> None:
+        for item in (*self._shading.values(), *self._drawing.values(), *self._buffers.values()):
+            item.release()
+        self._buffers, self._shading, self._drawing = {}, {}, {}
+        self._room = 0
+
+
+def _camera_uniforms(camera: Camera) -> dict[str, tuple[float, ...]]:
+    rows = {"x": 0, "y": 1, "z": 2}
+    return {
+        "intrinsics_x": tuple(camera.intrinsics[0]),
+        "intrinsics_y": tuple(camera.intrinsics[1]),
+        **{f"rotation_{axis}": tuple(camera.rotation[row]) for axis, row in rows.items()},
+        "translation": tuple(camera.translation),
+        "centre": tuple(camera.centre),
+    }
+
+
+def _shading_uniforms(shot: Shot) -> dict[str, object]:
+    manifest = shot.manifest
+    chosen = chosen_views(shot.camera, manifest)
+    return {
+        "chosen": [*chosen, *[0] * (64 - len(chosen))],
+        "chosen_count": len(chosen),
+        "sh_range": manifest.sh_range,
+        "sh_base": manifest.sh_base,
+        "near": manifest.near,
+    }
