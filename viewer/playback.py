@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -45,6 +46,14 @@ class Playback:
         else:
             self._position = 0.0 if self._position < 0 else float(self.frames - 1)
             self.playing = False
+
+    def seconds_to_next(self) -> float:
+        """Until another frame is shown; infinite while none will be."""
+        if not self.playing or self.frames < 2 or self.speed == 0:
+            return math.inf
+        within = self._position - int(self._position)
+        frames = 1 - within if self.speed > 0 else within
+        return frames / (self.fps * abs(self.speed))
 
     def seek(self, frame: int) -> None:
         """Go to a frame, brought into range."""

@@ -18,7 +18,7 @@ from fourd.model.appearance import LEAST_TRUST
 from fourd.model.point_model import PointFeatures
 from fourd.model.sources import sample_sources
 from fourd.training.frames import FramePoints
-from fourd.training.run import TrainedRun
+from fourd.training.run import Run, TrainedRun
 from fourd.training.step import NEAR, with_depth
 
 BAKED_LAYERS = 12
@@ -31,15 +31,34 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
     Blend weights and colours are baked for every training view, in fp16 and uint8. Raises
     UserError for a model whose blend weights depend on the viewer.
     """
-    run, config = trained.run, trained.run.config.train.model
-    if config.continuous:
+    run = trained.run
+    require_bakeable(run)
+    sources = baked_sources(run)
+    with SceneWriter(out, manifest_of(trained, layers, fps)) as writer, torch.no_grad():
+        for frame in track(range(run.capture.frame_count), description="export", console=console):
+            writer.add_frame(frame, bake_frame(trained, frame, sources))
+
+
+def require_bakeable(run: Run) -> None:
+    """Raises UserError for a model whose blend weights depend on the viewer."""
+    if run.config.train.model.continuous:
         raise UserError(
             f"{run.folder}: expected blend weights that can be baked, got model.continuous: true; "
             f"train with model.continuous: false"
         )
-    sources = run.training if config.appearance != "sh" else []
+
+
+def baked_sources(run: Run) -> list[int]:
+    """Indices of the cameras whose colours are baked: those trained on, where images give colour at all."""
+    return run.training if run.config.train.model.appearance != "sh" else []
+
+
+def manifest_of(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
+    """What holds for all frames of a run; the numbers of points are for the writer to fill in."""
+    run = trained.run
+    sources = baked_sources(run)
     others = [index for index in range(len(run.capture.names)) if index not in sources]
-    manifest = SceneManifest(
+    return SceneManifest(
         source_names=tuple(run.capture.names[index] for index in sources),
         source_cameras=tuple(run.capture.cameras[index] for index in sources),
         focus=triple(run.focus),
@@ -49,15 +68,12 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
         other_cameras=tuple(run.capture.cameras[index] for index in others),
         fps=fps,
         layers=layers,
-        neighbours=config.neighbours,
+        neighbours=run.config.train.model.neighbours,
         sh_range=trained.model.sh_range,
         sh_base=trained.model.sh_base,
         near=NEAR,
         producer=f"fourd {__version__}",
     )
-    with SceneWriter(out, manifest) as writer, torch.no_grad():
-        for frame in track(range(run.capture.frame_count), description="export", console=console):
-            writer.add_frame(frame, bake_frame(trained, frame, sources))
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:

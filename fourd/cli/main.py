@@ -12,7 +12,7 @@ from rich.console import Console
 from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
 
-COMMANDS = ("make", "synth", "check", "carve", "train", "eval", "export", "render", "bench", "info")
+COMMANDS = ("make", "synth", "check", "carve", "train", "eval", "export", "render", "view", "bench", "info")
 
 USERS_DISK = (
     errno.ENOSPC,
@@ -38,6 +38,7 @@ HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
   fourd eval RUN                    quality on held-out views
   fourd export RUN -o scene.4dv     bake for real-time rendering
   fourd render RUN|SCENE --out OUT  pictures or a video
+  fourd view SCENE|RUN              walk around in it while it plays
   fourd bench                       speed of kernels and stages on this machine
   fourd info FILE|DIR               what a file or folder is
 

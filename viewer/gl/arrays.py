@@ -31,7 +31,7 @@ class ArrayTexture:
     def write(self, array: NDArray[np.generic]) -> None:
         """Take the array's bytes, which must be whole texels. Raises UserError when they do not fit a texture."""
         content = np.ascontiguousarray(array).reshape(-1, self._components)
-        texture = self._room(-(-content.shape[0] // TEXELS_A_ROW))
+        texture = self.require_room(content.shape[0])
         whole, rest = divmod(content.shape[0], TEXELS_A_ROW)
         if whole:
             texture.write(content[: whole * TEXELS_A_ROW], viewport=(0, 0, TEXELS_A_ROW, whole), alignment=1)
@@ -48,7 +48,9 @@ class ArrayTexture:
             self._texture.release()
             self._texture = None
 
-    def _room(self, rows: int) -> moderngl.Texture:
+    def require_room(self, texels: int) -> moderngl.Texture:
+        """The texture, of so many texels at least; what it held is lost when it grows. Raises UserError."""
+        rows = -(-texels // TEXELS_A_ROW)
         if self._texture is not None and self._texture.height >= rows:
             return self._texture
         most = self._context.info["GL_MAX_TEXTURE_SIZE"]

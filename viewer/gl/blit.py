@@ -6,6 +6,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.viewer.gl.pictures import release_framebuffer
+
 
 class Blit:
     """Uploads a picture and copies it into a framebuffer of its size."""
@@ -18,7 +20,7 @@ class Blit:
     def draw(self, pixels: NDArray[np.uint8], target: moderngl.Framebuffer) -> None:
         """Show ``pixels`` (H, W, 4), whose row 0 is the top."""
         height, width = pixels.shape[:2]
-        if self._texture is None or self._texture.size != (width, height):
+        if self._texture is None or self._framebuffer is None or self._texture.size != (width, height):
             self.release()
             self._texture = self._context.texture((width, height), 4)
             self._framebuffer = self._context.framebuffer([self._texture])
@@ -29,7 +31,8 @@ class Blit:
 
     def release(self) -> None:
         """Give back every GL object."""
-        for item in (self._framebuffer, self._texture):
-            if item is not None:
-                item.release()
+        if self._framebuffer is not None:
+            release_framebuffer(self._context, self._framebuffer)
+        if self._texture is not None:
+            self._texture.release()
         self._framebuffer = self._texture = None

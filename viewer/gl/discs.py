@@ -135,8 +135,10 @@ class Discs:
             )
 
     def _release_buffers(self) -> None:
-        for item in (*self._shading.values(), *self._drawing.values(), *self._buffers.values()):
-            item.release()
+        for array in (*self._shading.values(), *self._drawing.values()):
+            array.release()
+        for buffer in self._buffers.values():
+            buffer.release()
         self._buffers, self._shading, self._drawing = {}, {}, {}
         self._room = 0
 

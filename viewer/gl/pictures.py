@@ -38,9 +38,9 @@ class Pictures:
     def texture(self, name: str) -> moderngl.Texture:
         return self._textures[name]
 
-    def clear(self, name: str, *colour: float) -> None:
-        """Fill one texture."""
-        self.together([name], depth=False).clear(*colour)
+    def clear(self, name: str, first: float = 0.0, second: float = 0.0) -> None:
+        """Fill one texture: its first two components as told, the others with 0."""
+        self.together([name], depth=False).clear(color=(first, second, 0.0, 0.0))
 
     def clear_depth(self, name: str) -> None:
         """Clear the depth buffer together with one texture, to 0."""
@@ -56,12 +56,19 @@ class Pictures:
 
     def release(self) -> None:
         for framebuffer in self._framebuffers.values():
-            framebuffer.release()
+            release_framebuffer(self._context, framebuffer)
         for texture in self._textures.values():
             texture.release()
         if self._depth_buffer is not None:
             self._depth_buffer.release()
         self._framebuffers, self._textures, self._depth_buffer, self.size = {}, {}, None, (0, 0)
+
+
+def release_framebuffer(context: moderngl.Context, framebuffer: moderngl.Framebuffer) -> None:
+    """Release a framebuffer, which is no longer in use then: moderngl would come back to it, an error by then."""
+    if context.fbo is not None and context.fbo.glo == framebuffer.glo:
+        context.detect_framebuffer(0).use()
+    framebuffer.release()
 
 
 class FullPass:
@@ -107,5 +114,5 @@ def replace(context: moderngl.Context) -> None:
 def _blend(context: moderngl.Context, equation: int, source: int, destination: int) -> None:
     context.disable(moderngl.DEPTH_TEST)
     context.enable(moderngl.BLEND)
-    context.blend_equation = equation
+    context.blend_equation = equation  # type: ignore[assignment]  # one for colour and alpha
     context.blend_func = source, destination

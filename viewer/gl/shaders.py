@@ -32,8 +32,9 @@ def program(
 def set_uniforms(compiled: moderngl.Program, **values: Any) -> None:
     """Set uniforms by name; those that the compiler has dropped as unused are left out."""
     for name, value in values.items():
-        if name in compiled:
-            compiled[name].value = value
+        uniform = compiled.get(name, None)
+        if isinstance(uniform, moderngl.Uniform):
+            uniform.value = value
 
 
 def _source(name: str) -> str:

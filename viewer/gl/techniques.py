@@ -36,7 +36,7 @@ class Sorted:
         self.discs = Discs(context, {"blend": "sorted.frag"}, farthest_first=True)
 
     def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
-        target.clear(*shot.look.background, 0.0)
+        target.clear(color=(*shot.look.background, 0.0))
         over(self._context)
         self.discs.draw("blend", target, upright=True)
 

@@ -1,0 +1,122 @@
+"""Videos and pictures of a scene without a window."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.files import write_bytes_atomically
+from fourd.viewer.flight import load_flight
+from fourd.viewer.look import Look, Shot
+from fourd.viewer.paths import PathKind, camera_path, fit
+from fourd.viewer.renderers import RendererName
+from fourd.viewer.session import OpenScene
+from fourd.viewer.sources import open_source
+from fourd.viewer.studio import Studio
+from fourd.viewer.video import write_video
+
+DEFAULT_SIZE = (1280, 720)
+LEAST_STEPS = 120
+
+
+@dataclass(frozen=True)
+class Headless:
+    """What to make of a scene.
+
+    Attributes:
+        source: a `.4dv` or a run.
+        renderer: by name, or "auto".
+        size: width and height in pixels; None for the camera's, or for DEFAULT_SIZE.
+        look: as in the window; layers 0 for the scene's own.
+    """
+
+    source: Path
+    renderer: RendererName | Literal["auto"]
+    size: tuple[int, int] | None
+    look: Look
+
+    def video(self, out: Path, path: str, steps: int | None, fps: float | None, console: Console) -> int:
+        """Write an MP4 along ``path``: orbit, spiral, cameras, or a file that the window recorded.
+
+        The scene plays in a loop meanwhile. Returns the number of pictures.
+        """
+        scene = OpenScene(self.source, open_source(self.source))
+        try:
+            cameras, frames, pace = _route(scene, path, self.size or DEFAULT_SIZE, steps)
+            with Studio(self.renderer) as studio:
+                console.print(f"renderer: {studio.chosen.name} ({studio.chosen.reason})", soft_wrap=True)
+                jobs = track(list(zip(cameras, frames, strict=True)), description="render", console=console)
+                return write_video(out, self._pictures(scene, studio, jobs), fps or pace)
+        finally:
+            scene.close()
+
+    def screenshot(self, out: Path, camera: str | None, frame: int, console: Console) -> None:
+        """Write a PNG of a frame (from 0) from a camera of the capture, by name; None for the first."""
+        scene = OpenScene(self.source, open_source(self.source))
+        try:
+            if not 0 <= frame < scene.manifest.frame_count:
+                raise UserError(f"--frame: expected 0 to {scene.manifest.frame_count - 1}, got {frame}")
+            seen = _camera(scene, camera, self.size)
+            with Studio(self.renderer) as studio:
+                console.print(f"renderer: {studio.chosen.name} ({studio.chosen.reason})", soft_wrap=True)
+                write_png(out, next(self._pictures(scene, studio, [(seen, frame)])))
+        finally:
+            scene.close()
+
+    def _pictures(
+        self, scene: OpenScene, studio: Studio, jobs: Iterable[tuple[Camera, int]]
+    ) -> Iterator[NDArray[np.uint8]]:
+        look = replace(self.look, layers=self.look.layers or scene.manifest.layers)
+        for camera, index in jobs:
+            frame = scene.stream.get(index, wait=True)
+            assert frame is not None
+            yield studio.picture(Shot(look.applied(frame), camera, scene.manifest, look))
+
+
+def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
+    """Write (H, W, 3) bytes, whole or not at all."""
+    # Not imwrite: it says nothing when the disk is full.
+    _, content = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    write_bytes_atomically(path, content.tobytes())
+
+
+def _route(
+    scene: OpenScene, path: str, size: tuple[int, int], steps: int | None
+) -> tuple[list[Camera], list[int], float]:
+    """Cameras, frames and pictures a second."""
+    manifest = scene.manifest
+    kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
+    if path not in kinds:
+        if not Path(path).exists():
+            names = ", ".join(kinds)
+            raise UserError(f"--path: expected {names} or a file that the window recorded, got '{path}'")
+        flight = load_flight(Path(path))
+        cameras = [stop.pose.camera(*size) for stop in flight.stops]
+        return cameras, [min(max(stop.frame, 0), manifest.frame_count - 1) for stop in flight.stops], flight.fps
+    count = steps or max(LEAST_STEPS, manifest.frame_count)
+    if manifest.cameras:
+        cameras = camera_path(kinds[path], manifest.cameras, manifest.focus, count, size=size)
+    else:
+        start = scene.start(size)
+        cameras = [start.orbited(2 * np.pi * step / count, 0.0).camera(*size) for step in range(count)]
+    return cameras, [step % manifest.frame_count for step in range(count)], manifest.fps
+
+
+def _camera(scene: OpenScene, name: str | None, size: tuple[int, int] | None) -> Camera:
+    manifest = scene.manifest
+    if name is not None and name not in manifest.names:
+        raise UserError(f"--camera: expected a name among {', '.join(manifest.names) or '(none)'}, got {name}")
+    if not manifest.cameras:
+        return scene.start(size or DEFAULT_SIZE).camera(*(size or DEFAULT_SIZE))
+    camera = manifest.cameras[0] if name is None else manifest.camera(name)
+    return camera if size is None else fit(camera, *size)
