@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -34,8 +34,8 @@ _IDLE = 0.25
 """Seconds between looks at the background while nothing moves."""
 _SHORT = 0.02
 """Seconds between pictures of the spinner."""
-_RESTLESS = 3
-"""Pictures to draw after anything was done: a panel takes that many to settle."""
+_RESTLESS = 8
+"""Pictures to draw after anything was done: a press, a move and a release are taken in one after another."""
 
 
 class Stopped(Exception):
@@ -76,6 +76,7 @@ class App:
         self._drawn: Shot | None = None
         self._restless = _RESTLESS
         self._stop = False
+        self._pending: list[Callable[[], None]] = []
 
     def run(self) -> None:
         """Until the window is closed."""
@@ -99,6 +100,10 @@ class App:
         self.renderer.release()
         self.renderer, self._drawn = make_renderer(self.chosen.name, self.context), None
         self.flight = self.recorder = None
+
+    def later(self, action: Callable[[], None]) -> None:
+        """Do something after the picture that is being made: while a panel is built, nothing else may draw."""
+        self._pending.append(action)
 
     def use(self, name: RendererName) -> None:
         """Change to a renderer; the one before stays where it cannot be made."""
@@ -172,12 +177,17 @@ class App:
             self._present(shot is not None)
             self.window.begin_panel()
             draw_panel(self)
-            controls.steer(self.session, self.window.size[1], elapsed)
+            if controls.steer(self.session, self.window.size[1], elapsed):
+                self._restless = _RESTLESS
             controls.play(self.session)
             self.window.end_panel()
         with self.timings.part("show"):
             self.window.swap()
         self.timings.finish()
+        pending, self._pending = self._pending, []
+        for action in pending:
+            action()
+            self._restless = _RESTLESS
         self.window.title(self._title())
 
     def _take_over_what_was_opened(self) -> None:
@@ -228,7 +238,7 @@ class App:
     def _pictured(self, stop: Stop, size: tuple[int, int], canvas: Canvas) -> NDArray[np.uint8]:
         scene, look = self.session.scene, self.session.look
         assert scene is not None
-        frame = scene.stream.get(stop.frame, wait=True)
+        frame = scene.stream.get(min(stop.frame, scene.manifest.frame_count - 1), wait=True)
         assert frame is not None
         shot = Shot(look.applied(frame), stop.pose.camera(*size), scene.manifest, look)
         self.renderer.draw(shot, canvas.sized(*size), wait=True)
@@ -244,8 +254,7 @@ class App:
         self.window.end_panel()
         self.window.swap()
 
-    def _save(self, path: Path, write: object) -> None:
-        assert callable(write)
+    def _save(self, path: Path, write: Callable[[], object]) -> None:
         try:
             write()
         except (OSError, UserError) as error:

@@ -20,6 +20,9 @@ HELP = (
     ("[ and ]", "slower, faster"),
     ("N, P", "glide to the next, previous camera"),
     ("0", "back to the first view"),
+    ("R", "next renderer"),
+    ("F9", "record the path, stop"),
+    ("F10", "render the recorded path to MP4"),
     ("F12", "screenshot"),
     ("Tab", "hide or show this panel"),
 )
@@ -31,11 +34,14 @@ _FASTER = 4.0
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
-def steer(session: Session, height: float, seconds: float) -> None:
-    """Move the viewer by what mouse and keys do, unless the panel has them; ``height`` of the window in its units."""
+def steer(session: Session, height: float, seconds: float) -> bool:
+    """Move the viewer by what mouse and keys do, unless the panel has them; ``height`` of the window in its units.
+
+    Returns whether it moved: a key that is held gives no events to wait for.
+    """
     io = imgui.get_io()
     if session.pose is None:
-        return
+        return False
     moved = session.pose
     if not io.want_capture_mouse:
         moved = _dragged(moved, io, height)
@@ -43,8 +49,10 @@ def steer(session: Session, height: float, seconds: float) -> None:
             moved = moved.dollied(_WHEEL**io.mouse_wheel)
     if not io.want_text_input:
         moved = _flown(moved, io, seconds)
-    if moved is not session.pose:
-        session.move(moved)
+    if moved is session.pose:
+        return False
+    session.move(moved)
+    return True
 
 
 def play(session: Session) -> None:
@@ -71,10 +79,11 @@ def _dragged(pose: Pose, io: imgui.IO, height: float) -> Pose:
     right, down = io.mouse_delta.x, io.mouse_delta.y
     if not (right or down):
         return pose
-    pans = io.mouse_down[_RIGHT] or (io.key_shift and (io.mouse_down[_LEFT] or io.mouse_down[_MIDDLE]))
-    if pans:
+    # Held since the picture before: what the mouse moved until it was pressed is no drag.
+    left, other, middle = (io.mouse_down_duration[button] > 0 for button in (_LEFT, _RIGHT, _MIDDLE))
+    if other or (io.key_shift and (left or middle)):
         return pose.panned(right / height, down / height)
-    if not (io.mouse_down[_LEFT] or io.mouse_down[_MIDDLE]):
+    if not (left or middle):
         return pose
     if io.key_ctrl:
         return pose.dollied(math.exp(2 * down / height))

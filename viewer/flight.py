@@ -76,14 +76,20 @@ def load_flight(path: Path) -> Flight:
             raise ValueError(f'expected "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise ValueError(f"expected version {VERSION}, got {str(content.get('version'))[:20]}")
-        stops = tuple(Stop(pose_from_json(stop), int(stop["frame"])) for stop in content["stops"])
+        stops = tuple(Stop(pose_from_json(stop), _frame(stop["frame"])) for stop in content["stops"])
         fps = float(content["fps"])
         if not stops or not 0 < fps <= 1000:
             raise ValueError("expected at least one stop, and fps above 0")
     except OSError as error:
         raise UserError(f"{path}: expected a camera path, got '{(error.strerror or '').lower()}'; check it") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise UserError(
             f"{path}: expected a camera path that the viewer recorded, got another file ({error})"
         ) from error
     return Flight(stops, fps)
+
+
+def _frame(value: object) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise ValueError(f"expected frames as whole numbers from 0, got {str(value)[:20]}")
+    return value

@@ -82,11 +82,14 @@ class BackgroundOrders:
         with self._changed:
             self._wanted = shot
             self._changed.notify_all()
-            while self._done is None or (wait and not _fits(self._done, shot)):
+            while True:
                 if self._failure is not None:
-                    raise self._failure
+                    raise RuntimeError("the points cannot be sorted") from self._failure
+                if self._stopped:
+                    raise RuntimeError("the sorting has been stopped")
+                if self._done is not None and (_fits(self._done, shot) or not wait):
+                    return self._done
                 self._changed.wait()
-            return self._done
 
     def release(self) -> None:
         with self._changed:

@@ -65,10 +65,17 @@ def _keys(app: App) -> None:
     if imgui.is_key_pressed(imgui.Key.tab, False):
         app.panel_open = not app.panel_open
     if imgui.is_key_pressed(imgui.Key.f12, False):
-        app.screenshot()
+        app.later(app.screenshot)
     scene = app.session.scene
     if scene is None:
         return
+    if imgui.is_key_pressed(imgui.Key.r, False):
+        following = RENDERERS[(RENDERERS.index(app.chosen.name) + 1) % len(RENDERERS)]
+        app.later(lambda: app.use(following))
+    if imgui.is_key_pressed(imgui.Key.f9, False):
+        app.later(app.toggle_recording)
+    if imgui.is_key_pressed(imgui.Key.f10, False):
+        app.later(app.render_flight)
     if imgui.is_key_pressed(imgui.Key._0, False):
         app.session.glide_to(scene.start(app.window.framebuffer_size))
     for key, on in ((imgui.Key.n, 1), (imgui.Key.p, -1)):
@@ -168,14 +175,14 @@ def _pictures(app: App) -> None:
     if not _section("Pictures"):
         return
     if imgui.button("Screenshot"):
-        app.screenshot()
+        app.later(app.screenshot)
     recorder = app.recorder
     if imgui.button("Record path" if recorder is None else f"Stop ({recorder.seconds:.1f} s)"):
-        app.toggle_recording()
+        app.later(app.toggle_recording)
     if app.flight is not None:
         imgui.same_line()
         if imgui.button(f"Render {len(app.flight.stops)} pictures to MP4"):
-            app.render_flight()
+            app.later(app.render_flight)
 
 
 def _renderer(app: App) -> None:
@@ -183,7 +190,7 @@ def _renderer(app: App) -> None:
         return
     changed, index = imgui.combo("renderer", RENDERERS.index(app.chosen.name), list(RENDERERS))
     if changed:
-        app.use(RENDERERS[index])
+        app.later(lambda: app.use(RENDERERS[index]))
     imgui.text_wrapped(app.chosen.reason)
     if app.chosen.name != "cpu":
         age = app.renderer.behind

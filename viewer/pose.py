@@ -60,11 +60,16 @@ class Pose:
 
     def orbited(self, right: float, down: float) -> Pose:
         """Turned about the pivot as if the scene were dragged by these angles in radians; never over a pole."""
-        now = _polar(self.rotation[2], self.up)
-        wanted = float(np.clip(now + down, _POLE, np.pi - _POLE))
-        # A viewer beyond the limit already, such as a camera on the ceiling, is not thrown back.
-        tilt = 0.0 if (wanted - now) * down < 0 else wanted - now
-        turn = Rotation.from_rotvec(-right * self.up) * Rotation.from_rotvec(-tilt * self.rotation[0])
+        forward = self.rotation[2]
+        level = np.cross(forward, self.up)
+        length = float(np.linalg.norm(level))
+        # Not the picture's own x axis: that of a camera with roll leads past the pole, and over.
+        level = level / length if length > 1e-6 else self.rotation[0]
+        if level @ self.rotation[0] < 0:  # upside down: the mouse moves what it sees
+            right, down = -right, -down
+        now = float(np.arccos(np.clip(forward @ self.up, -1, 1)))
+        wanted = float(np.clip(now + down, min(now, _POLE), max(now, np.pi - _POLE)))
+        turn = Rotation.from_rotvec(-right * self.up) * Rotation.from_rotvec(-(wanted - now) * level)
         return replace(self, rotation=_orthonormal(self.rotation @ turn.inv().as_matrix()))
 
     def panned(self, right: float, down: float) -> Pose:
@@ -93,7 +98,8 @@ def pose_of(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tup
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
-    focal = zoom * float(camera.intrinsics[1, 1])
+    # Pixels of a pose are square: where those of the camera are not, the longer focal length would cut something off.
+    focal = zoom * float(min(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
     distance = float((np.asarray(focus, np.float64) - camera.centre) @ camera.forward)
     if not distance > _NEAREST:
         distance = max(1.0, _NEAREST)
@@ -133,11 +139,6 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
             (1 - t) * start.offset[1] + t * end.offset[1],
         ),
     )
-
-
-def _polar(forward: Array, up: Array) -> float:
-    """Angle between the viewing direction and up, in radians."""
-    return float(np.arccos(np.clip(forward @ up, -1, 1)))
 
 
 def _orthonormal(rotation: Array) -> Array:

@@ -44,10 +44,10 @@ def pose_from_json(content: Any) -> Pose:
             up=_numbers(content["up"], (3,)),
             offset=tuple(_numbers(content["offset"], (2,)).tolist()),
         )
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, OverflowError) as error:
         raise ValueError(f"expected a pose, got {str(content)[:60]}") from error
-    if not (pose.distance > 0 and 0 < pose.field_of_view < math.pi and abs(np.linalg.norm(pose.up) - 1) < 1e-3):
-        raise ValueError("expected a distance above 0, a field of view below pi and a unit vector up")
+    if not (pose.distance > 0 and 1e-3 < pose.field_of_view < math.pi and abs(np.linalg.norm(pose.up) - 1) < 1e-3):
+        raise ValueError("expected a distance above 0, a field of view from 0.001 to pi and a unit vector up")
     pose.camera(16, 16)  # which checks the rotation
     return pose
 
@@ -80,7 +80,7 @@ class RememberedViews:
     def _all(self) -> dict[str, Any]:
         try:
             content = json.loads(self._file.read_text("utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return {}
         return content if isinstance(content, dict) else {}
 

@@ -51,7 +51,14 @@ class RunSource:
 
         trained = self._newest()
         with torch.no_grad():
-            return bake_frame(trained, index, baked_sources(trained.run))
+            frame = bake_frame(trained, index, baked_sources(trained.run))
+        bad = frame.first_bad()
+        if bad is not None:
+            raise UserError(
+                f"{self._folder}: expected finite numbers, got others in {bad} of frame {index} at step {trained.step}; "
+                "training has failed: lower the learning rates"
+            )
+        return frame
 
     def _newest(self) -> TrainedRun:
         from fourd.training.run import load_run

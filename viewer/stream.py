@@ -40,6 +40,7 @@ class FrameStream:
         self._ring: dict[int, BakedFrame | UserError] = {}
         self._head, self._direction = 0, 1
         self._wants = False
+        self._largest: int | None = None  # bytes of a frame
         self._age = 0  # of what is read: frames of an older one are dropped when they come
         self._stopped = False
         self._failure: BaseException | None = None
@@ -49,8 +50,10 @@ class FrameStream:
     def get(self, index: int, direction: int = 1, wait: bool = False) -> BakedFrame | None:
         """A frame, or None while it is being read; those after it in ``direction`` are read ahead.
 
-        Raises UserError when the file is damaged there.
+        Raises UserError when the file is damaged there, IndexError outside the scene.
         """
+        if not 0 <= index < self._frames:
+            raise IndexError(f"frame: expected 0 to {self._frames - 1}, got {index}")
         with self._changed:
             self._head, self._direction, self._wants = index, direction, True
             self._changed.notify_all()
@@ -60,7 +63,7 @@ class FrameStream:
             self._raise_failure()
             found = self._ring.get(index)
         if isinstance(found, UserError):
-            raise found
+            raise UserError(str(found))  # a new one: each time that one is raised, it keeps more of its callers
         return found
 
     @property
@@ -69,7 +72,7 @@ class FrameStream:
         with self._changed:
             wanted = self._after(self._head, self._direction)
             next(wanted)
-            return next((count for count, index in enumerate(wanted) if index not in self._ring), self._frames)
+            return next((count for count, index in enumerate(wanted) if index not in self._ring), self._frames - 1)
 
     def forget(self) -> None:
         """Read everything again: the source has changed."""
@@ -116,6 +119,8 @@ class FrameStream:
         except UserError as error:
             frame = error
         with self._changed:
+            if isinstance(frame, BakedFrame):
+                self._largest = max(self._largest or 0, frame.nbytes)
             if age == self._age:
                 self._ring[wanted] = frame
             self._drop()
@@ -141,10 +146,10 @@ class FrameStream:
             del self._ring[index]
 
     def _capacity(self) -> int:
-        """How many frames fit, the largest of those that are there being the measure."""
-        sizes = [frame.nbytes for frame in self._ring.values() if isinstance(frame, BakedFrame)]
-        largest = max(sizes, default=self._room // _LEAST)
-        return min(max(_LEAST, self._room // max(largest, 1)), _MOST, self._frames)
+        """How many frames fit if all were as large as the largest so far: when that is dropped, it makes no new room."""
+        if self._largest is None:
+            return min(_LEAST, self._frames)
+        return min(max(_LEAST, self._room // max(self._largest, 1)), _MOST, self._frames)
 
     def _after(self, head: int, direction: int) -> Iterator[int]:
         """All frames in the order in which they are played."""

@@ -22,9 +22,10 @@ class DepthSorter:
         """Indices of the points that ``camera`` sees, nearest first and ties by index.
 
         Left out are points that :func:`fourd.raster.render_points` would not draw: nearer than
-        ``near``, outside the image, or with a number that is not finite.
+        ``near``, outside the image, of no size or density, or at a place that is not finite.
 
         Args:
+            frame: its radii and densities are finite, as :class:`fourd.baking.container.SceneReader` guarantees.
             camera: an ideal pinhole.
             near: world units, above 0.
             threads: 0 for FOURD_THREADS if that is set, else one a core.

@@ -24,6 +24,7 @@ from fourd.viewer.look import Look, Shot
 from fourd.viewer.renderers import RENDERERS, Renderer, RendererName, make_renderer
 from tests.baking.scenes import manifest, random_frame, ring
 from tests.viewer.gl import contexts, drawn
+from tests.viewer.shells import solid
 
 EXACT: tuple[RendererName, ...] = ("peel", "dual", "cpu")
 LAYERS = 12
@@ -73,19 +74,6 @@ def require_parity(name: str, got: NDArray[np.float32], truth: NDArray[np.float3
         return
     assert difference.mean() <= 1e-3
     assert (difference.max(axis=2) > 0.02).mean() <= 1e-3
-
-
-def solid(points: int, seed: int) -> BakedFrame:
-    """A closed shell of overlapping points, as scenes are; a transparent fog would have more layers than K."""
-    rng = np.random.default_rng(seed)
-    directions = rng.normal(size=(points, 3))
-    frame = random_frame(points, 6, seed)
-    return replace(
-        frame,
-        xyz=(0.7 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32),
-        radius=np.full(points, 1.7 * (8 / points) ** 0.5 * 0.7, np.float16),
-        density=rng.uniform(0.9, 1, points).astype(np.float16),
-    )
 
 
 def small_camera(index: int, width: int = 96, height: int = 64) -> Camera:

@@ -1,0 +1,217 @@
+"""A screen of one's own, and a user at it: Xvfb, xdotool, and files dropped by the XDND protocol."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+PATIENCE = 60.0
+"""Seconds that a slow machine may take for what is waited for."""
+
+
+@dataclass(frozen=True)
+class Screen:
+    """A virtual screen."""
+
+    display: str
+
+    def environment(self) -> dict[str, str]:
+        return {**os.environ, "DISPLAY": self.display, "XDG_SESSION_TYPE": "x11"}
+
+    def xdotool(self, *words: str | int) -> str:
+        """Run xdotool; returns what it prints."""
+        command = ["xdotool", *(str(word) for word in words)]
+        done = subprocess.run(command, env=self.environment(), capture_output=True, text=True, timeout=PATIENCE)
+        return done.stdout.strip()
+
+    def picture(self, folder: Path) -> NDArray[np.uint8]:
+        """(H, W, 3) of the whole screen."""
+        from Xlib import X
+        from Xlib.display import Display
+
+        display = Display(self.display)
+        try:
+            root = display.screen().root
+            size = root.get_geometry()
+            image = root.get_image(0, 0, size.width, size.height, X.ZPixmap, 0xFFFFFFFF)
+            rows = np.frombuffer(image.data, np.uint8).reshape(size.height, size.width, 4)
+        finally:
+            display.close()
+        return np.ascontiguousarray(rows[..., 2::-1])
+
+
+@contextmanager
+def screen(width: int = 1280, height: int = 800) -> Iterator[Screen]:
+    """A screen; skips where the programs for it are missing."""
+    for program in ("Xvfb", "xdotool"):
+        if shutil.which(program) is None:
+            pytest.skip(f"{program} is not installed")
+    pytest.importorskip("Xlib", reason="python-xlib is not installed")
+    reading, writing = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(writing), "-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp", "-noreset"],
+        pass_fds=[writing],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        number = told.readline().strip()
+    try:
+        yield Screen(f":{number}")
+    finally:
+        server.terminate()
+        server.wait()
+
+
+class Viewer:
+    """`fourd view` in a process of its own, and its user."""
+
+    def __init__(self, screen: Screen, folder: Path, *words: str) -> None:
+        self.screen = screen
+        self.folder = folder
+        self._log = (folder / "viewer.log").open("w+")
+        environment = {**screen.environment(), "XDG_STATE_HOME": str(folder / "state")}
+        command = [sys.executable, "-m", "fourd.cli.main", "view", *words]
+        self.process = subprocess.Popen(command, cwd=folder, env=environment, stdout=self._log, stderr=self._log)
+        self.window = self.until(self._find, "a window")
+
+    @property
+    def title(self) -> str:
+        return self.screen.xdotool("getwindowname", self.window)
+
+    @property
+    def log(self) -> str:
+        return (self.folder / "viewer.log").read_text()
+
+    def key(self, *names: str) -> None:
+        self.screen.xdotool("key", *names)
+
+    def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1) -> None:
+        """Press, move in some steps, release: at a hand's pace, so that no step is lost."""
+        self.screen.xdotool("mousemove", *start, "mousedown", button)
+        for step in range(1, 6):
+            place = (first + (last - first) * step // 5 for first, last in zip(start, end, strict=True))
+            self.screen.xdotool("mousemove", *place, "sleep", "0.05")
+        self.screen.xdotool("mouseup", button)
+
+    def click(self, x: int, y: int) -> None:
+        self.screen.xdotool(
+            "mousemove", x, y, "sleep", "0.1", "mousedown", 1, "sleep", "0.1", "mouseup", 1, "sleep", "0.1"
+        )
+
+    def picture(self) -> NDArray[np.uint8]:
+        return self.screen.picture(self.folder)
+
+    def keep(self, name: str) -> NDArray[np.uint8]:
+        """The screen, also as a file to look at."""
+        picture = self.picture()
+        Image.fromarray(picture).save(self.folder / f"{name}.png")
+        return picture
+
+    def until(self, found: Callable[[], object], what: str) -> str:
+        """Wait for something to be true; fails with the viewer's own words."""
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
+            result = found()
+            if result:
+                return str(result)
+            if self.process.poll() is not None:
+                break
+            time.sleep(0.05)
+        pytest.fail(f"expected {what}; the viewer said: {self.log} (its title: {self.title if self.window else ''})")
+
+    def drop(self, path: Path) -> None:
+        """Drop a file on the window, as a file manager does."""
+        drop_file(self.screen.display, int(self.window), path)
+
+    def close(self) -> int:
+        """Ask the window to close, as its button does; returns the exit code."""
+        if self.process.poll() is None:
+            ask_to_close(self.screen.display, int(self.window))
+        try:
+            return self.process.wait(PATIENCE)
+        finally:
+            self.process.kill()
+            self._log.close()
+
+    window: str = ""
+
+    def _find(self) -> str:
+        return self.screen.xdotool("search", "--onlyvisible", "--name", "^fourd").split("\n")[0]
+
+
+def ask_to_close(display_name: str, window_number: int) -> None:
+    """Send what a window manager sends when a window's close button is clicked."""
+    from Xlib.display import Display
+
+    display = Display(display_name)
+    window = display.create_resource_object("window", window_number)
+    delete = display.intern_atom("WM_DELETE_WINDOW")
+    _send(display, window, "WM_PROTOCOLS", [delete, 0, 0, 0, 0])
+    display.sync()
+    display.close()
+
+
+def drop_file(display_name: str, window_number: int, path: Path) -> None:
+    """Be the source of a drag that ends on the window (the XDND protocol, version 5)."""
+    from Xlib import X
+    from Xlib.display import Display
+    from Xlib.protocol.event import SelectionNotify
+
+    display = Display(display_name)
+    try:
+        root = display.screen().root
+        source = root.create_window(0, 0, 1, 1, 0, X.CopyFromParent)
+        target = display.create_resource_object("window", window_number)
+        selection, uris = (display.intern_atom(name) for name in ("XdndSelection", "text/uri-list"))
+        source.set_selection_owner(selection, X.CurrentTime)
+        place = target.get_geometry()
+        middle = (place.width // 2) << 16 | place.height // 2
+        copy = display.intern_atom("XdndActionCopy")
+        _send(display, target, "XdndEnter", [source.id, 5 << 24, uris, 0, 0])
+        _send(display, target, "XdndPosition", [source.id, 0, middle, X.CurrentTime, copy])
+        _send(display, target, "XdndDrop", [source.id, 0, X.CurrentTime, 0, 0])
+        end = time.monotonic() + PATIENCE
+        finished = False
+        while not finished and time.monotonic() < end:
+            while not finished and display.pending_events():
+                event = display.next_event()
+                if event.type == X.SelectionRequest:
+                    content = f"{path.as_uri()}\r\n".encode()
+                    event.requestor.change_property(event.property, event.target, 8, content)
+                    event.requestor.send_event(
+                        SelectionNotify(
+                            time=event.time,
+                            requestor=event.requestor,
+                            selection=event.selection,
+                            target=event.target,
+                            property=event.property,
+                        )
+                    )
+                finished = event.type == X.ClientMessage and event.client_type == display.intern_atom("XdndFinished")
+            display.flush()
+            time.sleep(0.01)
+        assert finished, "the window did not take what was dropped"
+    finally:
+        display.close()
+
+
+def _send(display: Any, window: Any, kind: str, numbers: list[int]) -> None:
+    from Xlib.protocol.event import ClientMessage
+
+    window.send_event(ClientMessage(window=window, client_type=display.intern_atom(kind), data=(32, numbers)))
+    display.flush()

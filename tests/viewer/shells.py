@@ -1,0 +1,31 @@
+"""Scenes of closed shells, whose inside cannot be seen."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fourd.baking import BakedFrame, SceneWriter
+from tests.baking.scenes import manifest, random_frame
+
+
+def solid(points: int, seed: int) -> BakedFrame:
+    """A closed shell of overlapping points, as scenes are; a transparent fog would have more layers than K."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(points, 3))
+    frame = random_frame(points, 6, seed)
+    return replace(
+        frame,
+        xyz=(0.5 * directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32),
+        radius=np.full(points, 1.7 * (8 / points) ** 0.5 * 0.5, np.float16),
+        density=rng.uniform(0.9, 1, points).astype(np.float16),
+    )
+
+
+def write_shells(path: Path, frames: int, points: int = 3000) -> None:
+    """A scene of shells, another in every frame."""
+    with SceneWriter(path, manifest(6, frames)) as writer:
+        for index in range(frames):
+            writer.add_frame(index, solid(points, seed=index))

@@ -1,0 +1,230 @@
+"""The window, driven by mouse and keys on a virtual screen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from tests.viewer.screen import Screen, Viewer, screen
+from tests.viewer.shells import write_shells
+
+SIZE = (900, 700)
+
+
+@pytest.fixture(scope="module")
+def display() -> Iterator[Screen]:
+    with screen() as made:
+        yield made
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "ball.4dv"
+    write_shells(path, frames=5)
+    return path
+
+
+@pytest.fixture
+def viewer(display: Screen, scene: Path, tmp_path: Path) -> Iterator[Viewer]:
+    opened = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
+    opened.until(lambda: "ball.4dv" in opened.title and shown(opened) > 0.005, "the scene in its window")
+    hide_panel(opened)
+    yield opened
+    assert opened.close() == 0, opened.log
+    assert "Traceback" not in opened.log
+
+
+def hide_panel(viewer: Viewer) -> None:
+    assert viewer.picture()[15, 30].any(), "no panel at the upper left"
+    viewer.key("Tab")
+    viewer.until(lambda: not viewer.picture()[15, 30].any(), "no panel")
+
+
+def seen(viewer: Viewer) -> NDArray[np.uint8]:
+    """The window."""
+    return viewer.picture()[: SIZE[1], : SIZE[0]]
+
+
+def settled(viewer: Viewer) -> NDArray[np.uint8]:
+    """What is seen when nothing moves any more."""
+    pictures = [seen(viewer)]
+
+    def same_as_before() -> bool:
+        time.sleep(0.3)
+        pictures.append(seen(viewer))
+        return np.array_equal(pictures[-1], pictures[-2])
+
+    viewer.until(same_as_before, "a picture that stays")
+    return pictures[-1]
+
+
+def shown(viewer: Viewer) -> float:
+    """The share of pixels that are not background."""
+    return float((seen(viewer).max(axis=2) > 30).mean())
+
+
+def middle(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """(x, y) of the centre of what is not background."""
+    rows, columns = np.nonzero(picture.max(axis=2) > 30)
+    return np.array([columns.mean(), rows.mean()])
+
+
+def frame_of(viewer: Viewer) -> int:
+    return int(viewer.title.split("frame ")[1].split("/")[0])
+
+
+def pause_at(viewer: Viewer, key: str, frame: int) -> None:
+    """Stop playing, at a frame that Home or End reaches."""
+    viewer.key("space")
+    viewer.until(lambda: "paused" in viewer.title, "a pause")
+    viewer.key(key)
+    viewer.until(lambda: frame_of(viewer) == frame, f"frame {frame}")
+
+
+def test_it_plays_pauses_and_steps(viewer: Viewer) -> None:
+    """Catches keys that do nothing, a pause that goes on, and a step that does not wrap at the end."""
+    first = frame_of(viewer)
+    viewer.until(lambda: frame_of(viewer) != first, "another frame while it plays")
+    pause_at(viewer, "Home", 1)
+    viewer.key("Right")
+    viewer.until(lambda: frame_of(viewer) == 2, "frame 2")
+    viewer.key("Left")
+    viewer.key("Left")
+    viewer.until(lambda: frame_of(viewer) == 5, "frame 5, before the first")
+    viewer.key("space")
+    viewer.until(lambda: "playing" in viewer.title, "playing on")
+
+
+def test_dragging_orbits_and_pans_and_the_wheel_dollies(viewer: Viewer) -> None:
+    """Catches buttons with another's meaning, and a scene that moves against the mouse."""
+    pause_at(viewer, "Home", 1)
+    before = settled(viewer)
+    viewer.drag((600, 350), (700, 380))
+    viewer.until(lambda: not np.array_equal(seen(viewer), before), "another view after a drag")
+    orbited = settled(viewer)
+    assert np.abs(middle(orbited) - middle(before)).max() < 20, "an orbit keeps the object where it is"
+    viewer.drag((600, 350), (650, 390), button=3)
+    viewer.until(
+        lambda: np.abs(middle(seen(viewer)) - middle(orbited) - (50, 40)).max() < 6, "the object under the mouse"
+    )
+    settled(viewer)
+    area = shown(viewer)
+    viewer.screen.xdotool("mousemove", 600, 350, "click", 4, "click", 4)
+    viewer.until(lambda: shown(viewer) > 1.2 * area, "a larger object")
+
+
+def test_flying_moves_the_viewer(viewer: Viewer) -> None:
+    """Catches keys that are only seen when pressed, not while they are held."""
+    pause_at(viewer, "Home", 1)
+    area = shown(viewer)
+    viewer.screen.xdotool("keydown", "w", "sleep", "0.4", "keyup", "w")
+    viewer.until(lambda: shown(viewer) > 1.1 * area, "a larger object when flying forward")
+    x = middle(settled(viewer))[0]
+    viewer.screen.xdotool("keydown", "d", "sleep", "0.3", "keyup", "d")
+    viewer.until(lambda: middle(seen(viewer))[0] < x - 5, "the object further left when flying right")
+
+
+def test_keys_glide_to_the_capture_s_cameras_and_back(viewer: Viewer) -> None:
+    """Catches a jump that ends elsewhere, and a way back that does not lead to the first view."""
+    pause_at(viewer, "Home", 1)
+    first = settled(viewer)
+    viewer.key("n")
+    viewer.until(lambda: not close(settled(viewer), first), "another camera's view")
+    viewer.key("0")
+    viewer.until(lambda: close(seen(viewer), first), "the first view again")
+
+
+def close(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
+    return one.shape == other.shape and float(np.abs(one.astype(float) - other).mean()) < 0.5
+
+
+def test_every_renderer_shows_the_same_and_resizing_keeps_it(viewer: Viewer) -> None:
+    """Catches a renderer whose picture is turned or scaled in the window, and one that stays at its first size."""
+    pause_at(viewer, "Home", 1)
+    pictures = {"cpu": settled(viewer)}
+    for name in ("sorted", "peel", "dual"):
+        viewer.key("r")
+        viewer.until(lambda name=name: viewer.title.endswith(f"- {name}"), f"renderer {name}")
+        viewer.until(lambda: close(seen(viewer), pictures["cpu"]), f"the same picture by {name}")
+    viewer.screen.xdotool("windowsize", viewer.window, 1100, 500)
+    viewer.until(lambda: float((viewer.picture()[:500, :1100].max(axis=2) > 30).mean()) > 0.005, "a picture")
+    viewer.until(lambda: abs(middle(viewer.picture()[:500, :1100])[1] - 250) < 40, "the object at the new middle")
+
+
+def test_a_broken_file_leaves_the_open_scene(viewer: Viewer, tmp_path: Path) -> None:
+    """Catches a crash, silence, or an empty window where a file that is dropped cannot be opened."""
+    pause_at(viewer, "Home", 1)
+    before = settled(viewer)
+    broken = tmp_path / "broken.4dv"
+    broken.write_bytes(b"PK\x03\x04 but no more")
+    viewer.drop(broken)
+    message = slice(SIZE[1] - 60, SIZE[1] - 5)
+    viewer.until(lambda: seen(viewer)[message].max() > 150, "a message at the bottom")
+    viewer.keep("message")
+    assert close(seen(viewer)[: SIZE[1] - 120], before[: SIZE[1] - 120])
+    other = tmp_path / "other.4dv"
+    write_shells(other, frames=2)
+    viewer.drop(other)
+    viewer.until(lambda: "other.4dv" in viewer.title and "/2" in viewer.title, "the other scene")
+
+
+def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, tmp_path: Path) -> None:
+    """Catches pictures with the panel in them, and a view that is forgotten when the window closes."""
+    first = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
+    first.until(lambda: shown(first) > 0.005, "the scene")
+    pause_at(first, "Home", 1)
+    first.drag((600, 350), (640, 330))
+    first.key("F12")
+    first.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
+    from PIL import Image
+
+    taken = np.asarray(Image.open(tmp_path / "ball-001.png"))
+    assert taken.shape == (SIZE[1], SIZE[0], 3)
+    assert not taken[:30, :200].any(), "the panel is in it"
+    hide_panel(first)
+    first.until(lambda: close(seen(first)[:600], taken[:600]), "the picture of the window")
+    first.key("F9")
+    first.drag((600, 350), (700, 350))
+    first.key("F9")
+    first.until(lambda: (tmp_path / "ball-001.path.json").exists(), "a recorded path")
+    left = settled(first)[:600]
+    assert first.close() == 0
+    again = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
+    again.until(lambda: shown(again) > 0.005, "the scene")
+    hide_panel(again)
+    pause_at(again, "Home", 1)
+    again.until(lambda: close(seen(again)[:600], left), "the view that was left")
+    again.key("F10")
+    again.until(lambda: not (tmp_path / "ball-001.mp4").exists(), "no video of a path of another time")
+    assert again.close() == 0
+
+
+def test_a_recorded_path_becomes_a_video(viewer: Viewer, tmp_path: Path) -> None:
+    """Catches a video of another length or size than what was recorded."""
+    import av
+
+    viewer.key("F9")
+    viewer.drag((600, 350), (700, 350))
+    viewer.key("F9")
+    viewer.until(lambda: (tmp_path / "ball-001.path.json").exists(), "a recorded path")
+    viewer.key("F10")
+    viewer.until(lambda: (tmp_path / "ball-001.mp4").exists(), "a video")
+    with av.open(str(tmp_path / "ball-001.mp4")) as video:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+    text = (tmp_path / "ball-001.path.json").read_text()
+    assert len(pictures) == text.count('"frame"')
+    assert pictures[0].shape == (SIZE[1], SIZE[0], 3)
+    assert not np.array_equal(pictures[0], pictures[-1])
+
+
+def test_a_minimised_window_does_nothing(viewer: Viewer) -> None:
+    """Catches a loop that goes on drawing, or spins, where nothing can be seen."""
+    viewer.screen.xdotool("windowunmap", viewer.window)
+    viewer.until(lambda: not viewer.screen.xdotool("search", "--onlyvisible", "--name", "^fourd"), "no window")
+    viewer.screen.xdotool("windowmap", viewer.window)
+    viewer.until(lambda: shown(viewer) > 0.005, "the window again")
