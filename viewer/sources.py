@@ -55,8 +55,8 @@ class RunSource:
         bad = frame.first_bad()
         if bad is not None:
             raise UserError(
-                f"{self._folder}: expected finite numbers, got others in {bad} of frame {index} at step {trained.step}; "
-                "training has failed: lower the learning rates"
+                f"{self._folder}: expected finite numbers, got others in {bad} of frame {index} "
+                f"at step {trained.step}; training has failed: lower the learning rates"
             )
         return frame
 

@@ -146,7 +146,7 @@ class FrameStream:
             del self._ring[index]
 
     def _capacity(self) -> int:
-        """How many frames fit if all were as large as the largest so far: when that is dropped, it makes no new room."""
+        """How many frames fit if all were as large as the largest so far: dropping that makes no new room."""
         if self._largest is None:
             return min(_LEAST, self._frames)
         return min(max(_LEAST, self._room // max(self._largest, 1)), _MOST, self._frames)

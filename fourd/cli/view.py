@@ -20,12 +20,12 @@ class Arguments:
     """Without --headless or --screenshot a window opens; its panel tells the controls."""
 
     source: tyro.conf.Positional[Path | None] = None
-    """A .4dv file, or a run's folder, which is shown while it trains. The window can also open one that is dropped on it."""
+    """A .4dv file, or a run's folder, which is shown while it trains. The window also opens what is dropped on it."""
     renderer: Literal["auto"] | RendererName = "auto"
-    """sorted: one pass over points sorted by depth, for GPUs. peel and dual: depth peeling, exact and slow. cpu: exact, needs no
-    GPU. auto: sorted on a GPU, cpu elsewhere; it says which and why."""
+    """sorted: one pass over points sorted by depth, for GPUs. peel and dual: depth peeling, exact and slow. cpu: exact,
+    needs no GPU. auto: sorted on a GPU, cpu elsewhere; it says which and why."""
     size: tuple[int, int] | None = None
-    """Width and height in pixels, of the window or of the pictures. 1280 720, or a screenshot's camera, when not given."""
+    """Width and height in pixels, of the window or the pictures. 1280 720, or a screenshot's camera, when not given."""
     layers: int | None = None
     """Points composited a pixel (K), 1 to 64; the scene's when not given. sorted composites all."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -27,6 +27,14 @@ def contexts() -> Iterator[moderngl.Context]:
     context.release()
 
 
+def require_gl() -> None:
+    """Skips where there is no context to be had."""
+    try:
+        offscreen_context().release()
+    except UserError as error:
+        pytest.skip(f"no OpenGL here: {error}")
+
+
 def drawn(renderer: Renderer, shot: Shot, context: moderngl.Context) -> NDArray[np.float32]:
     """The picture (H, W, 4) in floats, row 0 at the top."""
     size = (shot.camera.width, shot.camera.height)

@@ -54,15 +54,26 @@ class Screen:
 
 
 @contextmanager
-def screen(width: int = 1280, height: int = 800) -> Iterator[Screen]:
-    """A screen; skips where the programs for it are missing."""
+def screen(width: int = 1280, height: int = 800, options: tuple[str, ...] = ()) -> Iterator[Screen]:
+    """A screen, with more options of Xvfb's; skips where the programs for it are missing."""
     for program in ("Xvfb", "xdotool"):
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")
     pytest.importorskip("Xlib", reason="python-xlib is not installed")
     reading, writing = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(writing), "-screen", "0", f"{width}x{height}x24", "-nolisten", "tcp", "-noreset"],
+        [
+            "Xvfb",
+            "-displayfd",
+            str(writing),
+            "-screen",
+            "0",
+            f"{width}x{height}x24",
+            "-nolisten",
+            "tcp",
+            "-noreset",
+            *options,
+        ],
         pass_fds=[writing],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

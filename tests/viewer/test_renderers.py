@@ -18,6 +18,7 @@ from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.raster import render_points
+from fourd.training.memory import resident_bytes
 from fourd.viewer.gl.arrays import Precision
 from fourd.viewer.gl.pictures import release_framebuffer
 from fourd.viewer.look import Look, Shot
@@ -259,3 +260,27 @@ def test_the_manifest_s_own_terms_reach_the_shader(make, context: moderngl.Conte
     truth = reference(shot)
     for name in RENDERERS:
         require_parity(name, drawn(make(name), shot, context), truth)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RENDERERS)
+def test_a_thousand_frames_leave_no_objects_behind(name: RendererName, context: moderngl.Context) -> None:
+    """Catches an object a picture that is never deleted, and sizes that grow with what was drawn before."""
+    renderer = make_renderer(name, context)
+    frames = [solid(200 + 10 * number, seed=number) for number in range(5)]
+
+    def play(pictures: int) -> None:
+        for number in range(pictures):
+            camera = small_camera(number % 5, 40 + 8 * (number % 3), 40)
+            texture = context.texture((camera.width, camera.height), 4)
+            target = context.framebuffer([texture])
+            renderer.draw(shot_of(frames[number % len(frames)], camera), target, wait=number % 2 == 0)
+            release_framebuffer(context, target)
+            texture.release()
+
+    play(30)
+    before, memory = objects_in_use(context), resident_bytes()
+    play(1000)
+    assert objects_in_use(context) == before
+    assert resident_bytes() - memory < 32 << 20
+    renderer.release()

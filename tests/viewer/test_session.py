@@ -1,0 +1,246 @@
+"""A viewer's state without its window: scenes opened and left, waiting for frames, and runs that go on training."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fourd.baking import SceneReader
+from fourd.errors import UserError
+from fourd.viewer.look import Look
+from fourd.viewer.session import GLIDE_SECONDS, OpenScene, Session
+from fourd.viewer.sources import RunSource, open_source
+from fourd.viewer.studio import Studio
+from tests.baking.scenes import manifest, random_frame, write_scene
+from tests.training.small import SMALL, train, trained_run, with_steps
+
+SIZE = (64, 48)
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    write_scene(tmp_path / "one.4dv", frames=4)
+    return tmp_path / "one.4dv"
+
+
+def opened(session: Session, path: Path) -> OpenScene:
+    session.open(path)
+    found = session.settle_opening(wait=True)
+    assert found is not None, session.message
+    session.show(found, found.start(SIZE))
+    return found
+
+
+def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path: Path) -> None:
+    """Catches a viewer that is left with nothing to show, and a message that does not name the file."""
+    session = Session(Look())
+    opened(session, scene)
+    before = session.shot(SIZE, wait=True)
+    (tmp_path / "broken.4dv").write_bytes(b"no scene")
+    session.open(tmp_path / "broken.4dv")
+    assert session.settle_opening(wait=True) is None
+    assert "broken.4dv: expected a whole .4dv scene" in session.message
+    after = session.shot(SIZE, wait=True)
+    assert before is not None
+    assert after is not None
+    assert (after.frame, after.camera) == (before.frame, before.camera)
+    session.close()
+
+
+def test_a_damaged_frame_keeps_the_one_before_it_and_says_so(scene: Path) -> None:
+    """Catches an empty picture, or an end, where one frame of many cannot be read."""
+    content = bytearray(scene.read_bytes())
+    frame = SceneReader(scene).read(2)
+    at = content.find(frame.xyz.tobytes())
+    content[at : at + 4] = np.float32(np.nan).tobytes()
+    scene.write_bytes(bytes(content))
+    session = Session(Look())
+    opened(session, scene)
+    session.playback.seek(1)
+    good = session.shot(SIZE, wait=True)
+    session.playback.seek(2)
+    with pytest.raises(UserError, match=r"one\.4dv"):
+        session.shot(SIZE, wait=True)
+    damaged = session.shot(SIZE)
+    assert good is not None
+    assert damaged is not None
+    assert damaged.frame is good.frame
+    assert "one.4dv" in session.message
+    assert not session.waiting
+    session.playback.seek(3)
+    assert session.shot(SIZE, wait=True) is not None
+    session.close()
+
+
+class SlowSource:
+    """A disk that answers when it is told to."""
+
+    def __init__(self) -> None:
+        self.manifest = manifest(2, 3)
+        self.answers = threading.Event()
+
+    def read(self, index: int):
+        self.answers.wait()
+        return random_frame(10 + index, 2, seed=index)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_slow_disk_is_waited_for_without_a_stop(tmp_path: Path) -> None:
+    """Catches a window that freezes until a frame is read, and time that runs on meanwhile."""
+    source = SlowSource()
+    session = Session(Look())
+    session.show(OpenScene(tmp_path / "slow.4dv", source), OpenScene(tmp_path, SlowSource()).start(SIZE))
+    assert session.shot(SIZE) is None
+    assert session.waiting
+    session.advance(0.05)
+    assert session.playback.frame == 0, "frames are skipped while none is there"
+    source.answers.set()
+    assert session.shot(SIZE, wait=True) is not None
+    assert not session.waiting
+    session.close()
+
+
+def test_what_does_not_change_is_the_same_object(scene: Path) -> None:
+    """Catches cameras and scaled frames made anew for every picture: renderers would sort and upload each time."""
+    session = Session(replace(Look(), point_scale=1.5))
+    opened(session, scene)
+    one, other = session.shot(SIZE, wait=True), session.shot(SIZE, wait=True)
+    assert one is not None
+    assert other is not None
+    assert one.frame is other.frame
+    assert one.camera is other.camera
+    assert session.pose is not None
+    session.move(session.pose.dollied(0.9))
+    moved = session.shot(SIZE, wait=True)
+    assert moved is not None
+    assert moved.camera is not one.camera
+    assert moved.frame is one.frame
+    session.close()
+
+
+def test_the_scene_s_layers_are_taken_unless_the_user_chose(tmp_path: Path) -> None:
+    """Catches K of the scene before, and a user's K that the next scene undoes."""
+    write_scene(tmp_path / "one.4dv")
+    session = Session(Look(layers=0))
+    opened(session, tmp_path / "one.4dv")
+    assert session.look.layers == 12
+    session.choose_layers(5)
+    opened(session, tmp_path / "one.4dv")
+    assert session.look.layers == 5
+    session.close()
+
+
+def test_a_glide_ends_where_it_should_and_a_move_ends_it(scene: Path) -> None:
+    """Catches a glide that goes on after the user has taken over."""
+    session = Session(Look())
+    found = opened(session, scene)
+    end = found.camera_pose(3, SIZE)
+    session.glide_to(end)
+    session.advance(GLIDE_SECONDS / 2)
+    assert session.pose is not end
+    assert session.gliding
+    session.advance(GLIDE_SECONDS)
+    assert session.pose is end
+    assert not session.gliding
+    session.glide_to(found.start(SIZE))
+    session.move(end.dollied(2))
+    session.advance(1)
+    assert session.pose is not None
+    assert session.pose.distance == 2 * end.distance
+    session.close()
+
+
+def test_a_run_is_shown_and_shown_again_when_it_has_learnt_more(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a run that stays at the checkpoint at which it was opened."""
+    monkeypatch.setattr("fourd.viewer.session._LOOK_EVERY", 0.0)
+    run = trained_run(ball_capture, tmp_path / "run")
+    session = Session(Look())
+    found = opened(session, run.folder)
+    assert found.checkpoint == "00000006.safetensors"
+    assert not session.advance(0)
+    before = session.shot(SIZE, wait=True)
+    assert before is not None
+    with Studio("cpu") as studio:
+        assert studio.picture(before).max() > 30
+    train(run, with_steps(SMALL, 12))
+    assert session.advance(0)
+    assert session.shot(SIZE) is not None, "what was there stays until the new one comes"
+    after = session.shot(SIZE, wait=True)
+    assert after is not None
+    assert not np.array_equal(after.frame.sh, before.frame.sh)
+    session.close()
+
+
+def test_a_run_s_frames_are_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a live view with other cameras, colours or shading than the file that is made of the run."""
+    from fourd.baking.bake import bake_run
+    from fourd.training.run import load_run
+    from tests.training.small import quiet
+
+    run = trained_run(ball_capture, tmp_path / "run")
+    bake_run(load_run(run.folder), tmp_path / "scene.4dv", quiet())
+    live, exported = RunSource(run.folder), open_source(tmp_path / "scene.4dv")
+    assert live.manifest.names == exported.manifest.names
+    assert live.manifest.layers == exported.manifest.layers
+    one, other = live.read(1), exported.read(1)
+    for name in ("xyz", "radius", "density", "sh", "blend_weights", "rgb"):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    exported.close()
+
+
+def test_numbers_that_a_failed_training_leaves_are_told(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches NaN from a run, which no file reader has looked at, in the kernels."""
+    run = trained_run(ball_capture, tmp_path / "run")
+    source = RunSource(run.folder)
+
+    def spoilt(*_: object):
+        frame = random_frame(10, 2, seed=1)
+        frame.radius[3] = np.nan
+        return frame
+
+    monkeypatch.setattr("fourd.baking.bake.bake_frame", spoilt)
+    with pytest.raises(UserError, match="expected finite numbers, got others in radius of frame 0 at step 6"):
+        source.read(0)
+
+
+@pytest.mark.slow
+def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None:
+    """Catches frames, threads, files and GL objects that pile up: 1,000 frames, and 100 scenes opened."""
+    import os
+
+    from fourd.training.memory import resident_bytes
+
+    write_scene(tmp_path / "long.4dv", frames=50, points=4000)
+    session = Session(Look())
+
+    def play(pictures: int) -> None:
+        with Studio("cpu") as studio:
+            for number in range(pictures):
+                session.playback.seek(number % 50)
+                shot = session.shot(SIZE, wait=True)
+                assert shot is not None
+                studio.picture(shot)
+
+    opened(session, tmp_path / "long.4dv")
+    play(200)
+    before = resident_bytes()
+    play(1000)
+    assert resident_bytes() - before < 32 << 20
+    files, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
+    for _ in range(100):
+        opened(session, tmp_path / "long.4dv")
+        play(1)
+    assert resident_bytes() - before < 48 << 20
+    assert len(os.listdir("/proc/self/fd")) == files
+    assert threading.active_count() == threads
+    session.close()
