@@ -18,14 +18,13 @@ from fourd.viewer import controls
 from fourd.viewer.flight import Flight, Recorder, Stop
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import driver
-from fourd.viewer.headless import write_png
 from fourd.viewer.look import Look, Shot
 from fourd.viewer.panel import draw_panel, draw_progress
+from fourd.viewer.png import write_png
 from fourd.viewer.remembered import RememberedViews, default_file
 from fourd.viewer.renderers import Chosen, Renderer, RendererName, choose, make_renderer
 from fourd.viewer.session import OpenScene, Session
 from fourd.viewer.timings import Timings
-from fourd.viewer.video import write_video
 from fourd.viewer.window import Window
 
 _LONGEST_TICK = 0.1
@@ -139,6 +138,8 @@ class App:
         """Write the recorded path as an MP4 of the window's size."""
         if self.flight is None or self.session.scene is None:
             return
+        from fourd.viewer.video import write_video
+
         path, flight = free_name(self.session.scene.path.stem, ".mp4"), self.flight
         self._stop = False
         try:
@@ -308,7 +309,8 @@ def show(
             session.open(source)
             opened = session.settle_opening(wait=True)
             if opened is None:
-                raise UserError(session.message)
+                assert session.failure is not None
+                raise session.failure
         with Window(size, "fourd") as window:
             app = App(window, session, wanted, console)
             try:

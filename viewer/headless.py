@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
@@ -15,10 +14,10 @@ from rich.progress import track
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.files import write_bytes_atomically
 from fourd.viewer.flight import load_flight
 from fourd.viewer.look import Look, Shot
 from fourd.viewer.paths import PathKind, camera_path, fit
+from fourd.viewer.png import write_png
 from fourd.viewer.renderers import RendererName
 from fourd.viewer.session import OpenScene
 from fourd.viewer.sources import open_source
@@ -81,13 +80,6 @@ class Headless:
             frame = scene.stream.get(index, wait=True)
             assert frame is not None
             yield studio.picture(Shot(look.applied(frame), camera, scene.manifest, look))
-
-
-def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
-    """Write (H, W, 3) bytes, whole or not at all."""
-    # Not imwrite: it says nothing when the disk is full.
-    _, content = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-    write_bytes_atomically(path, content.tobytes())
 
 
 def _route(

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from fourd.cameras import Camera, look_at
+from fourd.viewer.up import estimate_up
 
 Array = NDArray[np.float64]
 Bounds = tuple[Sequence[float], Sequence[float]]
@@ -141,14 +142,6 @@ def ring_order(cameras: Sequence[Camera], focus: Sequence[float] | Array | None 
     sorted_azimuths = stage.azimuths[order]
     gaps = np.diff(sorted_azimuths, prepend=sorted_azimuths[-1] - 2 * np.pi)
     return [int(index) for index in np.roll(order, -int(np.argmax(gaps)))]
-
-
-def estimate_up(cameras: Sequence[Camera]) -> Array:
-    """(3,) unit mean of the cameras' upward (-y) axes; the first camera's where they cancel out."""
-    mean = np.mean([-camera.rotation[1] for camera in cameras], axis=0)
-    if np.linalg.norm(mean) < 1e-3:
-        mean = -cameras[0].rotation[1]
-    return _unit(mean)
 
 
 def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> Array:

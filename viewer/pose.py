@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from fourd.cameras import Camera, look_at
 
@@ -69,8 +69,8 @@ class Pose:
             right, down = -right, -down
         now = float(np.arccos(np.clip(forward @ self.up, -1, 1)))
         wanted = float(np.clip(now + down, min(now, _POLE), max(now, np.pi - _POLE)))
-        turn = Rotation.from_rotvec(-right * self.up) * Rotation.from_rotvec(-(wanted - now) * level)
-        return replace(self, rotation=_orthonormal(self.rotation @ turn.inv().as_matrix()))
+        turn = _turn(-right * self.up) @ _turn(-(wanted - now) * level)
+        return replace(self, rotation=_orthonormal(self.rotation @ turn.T))
 
     def panned(self, right: float, down: float) -> Pose:
         """Moved sideways as if the scene at the pivot were dragged by these parts of the picture's height."""
@@ -127,10 +127,10 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     t = share * share * (3 - 2 * share)
     if share >= 1:
         return end
-    turns = Slerp([0, 1], Rotation.from_matrix(np.stack([start.rotation, end.rotation])))
+    whole = np.asarray(cv2.Rodrigues(end.rotation @ start.rotation.T)[0], np.float64).ravel()
     return Pose(
         pivot=start.pivot + t * (end.pivot - start.pivot),
-        rotation=turns(t).as_matrix(),
+        rotation=_orthonormal(_turn(t * whole) @ start.rotation),
         distance=float(np.exp((1 - t) * np.log(start.distance) + t * np.log(end.distance))),
         field_of_view=(1 - t) * start.field_of_view + t * end.field_of_view,
         up=end.up,
@@ -139,6 +139,11 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
             (1 - t) * start.offset[1] + t * end.offset[1],
         ),
     )
+
+
+def _turn(vector: Array) -> Array:
+    """The rotation about ``vector`` (3,) by its length in radians."""
+    return np.asarray(cv2.Rodrigues(np.ascontiguousarray(vector, np.float64))[0], np.float64)
 
 
 def _orthonormal(rotation: Array) -> Array:

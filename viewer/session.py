@@ -13,11 +13,11 @@ from fourd.baking import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.viewer.look import Look, Shot
-from fourd.viewer.paths import estimate_up
 from fourd.viewer.playback import Playback
 from fourd.viewer.pose import Pose, between, facing, pose_of
 from fourd.viewer.sources import RunSource, open_source
 from fourd.viewer.stream import FrameSource, FrameStream
+from fourd.viewer.up import estimate_up
 
 GLIDE_SECONDS = 0.7
 _LOOK_EVERY = 1.0
@@ -82,9 +82,10 @@ class Session:
         self.playback = Playback(1, 30.0)
         self.pose: Pose | None = None
         self.message = ""
+        self.failure: Exception | None = None  # why the last opening failed
         self.waiting = False
         self._opening: threading.Thread | None = None
-        self._opened: OpenScene | UserError | None = None
+        self._opened: OpenScene | Exception | None = None
         self._glide: tuple[Pose, Pose, float] | None = None
         self._scaled: tuple[BakedFrame, Look, BakedFrame] | None = None
         self._seen: tuple[Pose, tuple[int, int], Camera] | None = None
@@ -114,10 +115,10 @@ class Session:
             return None
         self._opening.join()
         self._opening, opened = None, self._opened
-        if not isinstance(opened, OpenScene):
-            self.message = str(opened)
-            return None
-        return opened
+        if isinstance(opened, OpenScene):
+            return opened
+        self.failure, self.message = opened, str(opened)
+        return None
 
     def show(self, scene: OpenScene, pose: Pose) -> None:
         """Take over a scene; the one before it is closed."""
@@ -218,7 +219,5 @@ class Session:
     def _open(self, path: Path) -> None:
         try:
             self._opened = OpenScene(path, open_source(path))
-        except UserError as error:
+        except Exception as error:  # told where the window is: nothing may be lost in a thread
             self._opened = error
-        except Exception as error:
-            self._opened = UserError(f"{path}: cannot be opened ({error})")

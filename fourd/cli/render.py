@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import cv2
 import numpy as np
 import tyro
 from numpy.typing import NDArray
@@ -17,8 +16,8 @@ from rich.progress import track
 from fourd.baking.playable import Playable, open_playable, select_frames, view
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.files import write_bytes_atomically
 from fourd.viewer.paths import fit, interpolate, orbit, ring_order, spiral
+from fourd.viewer.png import write_png
 from fourd.viewer.video import write_video
 
 
@@ -73,7 +72,7 @@ def _write_views(arguments: Arguments, playable: Playable, frames: list[int], co
         return len(jobs)
     for name, camera, frame in _shown(jobs, console):
         number = playable.frame_numbers[frame]
-        _write_png(arguments.out / name / f"{number:06d}.png", _rgb(playable, camera, frame, arguments))
+        write_png(arguments.out / name / f"{number:06d}.png", _rgb(playable, camera, frame, arguments))
     return len(jobs)
 
 
@@ -87,7 +86,7 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], con
         write_video(arguments.out, pictures, arguments.fps or playable.fps)
     else:
         for step, picture in enumerate(pictures):
-            _write_png(arguments.out / f"{step:06d}.png", picture)
+            write_png(arguments.out / f"{step:06d}.png", picture)
     return len(jobs)
 
 
@@ -111,9 +110,3 @@ def _rgb(playable: Playable, camera: Camera, frame: int, arguments: Arguments) -
 
 def _sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
     return camera if size is None else fit(camera, *size)
-
-
-def _write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
-    # Not imwrite: it says nothing when the disk is full.
-    _, content = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-    write_bytes_atomically(path, content.tobytes())

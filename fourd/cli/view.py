@@ -10,7 +10,6 @@ import tyro
 from rich.console import Console
 
 from fourd.errors import UserError
-from fourd.viewer.headless import Headless
 from fourd.viewer.look import Look
 from fourd.viewer.renderers import RendererName
 
@@ -56,6 +55,8 @@ def run(arguments: Arguments) -> None:
 
         show(arguments.source, arguments.renderer, arguments.size or (1280, 720), look, console)
         return
+    from fourd.viewer.headless import Headless
+
     if arguments.source is None:
         raise UserError("SOURCE: expected a .4dv file or a run's folder, got none; name one")
     headless = Headless(arguments.source, arguments.renderer, arguments.size, look)

@@ -1,0 +1,146 @@
+"""Speed of the viewer's renderers, and how far they are from the float renderer: two tables in Markdown.
+
+python tools/viewer_table.py                         262,144 points of the benchmarks' figure, at 1920 x 1080
+python tools/viewer_table.py scene.4dv --frame 3     a frame of a scene, seen from its first camera
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import moderngl
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from fourd.baking import BakedFrame, SceneManifest, open_scene
+from fourd.baking.shade import shade_reference
+from fourd.benchmarks.workloads import baked_figure, camera
+from fourd.cameras import Camera
+from fourd.raster.arrays import render_points_numpy
+from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.gl.context import driver, offscreen_context
+from fourd.viewer.look import Look, Shot
+from fourd.viewer.paths import fit
+from fourd.viewer.renderers import RENDERERS, Renderer, RendererName, make_renderer
+
+LAYERS = (15, 12, 8)
+TURN = 1e-4  # radians between pictures: another camera each time, so that everything is done anew
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Two tables in Markdown on standard output."""
+
+    scene: tyro.conf.Positional[Path | None] = None
+    """A .4dv; the benchmarks' figure when not given."""
+    frame: int = 0
+    """Of the scene, from 0."""
+    points: int = 262_144
+    """Of the figure."""
+    size: tuple[int, int] = (1920, 1080)
+    """Width and height in pixels."""
+    seconds: float = 5.0
+    """How long each renderer is timed, about."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A renderer's median time, and its picture (H, W, 3) in [0, 1]."""
+
+    ms: float
+    picture: NDArray[np.float32]
+
+
+def main(arguments: Arguments) -> int:
+    context = offscreen_context()
+    frame, manifest, seen = _subject(arguments)
+    print(f"{driver(context)}; {frame.point_count:,} points, {seen.width} x {seen.height}\n")
+    exact = {layers: _float_picture(frame, manifest, seen, layers) for layers in LAYERS}
+    _print_renderers(context, Shot(frame, seen, manifest, Look(12)), exact[12], arguments.seconds)
+    _print_precisions(context, Shot(frame, seen, manifest, Look(12)), exact[15], arguments.seconds)
+    return 0
+
+
+def _subject(arguments: Arguments) -> tuple[BakedFrame, SceneManifest, Camera]:
+    if arguments.scene is None:
+        frame, manifest = baked_figure(arguments.points)
+        return frame, manifest, camera(*arguments.size, angle=0.3)
+    with open_scene(arguments.scene) as scene:
+        seen = fit(scene.manifest.cameras[0], *arguments.size)
+        return scene.frame(arguments.frame), scene.manifest, seen
+
+
+def _print_renderers(context: moderngl.Context, shot: Shot, exact: NDArray[np.float32], seconds: float) -> None:
+    print("| renderer, K = 12 | ms | fps | against peel | mean difference | pixels off by over 0.02 | PSNR dB |")
+    print("|---|---|---|---|---|---|---|")
+    found = {name: _measured(context, make_renderer(name, context), shot, seconds) for name in RENDERERS}
+    for name, one in found.items():
+        difference = np.abs(one.picture - exact)
+        off = 100 * float((difference.max(axis=2) > 0.02).mean())
+        print(
+            f"| {name} | {one.ms:.1f} | {1e3 / one.ms:.1f} | {found['peel'].ms / one.ms:.1f} x | "
+            f"{difference.mean():.1e} | {off:.3f}% | {_psnr(one.picture, exact):.1f} |"
+        )
+    print()
+
+
+def _print_precisions(context: moderngl.Context, shot: Shot, exact: NDArray[np.float32], seconds: float) -> None:
+    names: tuple[RendererName, ...] = ("peel", "dual")
+    columns = [(name, precision) for name in names for precision in ("float32", "float16")] + [("cpu", "float16")]
+    print("| K | " + " | ".join(f"{name}, {precision}: fps | PSNR dB" for name, precision in columns) + " |")
+    print("|---" * (1 + 2 * len(columns)) + "|")
+    for layers in LAYERS:
+        cells = []
+        for name, precision in columns:
+            renderer = make_renderer(name, context, precision)
+            one = _measured(context, renderer, replace(shot, look=Look(layers)), seconds)
+            cells.append(f"{1e3 / one.ms:.2f} | {_psnr(one.picture, exact):.1f}")
+        print(f"| {layers} | " + " | ".join(cells) + " |")
+    print()
+
+
+def _measured(context: moderngl.Context, renderer: Renderer, shot: Shot, seconds: float) -> Measured:
+    """Draws each time from another camera; the picture is that of the shot's own."""
+    canvas = Canvas(context)
+    target = canvas.sized(shot.camera.width, shot.camera.height)
+    times: list[float] = []
+    end = time.perf_counter() + seconds
+    while len(times) < 4 or (time.perf_counter() < end and len(times) < 500):
+        turned = replace(shot, camera=_turned(shot.camera, TURN * (1 + len(times) % 50)))
+        started = time.perf_counter()
+        renderer.draw(turned, target, wait=True)
+        context.finish()
+        times.append(1e3 * (time.perf_counter() - started))
+    renderer.draw(shot, target, wait=True)
+    picture = canvas.pixels().astype(np.float32) / 255
+    renderer.release()
+    canvas.release()
+    return Measured(statistics.median(times[1:]), picture)
+
+
+def _turned(seen: Camera, angle: float) -> Camera:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+    return replace(seen, rotation=turn @ seen.rotation, translation=turn @ seen.translation)
+
+
+def _float_picture(frame: BakedFrame, manifest: SceneManifest, seen: Camera, layers: int) -> NDArray[np.float32]:
+    """By the float renderer, from the same arrays."""
+    colours = shade_reference(frame, seen, manifest)
+    sizes: list[Any] = [frame.radius.astype(np.float32), frame.density.astype(np.float32)]
+    rgb, _, _ = render_points_numpy(frame.xyz, colours, *sizes, seen, layers=layers, near=manifest.near)
+    return np.clip(rgb, 0, 1)
+
+
+def _psnr(one: NDArray[np.float32], other: NDArray[np.float32]) -> float:
+    return float(-10 * np.log10(np.square(one - other).mean() + 1e-12))
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Arguments, description=__doc__)))

@@ -1,0 +1,18 @@
+"""Writing PNG files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.files import write_bytes_atomically
+
+
+def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
+    """Write (H, W, 3) bytes, whole or not at all. Raises OSError, also when the disk is full."""
+    # Not imwrite: it says nothing when the disk is full.
+    _, content = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    write_bytes_atomically(path, content.tobytes())
