@@ -42,7 +42,7 @@ def main() -> None:
         f"\nMade in {time.monotonic() - started:.0f} s: {scene} ({megabytes:.0f} MB) and {video}."
         f"\nHeld-out cameras {TEST_VIEWS}: {scores['image']['psnr']:.2f} dB PSNR on the whole image, "
         f"{scores['box']['psnr']:.2f} dB in the figure's box."
-        f"\nNext: open {video}; fourd render {scene} --path spiral --out spiral.mp4; "
+        f"\nNext: open {video}; fourd view {scene}; fourd render {scene} --path spiral --out spiral.mp4; "
         f"fourd make YOUR_CAPTURE -o scene.4dv"
     )
 

@@ -43,3 +43,9 @@ if [ "${1:-}" = sanitize ]; then
 fi
 "$python" -m pytest -q -k "cuda" "${tests[@]}"
 "$python" "$OLDPWD/tools/gpu_table.py"
+# OpenGL by EGL on the same card, where Python has moderngl.
+if "$python" -c "import moderngl, tyro" 2>/dev/null; then
+  for size in "1920 1080" "3840 2160"; do "$python" "$OLDPWD/tools/viewer_table.py" --size $size; done
+else
+  echo "gpu_check: without moderngl and tyro, OpenGL is not timed"
+fi

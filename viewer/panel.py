@@ -26,13 +26,14 @@ _MOST_LAYERS = 64
 def draw_panel(app: App) -> None:
     """The panel, the message line and the spinner."""
     _keys(app)
+    scale = _scale(app)
+    imgui.get_style().font_scale_dpi = scale
     if app.panel_open:
-        _scale_text(app)
         imgui.set_next_window_pos(imgui.ImVec2(_MARGIN, _MARGIN), imgui.Cond_.first_use_ever)
-        height = max(app.window.size[1] - 2 * _MARGIN, 100.0)
-        imgui.set_next_window_size_constraints(imgui.ImVec2(_WIDTH, 60), imgui.ImVec2(2 * _WIDTH, height))
+        height, width = max(app.window.size[1] - 2 * _MARGIN, 100.0), scale * _WIDTH
+        imgui.set_next_window_size_constraints(imgui.ImVec2(width, 60), imgui.ImVec2(2 * width, height))
         imgui.begin("fourd", None, imgui.WindowFlags_.always_auto_resize)
-        imgui.push_item_width(-110)
+        imgui.push_item_width(-110 * scale)
         _scene(app)
         if app.session.scene is not None:
             _playback(app)
@@ -204,7 +205,8 @@ def _renderer(app: App) -> None:
 
 def _plot(app: App) -> None:
     sums = app.timings.sums()
-    size = imgui.ImVec2(_WIDTH - 20, 110)
+    scale = _scale(app)
+    size = imgui.ImVec2(scale * (_WIDTH - 20), scale * 110)
     plain = implot.AxisFlags_.no_tick_labels | implot.AxisFlags_.no_grid_lines
     if not implot.begin_plot("##times", size, implot.Flags_.no_inputs | implot.Flags_.no_title):
         return
@@ -256,7 +258,7 @@ def _section(title: str, open_at_first: bool = True) -> bool:
     return imgui.collapsing_header(title, flags)
 
 
-def _scale_text(app: App) -> None:
-    """By what the system asks for, where pixels are its units; elsewhere the framebuffer is larger already."""
+def _scale(app: App) -> float:
+    """Of text: what the system asks for, where its units are pixels; elsewhere the framebuffer is larger already."""
     larger = app.window.framebuffer_size[0] > app.window.size[0]
-    imgui.get_style().font_scale_dpi = 1.0 if larger else app.window.scale
+    return 1.0 if larger else app.window.scale

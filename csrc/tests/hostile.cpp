@@ -1,5 +1,6 @@
 // Runs the kernels on small random and hostile inputs, for sanitizer builds: whatever a point holds, nothing is
 // read or written out of bounds, no thread races another, and what comes out is finite.
+#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
 #include <vector>
@@ -117,6 +118,7 @@ void run_play(unsigned seed, const char* simd) {
     for (auto& half : density) half = static_cast<std::uint16_t>(whole(random, 0, 0x3c00));
     const std::int32_t chosen[] = {0};
     fourd::play::Player player;
+    fourd::play::DepthSorter sorter;
     for (int picture = 0; picture < 2; ++picture) {
         const fourd::points::Settings settings = random_settings(random, simd);
         const fourd::shade::Settings shading{chosen, 1, {0, 0, -3}, 0.25f, 0.0f, settings.threads, settings.simd};
@@ -124,6 +126,14 @@ void run_play(unsigned seed, const char* simd) {
         const fourd::play::Frame frame{{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views},
                                        radius.data(), density.data()};
         player.draw(frame, settings, shading, {rgba.data(), {0, 0.5f, 1}});
+        std::vector<std::uint32_t> order(count);
+        order.resize(sorter.sort(frame, settings, order.data()));
+        std::sort(order.begin(), order.end());
+        const bool valid = order.empty() || order.back() < count;
+        if (!valid || std::adjacent_find(order.begin(), order.end()) != order.end()) {
+            std::fprintf(stderr, "seed %u: the order holds a point twice, or one that is none\n", seed);
+            std::exit(1);
+        }
     }
 }
 

@@ -165,6 +165,18 @@ class Viewer:
         return self.screen.xdotool("search", "--onlyvisible", "--name", "^fourd").split("\n")[0]
 
 
+def set_dpi(display_name: str, dpi: int) -> None:
+    """Ask programs for larger text, as desktops do."""
+    from Xlib import Xatom
+    from Xlib.display import Display
+
+    display = Display(display_name)
+    resources = f"Xft.dpi:\t{dpi}\n".encode()
+    display.screen().root.change_property(display.intern_atom("RESOURCE_MANAGER"), Xatom.STRING, 8, resources)
+    display.sync()
+    display.close()
+
+
 def ask_to_close(display_name: str, window_number: int) -> None:
     """Send what a window manager sends when a window's close button is clicked."""
     from Xlib.display import Display

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from PIL import Image
 
-from tests.viewer.screen import Screen, Viewer, screen
+from tests.viewer.screen import Screen, Viewer, screen, set_dpi
 from tests.viewer.shells import write_shells
 
 SIZE = (900, 700)
@@ -181,8 +182,6 @@ def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, 
     first.drag((600, 350), (640, 330))
     first.key("F12")
     first.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
-    from PIL import Image
-
     taken = np.asarray(Image.open(tmp_path / "ball-001.png"))
     assert taken.shape == (SIZE[1], SIZE[0], 3)
     assert not taken[:30, :200].any(), "the panel is in it"
@@ -199,6 +198,10 @@ def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, 
     hide_panel(again)
     pause_at(again, "Home", 1)
     again.until(lambda: close(seen(again)[:600], left), "the view that was left")
+    again.key("Tab")
+    again.until(lambda: again.picture()[15, 30].any(), "the panel")
+    again.click(40, 104)
+    again.until(lambda: "playing" in again.title, "playing, after a click on the panel's button")
     again.key("F10")
     again.until(lambda: not (tmp_path / "ball-001.mp4").exists(), "no video of a path of another time")
     assert again.close() == 0
@@ -228,3 +231,17 @@ def test_a_minimised_window_does_nothing(viewer: Viewer) -> None:
     viewer.until(lambda: not viewer.screen.xdotool("search", "--onlyvisible", "--name", "^fourd"), "no window")
     viewer.screen.xdotool("windowmap", viewer.window)
     viewer.until(lambda: shown(viewer) > 0.005, "the window again")
+
+
+def test_a_dense_screen_has_a_larger_panel_and_as_sharp_a_picture(scene: Path, tmp_path: Path) -> None:
+    """Catches text of half its size, and a picture drawn at half the pixels, where the system asks for 200%."""
+    with screen(2000, 1500) as dense:
+        set_dpi(dense.display, 192)
+        viewer = Viewer(dense, tmp_path, str(scene), "--size", "900", "700")
+        viewer.until(lambda: (viewer.picture()[:1400, :1800].max(axis=2) > 30).mean() > 0.005, "the scene")
+        viewer.until(lambda: viewer.picture()[15, 600].any(), "a panel of twice the width")
+        pause_at(viewer, "Home", 1)
+        viewer.key("F12")
+        viewer.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
+        assert viewer.close() == 0, viewer.log
+    assert Image.open(tmp_path / "ball-001.png").size == (1800, 1400)
