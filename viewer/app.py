@@ -104,7 +104,7 @@ class App:
         """Do something after the picture that is being made: while a panel is built, nothing else may draw."""
         self._pending.append(action)
 
-    def use(self, name: RendererName) -> None:
+    def use(self, name: RendererName, reason: str = "as asked") -> None:
         """Change to a renderer; the one before stays where it cannot be made."""
         try:
             fresh = make_renderer(name, self.context)
@@ -112,7 +112,7 @@ class App:
             self.session.message = f"{name}: cannot be used here ({error})"
             return
         self.renderer.release()
-        self.renderer, self.chosen, self._drawn = fresh, Chosen(name, "as asked"), None
+        self.renderer, self.chosen, self._drawn = fresh, Chosen(name, reason), None
 
     def screenshot(self) -> None:
         """Write what is seen, without the panel, beside where the viewer was started."""
@@ -172,8 +172,7 @@ class App:
         if self.recorder is not None and self.session.pose is not None:
             self.recorder.advance(elapsed, self.session.pose, self.session.playback.frame)
         shot = self.session.shot(self.window.framebuffer_size)
-        with self.timings.part("draw"):
-            self._draw(shot)
+        self._draw(shot)
         with self.timings.part("panel"):
             self._present(shot is not None)
             self.window.begin_panel()
@@ -202,11 +201,12 @@ class App:
         if shot is None or (self._drawn is not None and _same(shot, self._drawn) and self.renderer.behind == 0):
             return
         try:
-            self.renderer.draw(shot, self._sized(shot))
+            with self.timings.part("draw"):
+                self.renderer.draw(shot, self._sized(shot))
         except UserError as error:
             self.session.message = str(error)
             if self.chosen.name != "cpu":
-                self.use("cpu")
+                self.use("cpu", f"{self.chosen.name} cannot draw this scene here")
             return
         self._drawn = shot
 

@@ -40,7 +40,6 @@ class Timings:
         return np.cumsum(self._history, axis=1)
 
     def medians(self) -> dict[str, float]:
-        """Of each part over the last pictures that were made."""
-        made = self._history[self._history.sum(axis=1) > 0]
-        values = np.median(made, axis=0) if len(made) else np.zeros(len(PARTS))
-        return dict(zip(PARTS, (float(value) for value in values), strict=True))
+        """Of each part over the last pictures that it took part in: a scene at rest is not drawn anew."""
+        taken = [column[column > 0] for column in self._history.T]
+        return {name: float(np.median(times)) if len(times) else 0.0 for name, times in zip(PARTS, taken, strict=True)}
