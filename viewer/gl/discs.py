@@ -14,10 +14,11 @@ from fourd.baking.shade import chosen_views
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.viewer.gl.arrays import UploadedFrame
-from fourd.viewer.gl.shaders import program, set_uniforms
+from fourd.viewer.gl.shaders import TEXELS_A_ROW, program, set_uniforms
 from fourd.viewer.look import Shot
 
 _BYTES_A_DISC = 32
+_DISCS_A_ROW = TEXELS_A_ROW // 2
 _MOST_RANKS = 1 << 24
 
 
@@ -29,8 +30,17 @@ class Discs:
     the points in the order of their depth takes twice the time.
     """
 
-    def __init__(self, context: moderngl.Context, passes: Mapping[str, str], farthest_first: bool = False) -> None:
-        """``passes`` maps names to the fragment shaders that :meth:`draw` can draw with."""
+    def __init__(
+        self,
+        context: moderngl.Context,
+        passes: Mapping[str, str],
+        farthest_first: bool = False,
+        as_texture: bool = False,
+    ) -> None:
+        """``passes`` maps names to the fragment shaders that :meth:`draw` can draw with.
+
+        With ``as_texture``, :attr:`texture` has the discs as well: two texels each, by rank.
+        """
         self._context = context
         self._farthest_first = farthest_first
         self._shade = program(context, "shade.vert", varyings=("disc", "paint"))
@@ -39,6 +49,8 @@ class Discs:
             for name, fragment in passes.items()
             for shape in ("sprite", "square")
         }
+        self._texture: moderngl.Texture | None = None
+        self._as_texture = as_texture
         self._buffers: dict[str, moderngl.Buffer] = {}
         self._shading: dict[str, moderngl.VertexArray] = {}
         self._drawing: dict[tuple[str, str], moderngl.VertexArray] = {}
@@ -55,10 +67,10 @@ class Discs:
             )
         self._count = len(order)
         self._size = (shot.camera.width, shot.camera.height)
+        self._make_room(max(shot.frame.point_count, 1))
         if self._count == 0:
             return
         self._margin = self._sprite_margin(shot.frame, int(order[0]), shot)
-        self._make_room(shot.frame.point_count)
         self._buffers["order"].write(np.ascontiguousarray(order[::-1]) if self._farthest_first else order)
         set_uniforms(self._shade, **uploaded.use(), views=shot.frame.view_count, **_camera_uniforms(shot.camera))
         set_uniforms(self._shade, **_shading_uniforms(shot))
@@ -67,6 +79,15 @@ class Discs:
         else:
             shading, count = self._shading["order"], self._count
         shading.transform(self._buffers["discs"], moderngl.POINTS, vertices=count)
+        if self._texture is not None:
+            rows = -(-count // _DISCS_A_ROW)
+            self._texture.write(self._buffers["discs"], viewport=(0, 0, TEXELS_A_ROW, rows))
+
+    @property
+    def texture(self) -> moderngl.Texture:
+        """The discs that were placed last."""
+        assert self._texture is not None
+        return self._texture
 
     def draw(self, name: str, framebuffer: moderngl.Framebuffer, upright: bool = False, **uniforms: object) -> None:
         """Draw every disc with the pass of that name and ``uniforms`` of its shader.
@@ -116,12 +137,16 @@ class Discs:
         if count <= self._room:
             return
         self._release_buffers()
-        self._room = count
-        discs = self._context.buffer(reserve=_BYTES_A_DISC * count, dynamic=True)
-        order = self._context.buffer(reserve=4 * count, dynamic=True)
+        rows = -(-count // _DISCS_A_ROW)
+        self._room = rows * _DISCS_A_ROW
+        discs = self._context.buffer(reserve=_BYTES_A_DISC * self._room, dynamic=True)
+        if self._as_texture:
+            self._texture = self._context.texture((TEXELS_A_ROW, rows), 4, dtype="f4")
+            self._texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        order = self._context.buffer(reserve=4 * self._room, dynamic=True)
         self._buffers = {"discs": discs, "order": order}
         if self._farthest_first:
-            self._buffers["sequence"] = self._context.buffer(np.arange(count, dtype=np.uint32))
+            self._buffers["sequence"] = self._context.buffer(np.arange(self._room, dtype=np.uint32))
         self._shading = {
             name: self._context.vertex_array(self._shade, [(self._buffers[name], "1u4", "point")])
             for name in self._buffers
@@ -139,6 +164,9 @@ class Discs:
             array.release()
         for buffer in self._buffers.values():
             buffer.release()
+        if self._texture is not None:
+            self._texture.release()
+            self._texture = None
         self._buffers, self._shading, self._drawing = {}, {}, {}
         self._room = 0
 

@@ -94,83 +94,83 @@ class Dual:
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
         self._context = context
-        self.discs = Discs(context, {"dual": "dual.frag"})
-        short = _short(precision)
-        formats = {"sum": (4, short), "behind": (4, short), "back": (4, short)}
+        self.discs = Discs(context, {"dual": "dual.frag"}, as_texture=True)
+        formats = {"sum": (4, _short(precision))}
         for number in range(2):
-            formats.update({f"ends {number}": (2, "f4"), f"front {number}": (4, short)})
+            formats.update({f"ends {number}": (2, "f4")})
+            formats.update({f"{side} {number}": (4, _short(precision)) for side in ("front", "back")})
         self._pictures = Pictures(context, formats)
-        self._copy = FullPass(context, "copy.frag")
+        self._layers = FullPass(context, "layers.frag")
         self._unfinished = FullPass(context, "unfinished.frag")
         self._join = FullPass(context, "join.frag")
         self._show = FullPass(context, "show.frag")
         self._query = context.query(samples=True)
 
     def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
-        pictures, manifest = self._pictures, shot.manifest
+        pictures = self._pictures
         pictures.resize((shot.camera.width, shot.camera.height))
-        pictures.clear("behind")
         pictures.clear("ends 1", 0.0, _NONE)
         pictures.clear("front 1")
-        shift = max(0.0, manifest.sh_range - manifest.sh_base)  # no colour is more negative than this
+        pictures.clear("back 1")
         pairs = shot.look.layers // 2
-        for number in range(pairs + 1):  # the first pass finds both ends alone
-            self._next_layers(number, shift)
-            if number > 0:
-                self._put_before_the_back()
-        last = self._peel_on(pairs + 1, shot.look.layers - pairs, shift)
+        for number in range(pairs):
+            self._find(number)
+            self._composite(number)
+        last = self._peel_on(pairs, shot.look.layers - pairs)
         pictures.together(["sum"], depth=False).use()
         replace(self._context)
-        self._join.run(
-            {"front": pictures.texture(f"front {last % 2}"), "back": pictures.texture("behind")}, shift=shift
-        )
+        self._join.run({side: pictures.texture(f"{side} {last % 2}") for side in ("front", "back")})
         target.use()
         replace(self._context)
         self._show.run({"picture": pictures.texture("sum")}, background=shot.look.background)
 
-    def _next_layers(self, number: int, shift: float, front_only: bool = False) -> None:
+    def _find(self, number: int, front_only: bool = False) -> None:
+        """The geometry pass of a number, from 0: the nearest and farthest ranks between those found before."""
+        pictures = self._pictures
+        now, before = f"ends {number % 2}", f"ends {1 - number % 2}"
+        pictures.clear(now, -_NONE, -_NONE)
+        pictures.texture(before).use(0)
+        largest(self._context)
+        self.discs.draw("dual", pictures.together([now], depth=False), ends=0, front_only=front_only)
+
+    def _composite(self, number: int, front_only: bool = False) -> None:
+        """Take in what the pass of that number has found."""
         pictures = self._pictures
         now, before = number % 2, 1 - number % 2
-        pictures.clear(f"ends {now}", -_NONE, -_NONE)
-        pictures.clear(f"front {now}")
-        pictures.clear("back")
-        pictures.texture(f"ends {before}").use(0)
-        pictures.texture(f"front {before}").use(1)
-        largest(self._context)
-        drawn = pictures.together([f"ends {now}", f"front {now}", "back"], depth=False)
-        self.discs.draw("dual", drawn, ends=0, front=1, shift=shift, front_only=front_only)
+        pictures.together([f"front {now}", f"back {now}"], depth=False).use()
+        replace(self._context)
+        sources = {"ends": f"ends {now}", "front": f"front {before}", "back": f"back {before}"}
+        textures = {name: pictures.texture(source) for name, source in sources.items()}
+        self._layers.run({**textures, "discs": self.discs.texture}, front_only=front_only)
 
-    def _put_before_the_back(self) -> None:
-        self._pictures.together(["behind"], depth=False).use()
-        over(self._context)
-        self._copy.run({"picture": self._pictures.texture("back")})
+    def _peel_on(self, number: int, most: int) -> int:
+        """From the front alone, beginning with the pass of ``number``; returns the last pass composited."""
+        self._find(number)
+        if not self._any_left(number, clear_back=True):
+            return number - 1
+        for following in range(number, number + most):
+            if following > number:
+                self._find(following, front_only=True)
+            if not self._any_left(following, clear_back=False):
+                return following - 1
+            self._composite(following, front_only=True)
+        return number + most - 1
 
-    def _peel_on(self, number: int, most: int, shift: float) -> int:
-        """From the front alone, for at most ``most`` passes; returns the number of the last pass."""
-        last = number - 1
-        if not self._any_left(last, "behind", visible=False):
-            return last
-        for _ in range(most):
-            if not self._any_left(last, "back", visible=True):
-                break
-            last += 1
-            self._next_layers(last, shift, front_only=True)
-        return last
-
-    def _any_left(self, number: int, cleared: str, visible: bool) -> bool:
-        """Whether pixels have layers left after a pass; ``cleared`` is set to 0 in those."""
+    def _any_left(self, number: int, clear_back: bool) -> bool:
+        """Whether a pass has found anything; if not to ``clear_back`` in those pixels, anything that could be seen."""
         pictures = self._pictures
-        pictures.together([cleared], depth=False).use()
+        before = 1 - number % 2
+        pictures.together([f"back {before}" if clear_back else "sum"], depth=False).use()
         replace(self._context)
         with self._query:
             self._unfinished.run(
-                {"ends": pictures.texture(f"ends {number % 2}"), "front": pictures.texture(f"front {number % 2}")},
-                visible=visible,
+                {"ends": pictures.texture(f"ends {number % 2}"), "front": pictures.texture(f"front {before}")},
+                visible=not clear_back,
             )
         return bool(self._query.samples)
 
     def release(self) -> None:
-        for item in (self._copy, self._unfinished, self._join, self._show, self._pictures, self.discs):
+        for item in (self._layers, self._unfinished, self._join, self._show, self._pictures, self.discs):
             item.release()
 
 

@@ -1,15 +1,13 @@
 #version 330 core
-// What was composited from the front over what was from the back, with the shift of their colours undone.
+// What was composited from the front over what was from the back.
 
 uniform sampler2D front;
 uniform sampler2D back;
-uniform float shift;
 
 out vec4 colour;
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
     vec4 near = texelFetch(front, pixel, 0);
-    vec4 both = near + (1.0 - near.a) * texelFetch(back, pixel, 0);
-    colour = vec4(both.rgb - shift * both.a, both.a);
+    colour = near + (1.0 - near.a) * texelFetch(back, pixel, 0);
 }
