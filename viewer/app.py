@@ -31,8 +31,8 @@ _LONGEST_TICK = 0.1
 """Seconds: after a pause, such as a dragged window, the scene goes on where it was."""
 _IDLE = 0.25
 """Seconds between looks at the background while nothing moves."""
-_SHORT = 0.02
-"""Seconds between pictures of the spinner."""
+_SHORT = 0.1
+"""Seconds between pictures of the spinner: what it waits for needs the processor."""
 _RESTLESS = 8
 """Pictures to draw after anything was done: a press, a move and a release are taken in one after another."""
 

@@ -16,7 +16,7 @@ from fourd.viewer.look import Look, Shot
 from fourd.viewer.playback import Playback
 from fourd.viewer.pose import Pose, between, facing, pose_of
 from fourd.viewer.sources import RunSource, open_source
-from fourd.viewer.stream import FrameSource, FrameStream
+from fourd.viewer.stream import RING_BYTES, FrameSource, FrameStream
 from fourd.viewer.up import estimate_up
 
 GLIDE_SECONDS = 0.7
@@ -30,7 +30,8 @@ class OpenScene:
     def __init__(self, path: Path, source: FrameSource) -> None:
         self.path = path
         self.manifest: SceneManifest = source.manifest
-        self.stream = FrameStream(source)
+        # Frames of a run are baked where they are read: as few as can be, for training needs the processor.
+        self.stream = FrameStream(source, 0 if isinstance(source, RunSource) else RING_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self._run = source if isinstance(source, RunSource) else None
         self._checkpoint = self._run.checkpoint if self._run else ""
@@ -126,7 +127,7 @@ class Session:
             self.scene.close()
         self.scene, self.pose = scene, pose
         manifest = scene.manifest
-        self.playback = Playback(manifest.frame_count, manifest.fps)
+        self.playback = Playback(manifest.frame_count, manifest.fps, playing=not scene.checkpoint)
         if not self._chose_layers:
             self.look = replace(self.look, layers=manifest.layers)
         self._glide, self._scaled, self._shown = None, None, None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,8 @@ from fourd.viewer.stream import FrameSource
 
 if TYPE_CHECKING:
     from fourd.training.run import TrainedRun
+
+_NICE = 10
 
 
 class RunSource:
@@ -22,6 +25,7 @@ class RunSource:
     def __init__(self, folder: Path) -> None:
         from fourd.baking.bake import manifest_of, require_bakeable
 
+        _yield_to_training()
         self._folder = folder
         self._trained: TrainedRun | None = None
         trained = self._newest()
@@ -66,6 +70,12 @@ class RunSource:
         if self._trained is None or self.checkpoint != f"{self._trained.step:08d}.safetensors":
             self._trained = load_run(self._folder)
         return self._trained
+
+
+def _yield_to_training() -> None:
+    """Run at a lower priority from now on, once: who looks at a run should not hold it up."""
+    if hasattr(os, "nice") and os.nice(0) < _NICE:
+        os.nice(_NICE - os.nice(0))
 
 
 def open_source(path: Path) -> FrameSource:
