@@ -109,7 +109,10 @@ class Window:
     def end_panel(self) -> None:
         """Draw the panel over the window."""
         from imgui_bundle import imgui
+        from OpenGL import GL
 
+        # The panel's backend comes back to the program in use, which lives no longer if it was released meanwhile.
+        GL.glUseProgram(0)
         imgui.render()
         self._panel.render(imgui.get_draw_data())
 

@@ -174,6 +174,18 @@ def test_a_broken_file_leaves_the_open_scene(viewer: Viewer, tmp_path: Path) -> 
     viewer.until(lambda: "other.4dv" in viewer.title and "/2" in viewer.title, "the other scene")
 
 
+@pytest.mark.parametrize("name", ["sorted", "dual"])
+def test_scenes_are_changed_under_a_gl_renderer(name: str, viewer: Viewer, scene: Path, tmp_path: Path) -> None:
+    """Catches GL objects of the scene before that are still in use when they are gone."""
+    other = tmp_path / "other.4dv"
+    write_shells(other, frames=2)
+    viewer.until(lambda: viewer.key("r") or viewer.title.endswith(f"- {name}"), f"renderer {name}")
+    for path in (other, scene, other):
+        viewer.drop(path)
+        viewer.until(lambda path=path: path.name in viewer.title, path.name)
+        viewer.until(lambda: shown(viewer) > 0.005, "the scene")
+
+
 def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, tmp_path: Path) -> None:
     """Catches pictures with the panel in them, and a view that is forgotten when the window closes."""
     first = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
