@@ -16,7 +16,7 @@ from rich.progress import track
 from fourd.baking.playable import Playable, open_playable, select_frames, view
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.viewer.paths import fit, interpolate, orbit, ring_order, spiral
+from fourd.viewer.paths import camera_path, fit
 from fourd.viewer.png import write_png
 from fourd.viewer.video import write_video
 
@@ -79,7 +79,8 @@ def _write_views(arguments: Arguments, playable: Playable, frames: list[int], co
 def _write_path(arguments: Arguments, playable: Playable, frames: list[int], console: Console) -> int:
     assert arguments.path is not None
     steps = arguments.steps or max(120, len(frames))
-    cameras = _path_cameras(arguments, playable, steps)
+    views = list(playable.views.values())
+    cameras = camera_path(arguments.path, views, playable.focus, steps, size=arguments.size)
     jobs = [("", camera, frames[step % len(frames)]) for step, camera in enumerate(cameras)]
     pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _shown(jobs, console))
     if arguments.out.suffix == ".mp4":
@@ -88,15 +89,6 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], con
         for step, picture in enumerate(pictures):
             write_png(arguments.out / f"{step:06d}.png", picture)
     return len(jobs)
-
-
-def _path_cameras(arguments: Arguments, playable: Playable, steps: int) -> list[Camera]:
-    cameras = list(playable.views.values())
-    if arguments.path == "cameras":
-        order = ring_order(cameras, playable.focus)
-        return interpolate([cameras[index] for index in order], steps, size=arguments.size)
-    make = orbit if arguments.path == "orbit" else spiral
-    return make(cameras, steps, focus=playable.focus, size=arguments.size)
 
 
 def _shown(jobs: list[tuple[str, Camera, int]], console: Console) -> Iterator[tuple[str, Camera, int]]:

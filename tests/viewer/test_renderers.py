@@ -149,6 +149,7 @@ def test_hardly_any_points(name: RendererName, points: int, make, context: moder
     require_parity(name, drawn(renderer, shot, context), reference(shot))
 
 
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("name", RENDERERS)
 def test_points_with_numbers_that_are_not_finite_are_left_out(name: RendererName, make, context) -> None:
     """Catches NaN that spreads over the picture, where a caller brings arrays of their own."""

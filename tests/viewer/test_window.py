@@ -70,8 +70,10 @@ def shown(viewer: Viewer) -> float:
 
 
 def middle(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(x, y) of the centre of what is not background."""
+    """(x, y) of the centre of what is not background; NaN where there is nothing else."""
     rows, columns = np.nonzero(picture.max(axis=2) > 30)
+    if not len(rows):
+        return np.full(2, np.nan)
     return np.array([columns.mean(), rows.mean()])
 
 
