@@ -43,9 +43,10 @@ if [ "${1:-}" = sanitize ]; then
 fi
 "$python" -m pytest -q -k "cuda" "${tests[@]}"
 "$python" "$OLDPWD/tools/gpu_table.py"
-# OpenGL by EGL on the same card, where Python has moderngl.
-if "$python" -c "import moderngl, tyro" 2>/dev/null; then
+# OpenGL by EGL on the same card, where Python has what it takes.
+if "$python" -c "import moderngl, tyro, OpenGL, scipy" 2>/dev/null; then
+  "$python" -m pytest -q tests/viewer/test_renderers.py
   for size in "1920 1080" "3840 2160"; do "$python" "$OLDPWD/tools/viewer_table.py" --size $size; done
 else
-  echo "gpu_check: without moderngl and tyro, OpenGL is not timed"
+  echo "gpu_check: without moderngl, tyro, PyOpenGL and scipy, OpenGL is neither tested nor timed"
 fi
