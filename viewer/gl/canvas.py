@@ -25,6 +25,12 @@ class Canvas:
             self._framebuffer = self._context.framebuffer([self._texture])
         return self._framebuffer
 
+    def write(self, pixels: NDArray[np.uint8]) -> None:
+        """Replace the picture by ``pixels`` (H, W, 4) of its size, row 0 at the top."""
+        assert self._texture is not None
+        # Turned here and not by a pass over all pixels, which takes four times as long where GL is software.
+        self._texture.write(np.ascontiguousarray(pixels[::-1]))
+
     def pixels(self) -> NDArray[np.uint8]:
         """(H, W, 3) of what was drawn, row 0 at the top."""
         assert self._framebuffer is not None
