@@ -108,16 +108,15 @@ def _print_precisions(context: moderngl.Context, shot: Shot, exact: NDArray[np.f
 def _measured(context: moderngl.Context, renderer: Renderer, shot: Shot, seconds: float) -> Measured:
     """Draws each time from another camera; the picture is that of the shot's own."""
     canvas = Canvas(context)
-    target = canvas.sized(shot.camera.width, shot.camera.height)
     times: list[float] = []
     end = time.perf_counter() + seconds
     while len(times) < 4 or (time.perf_counter() < end and len(times) < 500):
         turned = replace(shot, camera=_turned(shot.camera, TURN * (1 + len(times) % 50)))
         started = time.perf_counter()
-        renderer.draw(turned, target, wait=True)
+        renderer.draw(turned, canvas, wait=True)
         context.finish()
         times.append(1e3 * (time.perf_counter() - started))
-    renderer.draw(shot, target, wait=True)
+    renderer.draw(shot, canvas, wait=True)
     picture = canvas.pixels().astype(np.float32) / 255
     renderer.release()
     canvas.release()

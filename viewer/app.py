@@ -119,7 +119,7 @@ class App:
         if self._drawn is None or self.session.scene is None:
             return
         path = free_name(self.session.scene.path.stem, ".png")
-        self.renderer.draw(self._drawn, self._sized(self._drawn), wait=True)
+        self.renderer.draw(self._drawn, self._canvas, wait=True)
         self._save(path, lambda: write_png(path, self._canvas.pixels()))
 
     def toggle_recording(self) -> None:
@@ -202,7 +202,7 @@ class App:
             return
         try:
             with self.timings.part("draw"):
-                self.renderer.draw(shot, self._sized(shot))
+                self.renderer.draw(shot, self._canvas)
         except UserError as error:
             self.session.message = str(error)
             if self.chosen.name != "cpu":
@@ -210,17 +210,13 @@ class App:
             return
         self._drawn = shot
 
-    def _sized(self, shot: Shot) -> moderngl.Framebuffer:
-        return self._canvas.sized(shot.camera.width, shot.camera.height)
-
     def _present(self, picture: bool) -> None:
         """Copy what was drawn to the window, or clear it."""
         size = self.window.framebuffer_size
         if self._screen is None or self._screen.size != size:
             self._screen = self.context.detect_framebuffer(0)
-        drawn = self._drawn
-        if picture and drawn is not None and (drawn.camera.width, drawn.camera.height) == size:
-            self.context.copy_framebuffer(self._screen, self._sized(drawn))
+        if picture and self._canvas.size == size:
+            self.context.copy_framebuffer(self._screen, self._canvas.sized(*size))
         else:
             self._screen.clear()
         self._screen.use()
@@ -242,7 +238,7 @@ class App:
         frame = scene.stream.get(min(stop.frame, scene.manifest.frame_count - 1), wait=True)
         assert frame is not None
         shot = Shot(look.applied(frame), stop.pose.camera(*size), scene.manifest, look)
-        self.renderer.draw(shot, canvas.sized(*size), wait=True)
+        self.renderer.draw(shot, canvas, wait=True)
         return canvas.pixels()
 
     def _progress(self, rendering: Rendering) -> None:

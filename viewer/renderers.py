@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     import moderngl
 
     from fourd.viewer.gl.arrays import Precision
+    from fourd.viewer.gl.canvas import Canvas
 
 RendererName = Literal["sorted", "peel", "dual", "cpu"]
 RENDERERS: tuple[RendererName, ...] = get_args(RendererName)
@@ -22,7 +23,7 @@ SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software", "gdi ge
 
 
 class Renderer(Protocol):
-    """Draws shots into framebuffers."""
+    """Draws shots on canvases."""
 
     @property
     def name(self) -> str:
@@ -36,8 +37,8 @@ class Renderer(Protocol):
     def sort_seconds(self) -> float:
         """What sorting took last; 0 for renderers that do not sort."""
 
-    def draw(self, shot: Shot, target: moderngl.Framebuffer, wait: bool = False) -> None:
-        """Draw the shot into ``target``, which has its camera's size.
+    def draw(self, shot: Shot, canvas: Canvas, wait: bool = False) -> None:
+        """Draw the shot on ``canvas``, in its camera's size.
 
         Nothing is drawn from the past with ``wait``; without it, the order of points may be a little older.
         """
@@ -83,7 +84,7 @@ def make_renderer(name: RendererName, context: moderngl.Context | None, precisio
     Raises ImportError where the native module is not built.
     """
     if name == "cpu" or context is None:
-        return CPURenderer(context)
+        return CPURenderer()
     from fourd.viewer.gl.renderer import GLRenderer
     from fourd.viewer.gl.techniques import Dual, Peel, Sorted
     from fourd.viewer.orders import BackgroundOrders, ExactOrders

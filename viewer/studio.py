@@ -36,7 +36,7 @@ class Studio:
         if isinstance(self._renderer, CPURenderer):
             return self._renderer.picture(shot)[..., :3].copy()
         assert self._canvas is not None
-        self._renderer.draw(shot, self._canvas.sized(shot.camera.width, shot.camera.height), wait=True)
+        self._renderer.draw(shot, self._canvas, wait=True)
         return self._canvas.pixels()
 
     def __enter__(self) -> Studio:

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
+from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import offscreen_context
-from fourd.viewer.gl.pictures import release_framebuffer
 from fourd.viewer.look import Shot
 from fourd.viewer.renderers import Renderer
 
@@ -37,11 +37,8 @@ def require_gl() -> None:
 
 def drawn(renderer: Renderer, shot: Shot, context: moderngl.Context) -> NDArray[np.float32]:
     """The picture (H, W, 4) in floats, row 0 at the top."""
-    size = (shot.camera.width, shot.camera.height)
-    texture = context.texture(size, 4, dtype="f4")
-    framebuffer = context.framebuffer([texture])
-    renderer.draw(shot, framebuffer, wait=True)
-    content = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
-    release_framebuffer(context, framebuffer)
-    texture.release()
-    return content.reshape(size[1], size[0], 4)[::-1]
+    canvas = Canvas(context, "f1" if renderer.name == "cpu" else "f4")
+    renderer.draw(shot, canvas, wait=True)
+    picture = canvas.numbers()
+    canvas.release()
+    return picture

@@ -20,6 +20,7 @@ from fourd.errors import UserError
 from fourd.raster import render_points
 from fourd.training.memory import resident_bytes
 from fourd.viewer.gl.arrays import Precision
+from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.pictures import release_framebuffer
 from fourd.viewer.look import Look, Shot
 from fourd.viewer.renderers import RENDERERS, Renderer, RendererName, make_renderer
@@ -199,15 +200,13 @@ def test_an_order_from_the_background_is_exact_at_rest(make, context: moderngl.C
     frame = solid(2000, seed=7)
     for index in range(4):
         shot = shot_of(frame, small_camera(index))
-        texture = context.texture((shot.camera.width, shot.camera.height), 4)
-        target = context.framebuffer([texture])
-        renderer.draw(shot, target)
+        canvas = Canvas(context)
+        renderer.draw(shot, canvas)
         for _ in range(1000):
             if renderer.behind == 0:
                 break
-            renderer.draw(shot, target)
-        release_framebuffer(context, target)
-        texture.release()
+            renderer.draw(shot, canvas)
+        canvas.release()
         assert renderer.behind == 0
         require_parity("sorted", drawn(renderer, shot, context), reference(shot))
 
@@ -268,17 +267,13 @@ def test_the_manifest_s_own_terms_reach_the_shader(make, context: moderngl.Conte
 @pytest.mark.parametrize("name", RENDERERS)
 def test_a_thousand_frames_leave_no_objects_behind(name: RendererName, context: moderngl.Context) -> None:
     """Catches an object a picture that is never deleted, and sizes that grow with what was drawn before."""
-    renderer = make_renderer(name, context)
+    renderer, canvas = make_renderer(name, context), Canvas(context)
     frames = [solid(200 + 10 * number, seed=number) for number in range(5)]
 
     def play(pictures: int) -> None:
         for number in range(pictures):
             camera = small_camera(number % 5, 40 + 8 * (number % 3), 40)
-            texture = context.texture((camera.width, camera.height), 4)
-            target = context.framebuffer([texture])
-            renderer.draw(shot_of(frames[number % len(frames)], camera), target, wait=number % 2 == 0)
-            release_framebuffer(context, target)
-            texture.release()
+            renderer.draw(shot_of(frames[number % len(frames)], camera), canvas, wait=number % 2 == 0)
 
     play(30)
     before, memory = objects_in_use(context), resident_bytes()
@@ -286,3 +281,4 @@ def test_a_thousand_frames_leave_no_objects_behind(name: RendererName, context: 
     assert objects_in_use(context) == before
     assert resident_bytes() - memory < 32 << 20
     renderer.release()
+    canvas.release()

@@ -7,6 +7,7 @@ from dataclasses import replace
 import moderngl
 
 from fourd.viewer.gl.arrays import Precision, UploadedFrame
+from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.techniques import Technique
 from fourd.viewer.look import Shot
 from fourd.viewer.orders import Orders
@@ -37,8 +38,8 @@ class GLRenderer:
         """How many pictures in a row were drawn with an order that is not their own; 0 at rest."""
         return self._behind
 
-    def draw(self, shot: Shot, target: moderngl.Framebuffer, wait: bool = False) -> None:
-        """Draw into ``target``, which has the camera's size; with ``wait``, with the shot's own order."""
+    def draw(self, shot: Shot, canvas: Canvas, wait: bool = False) -> None:
+        """Draw on ``canvas``, in the camera's size; with ``wait``, with the shot's own order."""
         order = self._orders.order(shot, wait)
         fits = order.frame is shot.frame and order.camera is shot.camera
         self._behind = 0 if fits else self._behind + 1
@@ -46,6 +47,7 @@ class GLRenderer:
         drawn = replace(shot, frame=order.frame)
         self._context.disable(moderngl.CULL_FACE | moderngl.BLEND | moderngl.DEPTH_TEST)
         # Without a window there is no default framebuffer, and transform feedback fails while none is in use.
+        target = canvas.sized(shot.camera.width, shot.camera.height)
         target.use()
         self._technique.discs.place(self._upload(drawn), order.points, drawn)
         self._technique.draw(drawn, target)
