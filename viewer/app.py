@@ -215,11 +215,12 @@ class App:
         size = self.window.framebuffer_size
         if self._screen is None or self._screen.size != size:
             self._screen = self.context.detect_framebuffer(0)
+        self._screen.use()
         if picture and self._canvas.size == size:
-            self.context.copy_framebuffer(self._screen, self._canvas.sized(*size))
+            self.window.copy(self._canvas.sized(*size).glo)
+            self._screen.use()
         else:
             self._screen.clear()
-        self._screen.use()
 
     def _flown(self, path: Path, flight: Flight) -> Iterator[NDArray[np.uint8]]:
         """The flight's pictures, with the window's panel kept alive between them."""

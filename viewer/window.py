@@ -116,6 +116,16 @@ class Window:
         imgui.render()
         self._panel.render(imgui.get_draw_data())
 
+    def copy(self, framebuffer: int) -> None:
+        """Copy a framebuffer of the window's size, by its GL name, to the window's; it stays bound for reading."""
+        from OpenGL import GL
+
+        # Not moderngl's copy: it names the window's buffers in a way that OpenGL 3.3 refuses.
+        width, height = self.framebuffer_size
+        GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, framebuffer)
+        GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, 0)
+        GL.glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, GL.GL_COLOR_BUFFER_BIT, GL.GL_NEAREST)
+
     def swap(self) -> None:
         """Show what was drawn."""
         self._glfw.swap_buffers(self.handle)

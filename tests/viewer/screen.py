@@ -91,11 +91,11 @@ def screen(width: int = 1280, height: int = 800, options: tuple[str, ...] = ()) 
 class Viewer:
     """`fourd view` in a process of its own, and its user."""
 
-    def __init__(self, screen: Screen, folder: Path, *words: str) -> None:
+    def __init__(self, screen: Screen, folder: Path, *words: str, variables: dict[str, str] | None = None) -> None:
         self.screen = screen
         self.folder = folder
         self._log = (folder / "viewer.log").open("w+")
-        environment = {**screen.environment(), "XDG_STATE_HOME": str(folder / "state")}
+        environment = {**screen.environment(), "XDG_STATE_HOME": str(folder / "state"), **(variables or {})}
         command = [sys.executable, "-m", "fourd.cli.main", "view", *words]
         self.process = subprocess.Popen(command, cwd=folder, env=environment, stdout=self._log, stderr=self._log)
         self.window = self.until(self._find, "a window")

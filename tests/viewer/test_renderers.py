@@ -21,6 +21,7 @@ from fourd.raster import render_points
 from fourd.training.memory import resident_bytes
 from fourd.viewer.gl.arrays import Precision
 from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.gl.context import information
 from fourd.viewer.gl.pictures import release_framebuffer
 from fourd.viewer.look import Look, Shot
 from fourd.viewer.renderers import RENDERERS, Renderer, RendererName, make_renderer
@@ -216,7 +217,7 @@ def test_a_scene_that_no_texture_holds_is_told(context: moderngl.Context) -> Non
     from fourd.viewer.gl.arrays import ArrayTexture
     from fourd.viewer.gl.shaders import TEXELS_A_ROW
 
-    rows = context.info["GL_MAX_TEXTURE_SIZE"] + 1
+    rows = information(context)["GL_MAX_TEXTURE_SIZE"] + 1
     huge = np.broadcast_to(np.uint8(0), (rows * TEXELS_A_ROW, 1))
     texture = ArrayTexture(context, 1, "f1")
     with pytest.raises(UserError, match=r"expected textures of 4096 x \d+ texels .* add --renderer cpu"):

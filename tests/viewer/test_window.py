@@ -259,3 +259,14 @@ def test_a_dense_screen_has_a_larger_panel_and_as_sharp_a_picture(scene: Path, t
         viewer.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
         assert viewer.close() == 0, viewer.log
     assert Image.open(tmp_path / "ball-001.png").size == (1800, 1400)
+
+
+@pytest.mark.parametrize("name", ["cpu", "sorted", "peel", "dual"])
+def test_opengl_3_3_is_enough(name: str, display: Screen, scene: Path, tmp_path: Path) -> None:
+    """Catches what only newer versions have: old laptops have 3.3, and macOS ends at 4.1."""
+    old = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
+    viewer = Viewer(display, tmp_path, str(scene), "--size", "900", "700", "--renderer", name, variables=old)
+    viewer.until(lambda: viewer.title.endswith(f"- {name}") and shown(viewer) > 0.005, "the scene")
+    hide_panel(viewer)
+    viewer.until(lambda: 0.02 < shown(viewer) < 0.9, "the scene without the panel")
+    assert viewer.close() == 0, viewer.log

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame
 from fourd.errors import UserError
+from fourd.viewer.gl.context import information
 from fourd.viewer.gl.shaders import TEXELS_A_ROW
 
 Precision = Literal["float16", "float32"]
@@ -53,7 +54,7 @@ class ArrayTexture:
         rows = -(-texels // TEXELS_A_ROW)
         if self._texture is not None and self._texture.height >= rows:
             return self._texture
-        most = self._context.info["GL_MAX_TEXTURE_SIZE"]
+        most = information(self._context)["GL_MAX_TEXTURE_SIZE"]
         if most < TEXELS_A_ROW or rows > most:
             raise UserError(
                 f"OpenGL: expected textures of {TEXELS_A_ROW} x {rows} texels for this scene, got a driver with "

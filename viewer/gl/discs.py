@@ -14,6 +14,7 @@ from fourd.baking.shade import chosen_views
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.viewer.gl.arrays import UploadedFrame
+from fourd.viewer.gl.context import information
 from fourd.viewer.gl.shaders import TEXELS_A_ROW, program, set_uniforms
 from fourd.viewer.look import Shot
 
@@ -49,6 +50,9 @@ class Discs:
             for name, fragment in passes.items()
             for shape in ("sprite", "square")
         }
+        limits = information(context)
+        self._largest_sprite: float = limits.get("GL_POINT_SIZE_RANGE", (1.0, 1.0))[1]
+        self._largest_viewport: tuple[int, int] = limits["GL_MAX_VIEWPORT_DIMS"]
         self._texture: moderngl.Texture | None = None
         self._as_texture = as_texture
         self._buffers: dict[str, moderngl.Buffer] = {}
@@ -127,11 +131,9 @@ class Discs:
         depth = float(frame.xyz[nearest].astype(np.float64) @ camera.forward) + float(camera.translation[2])
         depth = max(depth, shot.manifest.near)
         reach = float(camera.intrinsics[1, 1]) * float(frame.radius.max()) / depth
-        limit = self._context.info.get("GL_POINT_SIZE_RANGE", (1.0, 1.0))[1]
-        most = self._context.info["GL_MAX_VIEWPORT_DIMS"]
         margin = math.ceil(reach) + 1
-        fits = all(side + 2 * margin <= allowed for side, allowed in zip(self._size, most, strict=True))
-        return margin if 2 * margin <= limit and fits else None
+        fits = all(side + 2 * margin <= most for side, most in zip(self._size, self._largest_viewport, strict=True))
+        return margin if 2 * margin <= self._largest_sprite and fits else None
 
     def _make_room(self, count: int) -> None:
         if count <= self._room:
