@@ -60,8 +60,7 @@ class App:
         self.window = window
         self.session = session
         self.context = moderngl.create_context(require=330)
-        self.driver = driver(self.context)
-        self.chosen: Chosen = choose(wanted, self.driver)
+        self.chosen: Chosen = choose(wanted, driver(self.context))
         self.renderer: Renderer = make_renderer(self.chosen.name, self.context)
         console.print(f"renderer: {self.chosen.name} ({self.chosen.reason})", soft_wrap=True)
         self.timings = Timings()

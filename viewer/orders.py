@@ -32,6 +32,10 @@ class Order:
     points: NDArray[np.uint32]
     seconds: float
 
+    def fits(self, shot: Shot) -> bool:
+        """Whether it is the shot's own: of the same frame and camera, as objects."""
+        return self.frame is shot.frame and self.camera is shot.camera
+
 
 class Orders(Protocol):
     """Gives an order for a shot."""
@@ -51,7 +55,7 @@ class ExactOrders:
         self._last: Order | None = None
 
     def order(self, shot: Shot, wait: bool) -> Order:
-        if self._last is None or self._last.frame is not shot.frame or self._last.camera is not shot.camera:
+        if self._last is None or not self._last.fits(shot):
             started = time.perf_counter()
             points = self._sorter.sort(shot.frame, shot.camera, shot.manifest.near)
             self._last = Order(shot.frame, shot.camera, points, time.perf_counter() - started)
@@ -87,7 +91,7 @@ class BackgroundOrders:
                     raise RuntimeError("the points cannot be sorted") from self._failure
                 if self._stopped:
                     raise RuntimeError("the sorting has been stopped")
-                if self._done is not None and (_fits(self._done, shot) or not wait):
+                if self._done is not None and (self._done.fits(shot) or not wait):
                     return self._done
                 self._changed.wait()
 
@@ -101,7 +105,7 @@ class BackgroundOrders:
     def _run(self) -> None:
         while True:
             with self._changed:
-                while not self._stopped and (self._wanted is None or _fits(self._done, self._wanted)):
+                while not self._stopped and not self._work():
                     self._changed.wait()
                 if self._stopped:
                     return
@@ -118,13 +122,13 @@ class BackgroundOrders:
                 self._done = done
                 self._changed.notify_all()
 
+    def _work(self) -> bool:
+        """Whether the newest shot still lacks its order."""
+        return self._wanted is not None and (self._done is None or not self._done.fits(self._wanted))
+
     def _sorted(self, shot: Shot) -> Order:
         started = time.perf_counter()
         camera = shot.camera
         wider = camera.cropped(-(camera.width // 2), -(camera.height // 2), 2 * camera.width, 2 * camera.height)
         points = self._sorter.sort(shot.frame, wider, shot.manifest.near / 2)
         return Order(shot.frame, camera, points, time.perf_counter() - started)
-
-
-def _fits(order: Order | None, shot: Shot) -> bool:
-    return order is not None and order.frame is shot.frame and order.camera is shot.camera

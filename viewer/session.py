@@ -30,10 +30,10 @@ class OpenScene:
     def __init__(self, path: Path, source: FrameSource) -> None:
         self.path = path
         self.manifest: SceneManifest = source.manifest
-        # Frames of a run are baked where they are read: as few as can be, for training needs the processor.
-        self.stream = FrameStream(source, 0 if isinstance(source, RunSource) else RING_BYTES)
-        self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self._run = source if isinstance(source, RunSource) else None
+        # Frames of a run are baked where they are read: as few as can be, for training needs the processor.
+        self.stream = FrameStream(source, 0 if self._run else RING_BYTES)
+        self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self._checkpoint = self._run.checkpoint if self._run else ""
         self._looked = time.monotonic()
 

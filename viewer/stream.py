@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from itertools import islice
 from typing import Protocol
 
 from fourd.baking import BakedFrame, SceneManifest
@@ -131,17 +132,11 @@ class FrameStream:
         """The first frame that should be there and is not."""
         if not self._wants:
             return None
-        for count, index in enumerate(self._after(self._head, self._direction)):
-            if count >= self._capacity():
-                return None
-            if index not in self._ring:
-                return index
-        return None
+        coming = islice(self._after(self._head, self._direction), self._capacity())
+        return next((index for index in coming if index not in self._ring), None)
 
     def _drop(self) -> None:
-        keep = [
-            index for _, index in zip(range(self._capacity()), self._after(self._head, self._direction), strict=False)
-        ]
+        keep = list(islice(self._after(self._head, self._direction), self._capacity()))
         for index in [index for index in self._ring if index not in keep]:
             del self._ring[index]
 

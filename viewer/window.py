@@ -85,10 +85,6 @@ class Window:
         else:
             self._glfw.poll_events()
 
-    def wake(self) -> None:
-        """End another thread's or the next wait."""
-        self._glfw.post_empty_event()
-
     def touched(self) -> bool:
         """Whether the user did anything since the last call."""
         touched, self._touched = self._touched, False

@@ -34,10 +34,9 @@ struct FrameArguments {
 
     static play::Frame frame(const Xyz& xyz, const Column& radius, const Column& density, const Harmonics& sh,
                              const Weights& weights, const Colours& rgb) {
-        const shade::Points found = points(xyz, sh, weights, rgb);
-        require(radius.shape(0) == found.count && density.shape(0) == found.count,
-                "radius, density: expected as many points as xyz");
-        return {found, bits(radius.data()), bits(density.data())};
+        play::Frame frame = bare_frame(xyz, radius, density);
+        frame.points = points(xyz, sh, weights, rgb);
+        return frame;
     }
 
     // Positions and sizes alone.

@@ -37,7 +37,7 @@ class Screen:
         done = subprocess.run(command, env=self.environment(), capture_output=True, text=True, timeout=PATIENCE)
         return done.stdout.strip()
 
-    def picture(self, folder: Path) -> NDArray[np.uint8]:
+    def picture(self) -> NDArray[np.uint8]:
         """(H, W, 3) of the whole screen."""
         from Xlib import X
         from Xlib.display import Display
@@ -125,7 +125,7 @@ class Viewer:
         )
 
     def picture(self) -> NDArray[np.uint8]:
-        return self.screen.picture(self.folder)
+        return self.screen.picture()
 
     def keep(self, name: str) -> NDArray[np.uint8]:
         """The screen, also as a file to look at."""

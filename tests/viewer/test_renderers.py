@@ -251,7 +251,15 @@ def objects_in_use(context: moderngl.Context) -> dict[str, int]:
     last = 64 + max(newest.glo, framebuffer.glo)
     release_framebuffer(context, framebuffer)
     newest.release()
-    asked = (GL.glIsTexture, GL.glIsBuffer, GL.glIsFramebuffer, GL.glIsRenderbuffer, GL.glIsVertexArray, GL.glIsProgram)
+    asked = (
+        GL.glIsTexture,
+        GL.glIsBuffer,
+        GL.glIsFramebuffer,
+        GL.glIsRenderbuffer,
+        GL.glIsVertexArray,
+        GL.glIsProgram,
+        GL.glIsQuery,
+    )
     return {ask.__name__: sum(bool(ask(name)) for name in range(1, last)) for ask in asked}
 
 

@@ -174,11 +174,12 @@ class Discs:
 
 
 def _camera_uniforms(camera: Camera) -> dict[str, tuple[float, ...]]:
-    rows = {"x": 0, "y": 1, "z": 2}
     return {
         "intrinsics_x": tuple(camera.intrinsics[0]),
         "intrinsics_y": tuple(camera.intrinsics[1]),
-        **{f"rotation_{axis}": tuple(camera.rotation[row]) for axis, row in rows.items()},
+        "rotation_x": tuple(camera.rotation[0]),
+        "rotation_y": tuple(camera.rotation[1]),
+        "rotation_z": tuple(camera.rotation[2]),
         "translation": tuple(camera.translation),
         "centre": tuple(camera.centre),
     }

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from types import TracebackType
 
 import moderngl
+import numpy as np
+from OpenGL import GL
 
 from fourd.viewer.gl.shaders import program, set_uniforms
 
@@ -89,6 +92,30 @@ class FullPass:
     def release(self) -> None:
         self._array.release()
         self._program.release()
+
+
+class PixelCount:
+    """Counts the pixels that pass; moderngl's own queries cannot be deleted."""
+
+    def __init__(self) -> None:
+        self._name = int(np.asarray(GL.glGenQueries(1)).ravel()[0])
+
+    def __enter__(self) -> PixelCount:
+        GL.glBeginQuery(GL.GL_SAMPLES_PASSED, self._name)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        GL.glEndQuery(GL.GL_SAMPLES_PASSED)
+
+    @property
+    def pixels(self) -> int:
+        """Of the block that ended last; waits for it."""
+        return int(np.asarray(GL.glGetQueryObjectuiv(self._name, GL.GL_QUERY_RESULT)).ravel()[0])
+
+    def release(self) -> None:
+        GL.glDeleteQueries(1, [self._name])
 
 
 def under(context: moderngl.Context) -> None:

@@ -41,8 +41,7 @@ class GLRenderer:
     def draw(self, shot: Shot, canvas: Canvas, wait: bool = False) -> None:
         """Draw on ``canvas``, in the camera's size; with ``wait``, with the shot's own order."""
         order = self._orders.order(shot, wait)
-        fits = order.frame is shot.frame and order.camera is shot.camera
-        self._behind = 0 if fits else self._behind + 1
+        self._behind = 0 if order.fits(shot) else self._behind + 1
         self.sort_seconds = order.seconds
         drawn = replace(shot, frame=order.frame)
         self._context.disable(moderngl.CULL_FACE | moderngl.BLEND | moderngl.DEPTH_TEST)

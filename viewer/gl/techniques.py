@@ -8,7 +8,7 @@ import moderngl
 
 from fourd.viewer.gl.arrays import Precision
 from fourd.viewer.gl.discs import Discs
-from fourd.viewer.gl.pictures import FullPass, Pictures, largest, over, replace, under
+from fourd.viewer.gl.pictures import FullPass, Pictures, PixelCount, largest, over, replace, under
 from fourd.viewer.look import Shot
 
 _NONE = 1e9  # as in the shaders
@@ -26,6 +26,23 @@ class Technique(Protocol):
 
     def release(self) -> None:
         """Give back every GL object."""
+
+
+class Show:
+    """Shows a composited picture, which lies upside down for GL, over a shot's background."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._pass = FullPass(context, "show.frag")
+
+    def run(self, picture: moderngl.Texture, shot: Shot, target: moderngl.Framebuffer) -> None:
+        """Into ``target``, which is left in use."""
+        target.use()
+        replace(self._context)
+        self._pass.run({"picture": picture}, background=shot.look.background)
+
+    def release(self) -> None:
+        self._pass.release()
 
 
 class Sorted:
@@ -54,7 +71,7 @@ class Peel:
         formats = {"sum": (4, short), "layer": (4, short), "ranks 0": (1, "f4"), "ranks 1": (1, "f4")}
         self._pictures = Pictures(context, formats, depth=True)
         self._copy = FullPass(context, "copy.frag")
-        self._show = FullPass(context, "show.frag")
+        self._show = Show(context)
 
     def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
         pictures = self._pictures
@@ -67,9 +84,7 @@ class Peel:
             pictures.together(["sum"], depth=False).use()
             under(self._context)
             self._copy.run({"picture": pictures.texture("layer")})
-        target.use()
-        replace(self._context)
-        self._show.run({"picture": pictures.texture("sum")}, background=shot.look.background)
+        self._show.run(pictures.texture("sum"), shot, target)
 
     def _next_layer(self, now: str, before: str) -> None:
         pictures = self._pictures
@@ -95,16 +110,16 @@ class Dual:
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
         self._context = context
         self.discs = Discs(context, {"dual": "dual.frag"}, as_texture=True)
-        formats = {"sum": (4, _short(precision))}
+        formats = {}
         for number in range(2):
-            formats.update({f"ends {number}": (2, "f4")})
-            formats.update({f"{side} {number}": (4, _short(precision)) for side in ("front", "back")})
+            formats[f"ends {number}"] = (2, "f4")
+            formats[f"front {number}"] = formats[f"back {number}"] = (4, _short(precision))
         self._pictures = Pictures(context, formats)
         self._layers = FullPass(context, "layers.frag")
         self._unfinished = FullPass(context, "unfinished.frag")
-        self._join = FullPass(context, "join.frag")
-        self._show = FullPass(context, "show.frag")
-        self._query = context.query(samples=True)
+        self._copy = FullPass(context, "copy.frag")
+        self._show = Show(context)
+        self._count = PixelCount()
 
     def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
         pictures = self._pictures
@@ -117,12 +132,10 @@ class Dual:
             self._find(number)
             self._composite(number)
         last = self._peel_on(pairs, shot.look.layers - pairs)
-        pictures.together(["sum"], depth=False).use()
-        replace(self._context)
-        self._join.run({side: pictures.texture(f"{side} {last % 2}") for side in ("front", "back")})
-        target.use()
-        replace(self._context)
-        self._show.run({"picture": pictures.texture("sum")}, background=shot.look.background)
+        pictures.together([f"front {last % 2}"], depth=False).use()
+        under(self._context)
+        self._copy.run({"picture": pictures.texture(f"back {last % 2}")})
+        self._show.run(pictures.texture(f"front {last % 2}"), shot, target)
 
     def _find(self, number: int, front_only: bool = False) -> None:
         """The geometry pass of a number, from 0: the nearest and farthest ranks between those found before."""
@@ -160,17 +173,18 @@ class Dual:
         """Whether a pass has found anything; if not to ``clear_back`` in those pixels, anything that could be seen."""
         pictures = self._pictures
         before = 1 - number % 2
-        pictures.together([f"back {before}" if clear_back else "sum"], depth=False).use()
+        # What is drawn over the ends of the pass before does not matter: they are not read again.
+        pictures.together([f"back {before}" if clear_back else f"ends {before}"], depth=False).use()
         replace(self._context)
-        with self._query:
+        with self._count:
             self._unfinished.run(
                 {"ends": pictures.texture(f"ends {number % 2}"), "front": pictures.texture(f"front {before}")},
                 visible=not clear_back,
             )
-        return bool(self._query.samples)
+        return self._count.pixels > 0
 
     def release(self) -> None:
-        for item in (self._layers, self._unfinished, self._join, self._show, self._pictures, self.discs):
+        for item in (self._layers, self._unfinished, self._copy, self._count, self._show, self._pictures, self.discs):
             item.release()
 
 
