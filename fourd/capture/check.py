@@ -14,7 +14,17 @@ import numpy as np
 from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, survey_calibration
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
-from fourd.capture.layout import camera_folders, frame_order, missing_frame, pictures
+from fourd.capture.layout import (
+    MATTES,
+    VIDEOS,
+    camera_folders,
+    frame_name,
+    frame_order,
+    missing_frame,
+    pictures,
+    videos_in,
+)
+from fourd.capture.video_list import Video, common_frames, list_videos
 from fourd.errors import UserError
 
 Value = TypeVar("Value")
@@ -46,7 +56,7 @@ class Report:
         distorted: number of cameras with lens distortion.
         ring_radius: mean distance of the cameras from the point that they look at, world units; 0 if unknown.
         coverage: mean share of a picture that mattes hold, of those looked at; None without mattes.
-        nbytes: size of all pictures and mattes.
+        nbytes: size of all pictures, videos and mattes.
     """
 
     problems: tuple[str, ...]
@@ -90,24 +100,30 @@ class _Check:
         survey = survey_calibration(self.path)
         self.problems += [str(fault) for fault in survey.faults]
         calibrations = survey.calibrations
-        names = self._names(survey.names)
-        images = {name: self._try(pictures, self.path / "images" / name) for name in names}
-        masks = {name: self._try(pictures, self.path / "masks" / name) for name in names}
-        stems = frame_order(set().union(*(found for found in images.values() if found)))
+        images_folder, masks_folder = self.path / "images", self._masks_folder()
+        has_videos = not camera_folders(images_folder) and (self.path / VIDEOS).is_dir()
+        names = self._names(survey.names, has_videos)
+        images: dict[str, dict[str, str] | None] = {}
+        if has_videos:
+            stems = self._video_frames(names, calibrations)
+        else:
+            images = {name: self._try(pictures, images_folder / name) for name in names}
+            stems = frame_order(set().union(*(found for found in images.values() if found)))
+        masks = {name: self._try(pictures, masks_folder / name) for name in names}
         has_masks = any(masks.values())
-        for name in names:
-            self._files(name, "images", images[name], stems)
-            if has_masks:
-                self._files(name, "masks", masks[name], stems)
-        jobs = [self.path / "images" / name / file for name in names for file in (images[name] or {}).values()]
-        jobs += [self.path / "masks" / name / file for name in names for file in (masks[name] or {}).values()]
-        looked_at = self._sampled(names, masks)
+        for name, found in images.items():
+            self._files(images_folder / name, found, stems)
+        for name, found in masks.items() if has_masks else ():
+            self._files(masks_folder / name, found, stems)
+        jobs = [images_folder / name / file for name, found in images.items() for file in (found or {}).values()]
+        jobs += [masks_folder / name / file for name, found in masks.items() for file in (found or {}).values()]
+        looked_at = self._sampled(masks_folder, masks)
         for file in self.track(jobs):
             self._picture(file, calibrations.get(file.parent.name), file in looked_at)
         cameras = {name: self._camera(name, calibrations[name]) for name in names if name in calibrations}
         radius = self._poses({name: camera for name, camera in cameras.items() if camera is not None})
         if names and not has_masks:
-            self.warnings.append(f"{self.path / 'masks'}: no mattes; object scenes need masks/CAM/FRAME.png")
+            self.warnings.append(f"{self.path / 'masks'}: no mattes; make them: fourd matte {self.path}")
         self._coverage_warning()
         return Report(
             tuple(self.problems),
@@ -129,27 +145,45 @@ class _Check:
             self.problems.append(str(error))
             return None
 
-    def _names(self, calibrated: Sequence[str]) -> list[str]:
-        folders = camera_folders(self.path / "images")
+    def _masks_folder(self) -> Path:
+        """Of the user's mattes where there are any, of those that fourd made otherwise."""
+        has_own = bool(camera_folders(self.path / "masks")) or not (self.path / MATTES).is_dir()
+        return self.path / ("masks" if has_own else MATTES)
+
+    def _names(self, calibrated: Sequence[str], has_videos: bool) -> list[str]:
+        place = VIDEOS if has_videos else "images"
+        folders = camera_folders(self.path / place)
+        if has_videos:
+            folders = sorted(self._try(videos_in, self.path / place) or {})
         if not folders:
-            self.problems.append(f"{self.path / 'images'}: expected a folder of pictures for each camera, got none")
+            self.problems.append(f"{self.path / place}: expected a folder of pictures for each camera, got none")
         for name in folders if calibrated else []:
             if name not in calibrated:
                 self.problems.append(
-                    f"{self.path / 'intri.yml'}: expected camera '{name}', since images/{name} exists, got no such "
+                    f"{self.path / 'intri.yml'}: expected camera '{name}', since {place}/{name} exists, got no such "
                     "name; calibrate it or leave it out with --views"
                 )
         for name in calibrated:
             if name not in folders:
                 self.problems.append(
-                    f"{self.path / 'images' / name}: expected the pictures of camera '{name}' of intri.yml, got no "
-                    "such folder; restore it or leave it out with --views"
+                    f"{self.path / place / name}: expected the pictures of camera '{name}' of intri.yml, got none "
+                    "there; restore them or leave the camera out with --views"
                 )
         return [name for name in folders if name in calibrated or not calibrated]
 
-    def _files(self, name: str, kind: str, found: dict[str, str] | None, stems: list[str]) -> None:
+    def _video_frames(self, names: Sequence[str], calibrations: dict[str, Calibration]) -> list[str]:
+        """Names of the frames that all videos have."""
+        videos: dict[str, Video] = {}
+        for name in names:
+            videos |= self._try(list_videos, self.path, [name]) or {}
+        for name, video in videos.items():
+            size = (video.index.width, video.index.height)
+            self.nbytes += video.path.stat().st_size
+            self._size(video.path, name, calibrations.get(name), size, is_matte=False)
+        return [frame_name(number) for number in range(common_frames(videos))]
+
+    def _files(self, folder: Path, found: dict[str, str] | None, stems: list[str]) -> None:
         """The faults of a camera's folder; those of a folder that could not be listed are told already."""
-        folder = self.path / kind / name
         if found is None:
             return
         if not found:
@@ -164,33 +198,38 @@ class _Check:
                 f"{folder / found[surplus[0]]}: no picture of that frame ({len(surplus)} such here); not used"
             )
 
-    def _sampled(self, names: list[str], masks: dict[str, dict[str, str] | None]) -> set[Path]:
+    def _sampled(self, folder: Path, masks: dict[str, dict[str, str] | None]) -> set[Path]:
         """Mattes whose content is looked at: some of each camera, evenly spread."""
         chosen = set()
-        for name in names:
-            files = sorted((masks[name] or {}).values())
+        for name, found in masks.items():
+            files = sorted((found or {}).values())
             places = np.linspace(0, len(files) - 1, min(LOOKED_AT, len(files))).astype(int)
-            chosen |= {self.path / "masks" / name / files[place] for place in places}
+            chosen |= {folder / name / files[place] for place in places}
         return chosen
 
     def _picture(self, file: Path, calibration: Calibration | None, looked_at: bool) -> None:
-        name, is_matte = file.parent.name, file.parent.parent.name == "masks"
+        name, is_matte = file.parent.name, file.parent.parent.name != "images"
         size = self._try(picture_size, file)
         if size is None:
             return
         self.nbytes += file.stat().st_size
-        expected = self._expected_size(name, calibration, size, is_matte)
-        if size != expected:
-            self.problems.append(
-                f"{file}: expected {expected[0]} x {expected[1]} pixels, as camera '{name}' has, "
-                f"got {size[0]} x {size[1]}; export it again at that size"
-            )
+        self._size(file, name, calibration, size, is_matte)
         if is_matte and (looked_at or self.deep):
             matte = self._try(decode_matte, file)
             if matte is not None:
                 self._matte(file, matte)
         elif self.deep:
             self._try(decode_rgb, file)
+
+    def _size(
+        self, file: Path, name: str, calibration: Calibration | None, size: tuple[int, int], is_matte: bool
+    ) -> None:
+        expected = self._expected_size(name, calibration, size, is_matte)
+        if size != expected:
+            self.problems.append(
+                f"{file}: expected {expected[0]} x {expected[1]} pixels, as camera '{name}' has, "
+                f"got {size[0]} x {size[1]}; export it again at that size"
+            )
 
     def _expected_size(
         self, name: str, calibration: Calibration | None, size: tuple[int, int], is_matte: bool

@@ -11,6 +11,13 @@ from pathlib import Path
 from fourd.errors import UserError
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts")
+
+VIDEOS = "videos"
+"""Folder of a capture whose frames lie in videos, CAM.mp4 or another of VIDEO_SUFFIXES."""
+
+MATTES = Path(".fourd") / "mattes"
+"""Mattes that fourd made, CAM/FRAME.png, of the undistorted pictures."""
 
 
 def camera_folders(folder: Path) -> list[str]:
@@ -37,6 +44,30 @@ def pictures(folder: Path) -> dict[str, str]:
             )
         found[stem] = entry
     return found
+
+
+def videos_in(folder: Path) -> dict[str, Path]:
+    """Videos of ``folder`` by their names without suffix, sorted.
+
+    Raises:
+        UserError: when two videos have one name.
+    """
+    found: dict[str, Path] = {}
+    for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
+        path = folder / entry
+        if path.suffix.lower() not in VIDEO_SUFFIXES or entry.startswith(".") or not path.is_file():
+            continue
+        if path.stem in found:
+            raise UserError(
+                f"{path}: expected each camera once, got {found[path.stem].name} of the same name; rename one of them"
+            )
+        found[path.stem] = path
+    return found
+
+
+def frame_name(number: int) -> str:
+    """The name of a frame that has only a number, from 0."""
+    return f"{number:06d}"
 
 
 def frame_order(stems: set[str]) -> list[str]:

@@ -16,24 +16,43 @@ from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, read_calibration
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
 from fourd.capture.layout import (
+    MATTES,
+    VIDEOS,
     camera_folders,
     chosen_frames,
     chosen_views,
+    frame_name,
     frame_order,
     missing_frame,
     pictures,
+    videos_in,
 )
+from fourd.capture.sources import FrameSource, Picture, PictureSource, VideoSource
+from fourd.capture.video import VideoReader
+from fourd.capture.video_list import Video, common_frames, list_videos
 from fourd.errors import UserError
-
-Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Files:
-    """A camera's files of the selected frames; mattes is empty where the capture has none."""
+class Mattes:
+    """A camera's mattes of the selected frames.
 
-    images: tuple[Path, ...]
-    mattes: tuple[Path, ...]
+    Attributes:
+        source: one file a frame.
+        made: whether fourd made them: these hold the pixels of the undistorted pictures.
+    """
+
+    source: FrameSource
+    made: bool
+
+
+@dataclass(frozen=True)
+class Footage:
+    """A camera's selected frames; mattes is None where the capture has none of it."""
+
+    images: FrameSource
+    mattes: Mattes | None
+    size: tuple[int, int]
 
 
 class Capture:
@@ -56,7 +75,7 @@ class Capture:
         path: Path,
         names: Sequence[str],
         lenses: Sequence[Camera],
-        files: Sequence[Files],
+        footage: Sequence[Footage],
         frame_numbers: Sequence[int],
         total_frames: int,
         scale: float,
@@ -68,7 +87,7 @@ class Capture:
         self.frame_numbers = tuple(frame_numbers)
         self.total_frames = total_frames
         self._lenses = tuple(lenses)
-        self._files = tuple(files)
+        self._footage = tuple(footage)
         self._cache = _Cache(cache_mb << 20)
 
     @property
@@ -79,7 +98,7 @@ class Capture:
     @property
     def has_masks(self) -> bool:
         """Whether every selected camera has mattes."""
-        return all(files.mattes for files in self._files)
+        return all(footage.mattes is not None for footage in self._footage)
 
     def time(self, frame: int) -> float:
         """Time in [0, 1] of a selected frame within the whole capture: f / (F - 1), 0 when F = 1."""
@@ -87,28 +106,31 @@ class Capture:
 
     def image(self, camera: int, frame: int) -> Picture:
         """(H, W, 3) uint8 RGB, read-only. Raises UserError when the file is damaged or of another size."""
-        path = self._files[camera].images[frame]
-        return self._cache.get(path, lambda: self._undistorted(decode_rgb(path), path, camera))
+        source = self._footage[camera].images
+        return self._cache.get(("image", camera, frame), lambda: self._pinhole(source, camera, frame))
 
     def mask(self, camera: int, frame: int) -> Picture:
         """(H, W) uint8 matte, 255 = object, read-only. Raises UserError as image, and where there are none."""
-        mattes = self._files[camera].mattes
-        if not mattes:
+        mattes = self._footage[camera].mattes
+        if mattes is None:
             raise UserError(
-                f"{self.path / 'masks' / self.names[camera]}: expected mattes (FRAME.png), got none; make them first"
+                f"{self.path / 'masks' / self.names[camera]}: expected mattes (FRAME.png), got none; "
+                f"make them: fourd matte {self.path}"
             )
-        path = mattes[frame]
-        return self._cache.get(path, lambda: self._undistorted(decode_matte(path), path, camera))
+        return self._cache.get(
+            ("matte", camera, frame), lambda: self._pinhole(mattes.source, camera, frame, mattes.made)
+        )
 
-    def _undistorted(self, picture: Picture, path: Path, index: int) -> Picture:
+    def _pinhole(self, source: FrameSource, index: int, frame: int, undistorted: bool = False) -> Picture:
+        picture = source.read(frame)
         lens, camera = self._lenses[index], self.cameras[index]
         height, width = picture.shape[:2]
         if (width, height) != (lens.width, lens.height):
             raise UserError(
-                f"{path}: expected {lens.width} x {lens.height} pixels, as camera '{self.names[index]}' has, "
-                f"got {width} x {height}; export it again at that size"
+                f"{source.place(frame)}: expected {lens.width} x {lens.height} pixels, as camera "
+                f"'{self.names[index]}' has, got {width} x {height}; export it again at that size"
             )
-        if lens.distortion is not None:
+        if lens.distortion is not None and not undistorted:
             maps = self._cache.get(index, lambda: _undistortion(lens))
             picture = np.asarray(cv2.remap(picture, maps[0], maps[1], cv2.INTER_LINEAR), np.uint8)
         if (camera.width, camera.height) != (width, height):
@@ -129,8 +151,9 @@ def open_capture(
 ) -> Capture:
     """Open a capture of the EasyMocap layout: images/CAM/FRAME.jpg|png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
-    No picture is decoded. Lens distortion is taken out of pictures and mattes with the
-    intrinsics kept; pixels that the lens did not see are 0.
+    Where there is no images/, the frames are those of videos/CAM.mp4 (or another suffix), read by seeking.
+    No picture is decoded here. Mattes that fourd made stand in where masks/ has none.
+    Lens distortion is taken out of pictures and mattes with the intrinsics kept; pixels that the lens did not see are 0.
 
     Args:
         path: the capture's folder.
@@ -151,62 +174,100 @@ def open_capture(
         )
     calibrations = read_calibration(path)
     names = _usable_names(path, calibrations, views)
+    if camera_folders(path / "images"):
+        footage, selected, total = _picture_footage(path, names, frames)
+    else:
+        footage, selected, total = _video_footage(path, names, frames)
+    for name, of_camera in zip(names, footage, strict=True):
+        if (of_camera.mattes is None) != (footage[0].mattes is None):
+            bare = name if of_camera.mattes is None else names[0]
+            raise UserError(
+                f"{path / 'masks' / bare}: expected mattes, as other cameras have them, got none; "
+                "add them or leave the camera out with --views"
+            )
+    lenses = [_lens(path, name, calibrations[name], of.size) for name, of in zip(names, footage, strict=True)]
+    return Capture(path, names, lenses, footage, list(selected), total, scale, cache_mb)
+
+
+def _picture_footage(path: Path, names: Sequence[str], frames: str | None) -> tuple[list[Footage], range, int]:
+    """Each camera's picture files, the selected frames and the number of all."""
     found = {name: pictures(path / "images" / name) for name in names}
     stems = frame_order(set().union(*found.values()))
     for name in names:
         if not found[name]:
             raise UserError(f"{path / 'images' / name}: expected pictures (FRAME.jpg or .png), got none; restore them")
     selected = chosen_frames(frames, len(stems))
-    files = [_files(path, name, found[name], [stems[number] for number in selected]) for name in names]
-    for name, of_camera in zip(names, files, strict=True):
-        if bool(of_camera.mattes) != bool(files[0].mattes):
-            bare = name if not of_camera.mattes else names[0]
-            raise UserError(
-                f"{path / 'masks' / bare}: expected mattes, as other cameras have them, got none; "
-                "add them or leave the camera out with --views"
-            )
-    lenses = [_lens(path, name, calibrations[name], of.images[0]) for name, of in zip(names, files, strict=True)]
-    return Capture(path, names, lenses, files, list(selected), len(stems), scale, cache_mb)
+    chosen = [stems[number] for number in selected]
+    footage = []
+    for name in names:
+        folder = path / "images" / name
+        error = missing_frame(folder, found[name], chosen)
+        if error is not None:
+            raise error
+        images = [folder / found[name][stem] for stem in chosen]
+        mattes = _mattes(path, name, chosen)
+        footage.append(Footage(PictureSource(images, decode_rgb), mattes, picture_size(images[0])))
+    return footage, selected, len(stems)
+
+
+def _video_footage(path: Path, names: Sequence[str], frames: str | None) -> tuple[list[Footage], range, int]:
+    """Each camera's video, the selected frames and the number of all that every video has."""
+    videos = list_videos(path, names)
+    total = common_frames(videos)
+    if total < 1:
+        raise UserError(
+            f"{path / VIDEOS}: expected videos with a frame in common, got offsets past an end; import again"
+        )
+    selected = chosen_frames(frames, total)
+    chosen = [frame_name(number) for number in selected]
+    return [_of_video(path, name, videos[name], selected, chosen) for name in names], selected, total
+
+
+def _of_video(path: Path, name: str, video: Video, selected: range, chosen: list[str]) -> Footage:
+    numbers = [number + video.offset for number in selected]
+    images = VideoSource(VideoReader(video.path, video.index), numbers)
+    return Footage(images, _mattes(path, name, chosen), (video.index.width, video.index.height))
+
+
+def _mattes(path: Path, name: str, chosen: list[str]) -> Mattes | None:
+    """The user's mattes of the chosen frames, or else those that fourd made."""
+    for folder, made in ((path / "masks" / name, False), (path / MATTES / name, True)):
+        files = pictures(folder)
+        if files:
+            error = missing_frame(folder, files, chosen)
+            if error is not None:
+                raise error
+            return Mattes(PictureSource([folder / files[stem] for stem in chosen], decode_matte), made)
+    return None
 
 
 def _usable_names(path: Path, calibrations: dict[str, Calibration], views: Sequence[str] | None) -> list[str]:
     """The selected cameras; every one of them has a calibration and a folder of pictures."""
     folders = camera_folders(path / "images")
+    place = "images"
+    if not folders and (path / VIDEOS).is_dir():
+        folders, place = list(videos_in(path / VIDEOS)), VIDEOS
     everyone = list(calibrations) + [name for name in folders if name not in calibrations]
     names = chosen_views(views, everyone)
     for name in names:
         if name not in calibrations:
             raise UserError(
-                f"{path / 'intri.yml'}: expected camera '{name}', since images/{name} exists, got no such name; "
+                f"{path / 'intri.yml'}: expected camera '{name}', since {place}/{name} exists, got no such name; "
                 "calibrate it or leave it out with --views"
             )
         if name not in folders:
             raise UserError(
-                f"{path / 'images' / name}: expected the pictures of camera '{name}' of intri.yml, got no such folder; "
-                "restore it or leave it out with --views"
+                f"{path / place / name}: expected the pictures of camera '{name}' of intri.yml, got none there; "
+                "restore them or leave the camera out with --views"
             )
     return names
 
 
-def _files(path: Path, name: str, images: dict[str, str], stems: list[str]) -> Files:
-    folder = path / "images" / name
-    error = missing_frame(folder, images, stems)
-    if error is not None:
-        raise error
-    masks_folder = path / "masks" / name
-    masks = pictures(masks_folder)
-    error = missing_frame(masks_folder, masks, stems) if masks else None
-    if error is not None:
-        raise error
-    mattes = tuple(masks_folder / masks[stem] for stem in stems) if masks else ()
-    return Files(tuple(folder / images[stem] for stem in stems), mattes)
-
-
-def _lens(path: Path, name: str, calibration: Calibration, first: Path) -> Camera:
-    """The camera with its distortion; sizes that the calibration lacks are those of the first picture."""
+def _lens(path: Path, name: str, calibration: Calibration, size: tuple[int, int]) -> Camera:
+    """The camera with its distortion; ``size`` of its pictures stands in where the calibration says none."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
-        width, height = picture_size(first)
+        width, height = size
     try:
         return calibration.camera(width, height)
     except ValueError as error:

@@ -186,7 +186,7 @@ BREAKS: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a camera in intri.yml without pictures",
         lambda c: shutil.rmtree(c / "images" / "06"),
-        r"images/06: expected the pictures of camera '06' of intri.yml, got no such folder",
+        r"images/06: expected the pictures of camera '06' of intri.yml, got none there",
     ),
     (
         "pictures without calibration",

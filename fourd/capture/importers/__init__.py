@@ -1,0 +1,1 @@
+"""Importers: what others write, read into this project's conventions."""
