@@ -5,22 +5,27 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from rich.console import Console
 
 from fourd.baking.bake import bake_run
 from fourd.capture.check import check_capture
+from fourd.capture.layout import camera_folders
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.matting.making import SHEET, make_all
+from fourd.matting.stage import MatteSettings, Selection
+from fourd.progress import Tracker
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.lpips import LPIPS
 from fourd.training.run import CONFIG_NAME, carve_run, create_run, load_run, open_run
 
-INPUT_PATTERNS = ("*.yml", "images/*/*", "masks/*/*")
+INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
+MATTE_PATTERNS = (".fourd/mattes/*/*",)
 
 
 class Stages:
@@ -61,8 +66,23 @@ class Stages:
         return {str(name): str(key) for name, key in content.items()} if isinstance(content, dict) else {}
 
 
-def make_scene(capture: Path, out: Path, train: TrainConfig, lpips: LPIPS | None, console: Console) -> None:
-    """Check, carve, train and export ``capture`` into the scene file ``out``.
+@dataclass(frozen=True)
+class MakeSettings:
+    """What the stages before carving depend on.
+
+    Attributes:
+        mattes: how mattes are made where the capture has none.
+        workers: processes that make them.
+    """
+
+    mattes: MatteSettings
+    workers: int
+
+
+def make_scene(
+    capture: Path, out: Path, settings: MakeSettings, train: TrainConfig, lpips: LPIPS | None, console: Console
+) -> None:
+    """Check, matte, carve, train and export ``capture`` into the scene file ``out``.
 
     The stages' results lie in a folder beside ``out``, named after it. A changed input or setting
     redoes the stages that depend on it; an interrupted one goes on where it stopped.
@@ -74,11 +94,21 @@ def make_scene(capture: Path, out: Path, train: TrainConfig, lpips: LPIPS | None
     stages = Stages(work, console)
     run = work / "run"
     inputs = fingerprint(capture)
-    settings = asdict(train)
-    selection = {name: settings[name] for name in ("views", "test_views", "frames", "image_scale", "points")}
-    carve_key = _key(inputs, selection)
-    train_key = _key(carve_key, settings)
+    training = asdict(train)
+    matte_selection = Selection(capture, train.views, train.frames)
     stages.run("check", inputs, lambda: _check(capture), capture, lambda: None)
+    if not camera_folders(capture / "masks"):
+        matte_key = _key(inputs, asdict(settings.mattes), train.views, train.frames)
+        stages.run(
+            "mattes",
+            matte_key,
+            lambda: make_all(matte_selection, settings.mattes, settings.workers, Tracker(console).track, plates=True),
+            capture / SHEET,
+            lambda: None,
+        )
+    selection = {name: training[name] for name in ("views", "test_views", "frames", "image_scale", "points")}
+    carve_key = _key(inputs, fingerprint(capture, MATTE_PATTERNS), selection)
+    train_key = _key(carve_key, training)
     stages.run("carve", carve_key, lambda: carve_run(capture, run, train), run / "hull", lambda: _remove(run))
     stages.run(
         "train",
@@ -90,10 +120,10 @@ def make_scene(capture: Path, out: Path, train: TrainConfig, lpips: LPIPS | None
     stages.run("export", train_key, lambda: bake_run(load_run(run), out, console), out, lambda: None)
 
 
-def fingerprint(capture: Path) -> str:
-    """A key of the input files' names, sizes and times; contents are not read."""
+def fingerprint(capture: Path, patterns: Sequence[str] = INPUT_PATTERNS) -> str:
+    """A key of the files' names, sizes and times; contents are not read."""
     entries = []
-    for pattern in INPUT_PATTERNS:
+    for pattern in patterns:
         for path in sorted(capture.glob(pattern)):
             status = path.stat()
             entries.append(f"{path.relative_to(capture)} {status.st_size} {status.st_mtime_ns}")
@@ -125,5 +155,5 @@ def _remove(folder: Path, keep: str | None = None) -> None:
 
 
 def _key(*parts: object) -> str:
-    text = "\n".join(part if isinstance(part, str) else json.dumps(part, sort_keys=True) for part in parts)
+    text = "\n".join(part if isinstance(part, str) else json.dumps(part, sort_keys=True, default=str) for part in parts)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -12,15 +12,18 @@ import pytest
 from rich.console import Console
 
 from fourd.errors import UserError
-from fourd.pipeline import make_scene
+from fourd.matting.stage import MatteSettings
+from fourd.pipeline import MakeSettings, make_scene
 from fourd.training.config import TrainConfig
 from tests.training.small import SMALL, with_steps
+
+SETTINGS = MakeSettings(MatteSettings(), workers=1)
 
 
 def made(capture: Path, out: Path, config: TrainConfig) -> dict[str, bool]:
     """Run everything; which stages were done now."""
     text = io.StringIO()
-    make_scene(capture, out, config, None, Console(file=text, width=200))
+    make_scene(capture, out, SETTINGS, config, None, Console(file=text, width=200))
     lines = text.getvalue().splitlines()
     return {name: f"{name}: working" in lines for name in ("check", "carve", "train", "export")}
 
@@ -46,4 +49,4 @@ def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_p
     (tmp_path / "scene.work").mkdir()
     (tmp_path / "scene.work" / "mine.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a folder made by fourd make"):
-        make_scene(ball_capture, tmp_path / "scene.4dv", SMALL, None, Console(quiet=True))
+        make_scene(ball_capture, tmp_path / "scene.4dv", SETTINGS, SMALL, None, Console(quiet=True))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,7 @@ class Capture:
         path: the capture's folder.
         names: camera names.
         cameras: pinholes without distortion, in the order of ``names``.
+        frame_names: names of the selected frames, which are their files' without suffix.
         frame_numbers: positions of the selected frames in the whole capture, from 0.
         total_frames: frames of the whole capture.
     """
@@ -76,6 +77,7 @@ class Capture:
         names: Sequence[str],
         lenses: Sequence[Camera],
         footage: Sequence[Footage],
+        frame_names: Sequence[str],
         frame_numbers: Sequence[int],
         total_frames: int,
         scale: float,
@@ -84,6 +86,7 @@ class Capture:
         self.path = path
         self.names = tuple(names)
         self.cameras = tuple(replace(lens, distortion=None).scaled(scale) for lens in lenses)
+        self.frame_names = tuple(frame_names)
         self.frame_numbers = tuple(frame_numbers)
         self.total_frames = total_frames
         self._lenses = tuple(lenses)
@@ -148,12 +151,13 @@ def open_capture(
     frames: str | None = None,
     scale: float = 1.0,
     cache_mb: int = 256,
+    mattes: bool = True,
 ) -> Capture:
     """Open a capture of the EasyMocap layout: images/CAM/FRAME.jpg|png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
     Where there is no images/, the frames are those of videos/CAM.mp4 (or another suffix), read by seeking.
     No picture is decoded here. Mattes that fourd made stand in where masks/ has none.
-    Lens distortion is taken out of pictures and mattes with the intrinsics kept; pixels that the lens did not see are 0.
+    Lens distortion is taken out of pictures and mattes with the intrinsics kept; what the lens did not see is 0.
 
     Args:
         path: the capture's folder.
@@ -161,6 +165,7 @@ def open_capture(
         frames: ``A:B[:S]``, positions in the capture's order of frames; None for all.
         scale: of the images' size, in (0, 4].
         cache_mb: MiB of decoded pictures to keep at most.
+        mattes: whether to look for mattes, which must then be whole.
 
     Raises:
         UserError: one line, when files are missing or contradict each other, or the selection is empty.
@@ -175,9 +180,18 @@ def open_capture(
     calibrations = read_calibration(path)
     names = _usable_names(path, calibrations, views)
     if camera_folders(path / "images"):
-        footage, selected, total = _picture_footage(path, names, frames)
+        stems = _picture_frames(path, names)
+        selected = chosen_frames(frames, len(stems))
+        chosen = [stems[number] for number in selected]
+        footage = [_of_pictures(path, name, chosen) for name in names]
     else:
-        footage, selected, total = _video_footage(path, names, frames)
+        videos = list_videos(path, names)
+        stems = _video_frames(path, videos)
+        selected = chosen_frames(frames, len(stems))
+        chosen = [stems[number] for number in selected]
+        footage = [_of_video(videos[name], selected) for name in names]
+    if mattes:
+        footage = [replace(of, mattes=_mattes(path, name, chosen)) for name, of in zip(names, footage, strict=True)]
     for name, of_camera in zip(names, footage, strict=True):
         if (of_camera.mattes is None) != (footage[0].mattes is None):
             bare = name if of_camera.mattes is None else names[0]
@@ -186,50 +200,43 @@ def open_capture(
                 "add them or leave the camera out with --views"
             )
     lenses = [_lens(path, name, calibrations[name], of.size) for name, of in zip(names, footage, strict=True)]
-    return Capture(path, names, lenses, footage, list(selected), total, scale, cache_mb)
+    return Capture(path, names, lenses, footage, chosen, list(selected), len(stems), scale, cache_mb)
 
 
-def _picture_footage(path: Path, names: Sequence[str], frames: str | None) -> tuple[list[Footage], range, int]:
-    """Each camera's picture files, the selected frames and the number of all."""
+def _picture_frames(path: Path, names: Sequence[str]) -> list[str]:
+    """Names of all frames that any camera has a picture of, in order."""
     found = {name: pictures(path / "images" / name) for name in names}
-    stems = frame_order(set().union(*found.values()))
     for name in names:
         if not found[name]:
             raise UserError(f"{path / 'images' / name}: expected pictures (FRAME.jpg or .png), got none; restore them")
-    selected = chosen_frames(frames, len(stems))
-    chosen = [stems[number] for number in selected]
-    footage = []
-    for name in names:
-        folder = path / "images" / name
-        error = missing_frame(folder, found[name], chosen)
-        if error is not None:
-            raise error
-        images = [folder / found[name][stem] for stem in chosen]
-        mattes = _mattes(path, name, chosen)
-        footage.append(Footage(PictureSource(images, decode_rgb), mattes, picture_size(images[0])))
-    return footage, selected, len(stems)
+    return frame_order(set().union(*found.values()))
 
 
-def _video_footage(path: Path, names: Sequence[str], frames: str | None) -> tuple[list[Footage], range, int]:
-    """Each camera's video, the selected frames and the number of all that every video has."""
-    videos = list_videos(path, names)
+def _of_pictures(path: Path, name: str, chosen: Sequence[str]) -> Footage:
+    folder = path / "images" / name
+    found = pictures(folder)
+    error = missing_frame(folder, found, chosen)
+    if error is not None:
+        raise error
+    images = [folder / found[stem] for stem in chosen]
+    return Footage(PictureSource(images, decode_rgb), None, picture_size(images[0]))
+
+
+def _video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
+    """Names of all frames that every video has."""
     total = common_frames(videos)
     if total < 1:
-        raise UserError(
-            f"{path / VIDEOS}: expected videos with a frame in common, got offsets past an end; import again"
-        )
-    selected = chosen_frames(frames, total)
-    chosen = [frame_name(number) for number in selected]
-    return [_of_video(path, name, videos[name], selected, chosen) for name in names], selected, total
+        raise UserError(f"{path / VIDEOS}: expected videos with frames in common, got none; import with other offsets")
+    return [frame_name(number) for number in range(total)]
 
 
-def _of_video(path: Path, name: str, video: Video, selected: range, chosen: list[str]) -> Footage:
+def _of_video(video: Video, selected: range) -> Footage:
     numbers = [number + video.offset for number in selected]
     images = VideoSource(VideoReader(video.path, video.index), numbers)
-    return Footage(images, _mattes(path, name, chosen), (video.index.width, video.index.height))
+    return Footage(images, None, (video.index.width, video.index.height))
 
 
-def _mattes(path: Path, name: str, chosen: list[str]) -> Mattes | None:
+def _mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
     """The user's mattes of the chosen frames, or else those that fourd made."""
     for folder, made in ((path / "masks" / name, False), (path / MATTES / name, True)):
         files = pictures(folder)

@@ -46,7 +46,10 @@ def run(arguments: Arguments) -> None:
     views = None if arguments.views is None else [name.strip() for name in arguments.views.split(",") if name.strip()]
     capture = open_capture(arguments.capture, views=views, frames=arguments.frames, scale=arguments.scale)
     if not capture.has_masks:
-        raise UserError(f"{arguments.capture / 'masks'}: expected mattes to carve from, got none; make them first")
+        raise UserError(
+            f"{arguments.capture / 'masks'}: expected mattes to carve from, got none; "
+            f"make them: fourd matte {arguments.capture}"
+        )
     folder = arguments.out if arguments.out is not None else arguments.capture / FOLDER
     bounds = carve_capture(
         capture,

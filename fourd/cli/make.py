@@ -1,4 +1,4 @@
-"""From a capture to a 4D scene with one command: check, carve, train, export."""
+"""From videos or a capture to a 4D scene with one command: import, check, matte, carve, train, export."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import tyro
 from rich.console import Console
 
 from fourd.cli import train
-from fourd.pipeline import make_scene
+from fourd.cli.matte import processes
+from fourd.matting.stage import MatteSettings
+from fourd.pipeline import MakeSettings, make_scene
 from fourd.training.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
@@ -21,7 +23,7 @@ class Arguments:
     """Every stage is cached: run the same command again after a stop, and it goes on."""
 
     capture: tyro.conf.Positional[Path]
-    """Folder with images/, masks/, intri.yml and extri.yml."""
+    """Folder with images/ or videos/, intri.yml, extri.yml, and masks/ where there are any."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The scene file to write; its stages' results lie beside it in OUT.work/."""
     scene: Literal["object"] | None = None
@@ -44,6 +46,14 @@ class Arguments:
     """Steps of training."""
     seed: int | None = None
     """Seed of everything random."""
+    method: Literal["motion", "chroma", "rvm"] = "motion"
+    """How mattes are made where there are none: see fourd matte --help."""
+    screen: str | None = None
+    """The screen's colour as R,G,B of 0 to 255, for --method chroma."""
+    rvm: Path | None = None
+    """TorchScript file of Robust Video Matting, for --method rvm."""
+    workers: int | None = None
+    """Processes that make mattes; as many as there are cores when not given."""
     lpips_weights: Path | None = None
     """File or folder with the weights of VGG-16 and LPIPS; the usual caches when not given."""
 
@@ -51,10 +61,15 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Run every stage that is not done."""
     console = Console()  # stderr is kept for the one line that tells of wrong input
-    given: dict[str, Any] = {field.name: getattr(arguments, field.name) for field in fields(arguments)}
+    known = {field.name for field in fields(train.Arguments)}
+    given: dict[str, Any] = {
+        field.name: getattr(arguments, field.name) for field in fields(arguments) if field.name in known
+    }
     config = train.overlaid(train.Arguments(**given), DEFAULT_SECONDS)
     lpips = load_lpips(arguments.lpips_weights)
-    make_scene(arguments.capture, arguments.out, config, lpips, console)
+    mattes = MatteSettings(arguments.method, config.seed, arguments.screen, arguments.rvm)
+    settings = MakeSettings(mattes, processes(arguments.workers))
+    make_scene(arguments.capture, arguments.out, settings, config, lpips, console)
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True
     )

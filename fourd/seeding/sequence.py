@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 from collections.abc import Iterator
@@ -25,6 +26,7 @@ BOUNDS_NAME = "bounds.json"
 VERSION = 1
 MARGIN = 0.05
 MOST_SEARCHED = 120
+INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,8 @@ def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
         digest.update(f"{name} {camera.width} {camera.height}".encode())
         for matrix in (camera.intrinsics, camera.rotation, camera.translation):
             digest.update(np.ascontiguousarray(matrix).tobytes())
-        for kind in ("masks", "images"):
-            for path in sorted((capture.path / kind / name).glob("*")):
+        for pattern in INPUTS:
+            for path in sorted(capture.path.glob(pattern.format(camera=glob.escape(name)))):
                 status = path.stat()
                 digest.update(f"{path.name} {status.st_size} {status.st_mtime_ns}".encode())
     return digest.hexdigest()

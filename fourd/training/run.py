@@ -255,7 +255,8 @@ def _open_views(path: Path, train: TrainConfig) -> tuple[Capture, list[int], lis
 def _require_masks(capture: Capture) -> None:
     if not capture.has_masks:
         raise UserError(
-            f"{capture.path}: expected masks/CAM/FRAME.png for an object scene, got none; make mattes first"
+            f"{capture.path}: expected masks/CAM/FRAME.png for an object scene, got none; "
+            f"make them: fourd matte {capture.path}"
         )
 
 

@@ -1,0 +1,1 @@
+"""Masks and clean background plates from video."""

@@ -1,0 +1,40 @@
+"""Colour distributions as smoothed histograms, and how likely they make a picture's colours."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+Floats = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+BINS = 24
+SPREAD_BINS = 0.8
+UNIFORM = 0.02
+"""Share of the distribution spread over all colours: one that was not seen is not impossible."""
+
+
+@dataclass(frozen=True, eq=False)
+class Colours:
+    """Log densities (BINS, BINS, BINS) float32 over RGB, per unit of 8-bit colour cubed."""
+
+    log_density: Floats
+
+    @staticmethod
+    def of(rgb: Picture, weights: NDArray[np.floating] | None = None) -> Colours:
+        """The distribution of colours (N, 3) uint8, with weights (N,) where given."""
+        places = (rgb.astype(np.int32) * BINS) >> 8
+        flat = (places[:, 0] * BINS + places[:, 1]) * BINS + places[:, 2]
+        counts = np.bincount(flat, weights=weights, minlength=BINS**3).reshape(BINS, BINS, BINS)
+        smooth = gaussian_filter(counts.astype(np.float64), SPREAD_BINS)
+        share = smooth / max(float(smooth.sum()), 1e-9)
+        density = (1 - UNIFORM) * share * (BINS / 256) ** 3 + UNIFORM / 256**3
+        return Colours(np.log(density).astype(np.float32))
+
+    def log_likelihood(self, rgb: Picture) -> Floats:
+        """Log densities (...,) of colours (..., 3) uint8."""
+        places = (rgb.astype(np.int32) * BINS) >> 8
+        return self.log_density[places[..., 0], places[..., 1], places[..., 2]]

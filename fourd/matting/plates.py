@@ -1,0 +1,151 @@
+"""Clean plates: each camera's background without the subject, the mean over time weighted by the mattes.
+
+4K4D, sec. 4.1, takes the background of its scenes so. Here the mean runs, so that memory does not grow with the
+frames; each frame's exposure is brought to the first's; and a second pass leaves out what is far from the first
+pass's mean, which is what mattes missed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.capture import Capture
+from fourd.files import atomic_path, write_text_atomically
+from fourd.matting.sampling import Track, sampled_frames
+
+Floats = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+FOLDER = Path(".fourd") / "plates"
+STATE = "plates.json"
+MOST_FRAMES = 200
+"""At most so many frames are averaged: noise falls with their root, and 200 leave a fourteenth of it."""
+MARGIN = 1 / 150
+"""Of the picture's longest side: kept away from the matte, whose edge is soft and casts a shadow."""
+OUTLIER = 3.0
+LEAST_SPREAD = 6.0
+LEAST_FRAMES = 1.0
+"""Weight of frames below which a pixel is a hole."""
+FILL_PX = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A camera's background.
+
+    Attributes:
+        rgb: (H, W, 3) uint8; holes are filled from around, to look at.
+        seen: (H, W) bool, False in holes: where the subject always was.
+    """
+
+    rgb: Picture
+    seen: NDArray[np.bool_]
+
+
+@dataclass
+class _Running:
+    """Weighted mean and spread of colours, by pixel."""
+
+    shape: tuple[int, int]
+    weight: Floats = field(init=False)
+    mean: Floats = field(init=False)
+    squares: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.weight = np.zeros(self.shape, np.float32)
+        self.mean = np.zeros((*self.shape, 3), np.float32)
+        self.squares = np.zeros((*self.shape, 3), np.float32)
+
+    def add(self, value: Floats, weight: Floats) -> None:
+        """West's update (1979)."""
+        self.weight += weight
+        share = np.divide(weight, self.weight, out=np.zeros_like(weight), where=self.weight > 0)[..., None]
+        away = value - self.mean
+        self.mean += share * away
+        self.squares += weight[..., None] * away * (value - self.mean)
+
+    @property
+    def spread(self) -> Floats:
+        """(H, W) standard deviation over colours and frames."""
+        return np.sqrt(self.squares.mean(axis=-1) / np.maximum(self.weight, 1e-6))
+
+
+def make_plates(capture: Capture, key: str, track: Track) -> int:
+    """Make each camera's plate into ``.fourd/plates/CAM.png``, RGBA with alpha 0 in holes, of undistorted pictures.
+
+    Plates that an earlier call with the same ``key`` made are kept. Returns how many were made now.
+    """
+    folder = capture.path / FOLDER
+    state = folder.parent / STATE
+    try:
+        done = dict(json.loads(state.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        done = {}
+    missing = [
+        index
+        for index, name in enumerate(capture.names)
+        if done.get(name) != key or not (folder / f"{name}.png").exists()
+    ]
+    for index in track(missing, len(missing), "plates"):
+        name = capture.names[index]
+        write_plate(folder / f"{name}.png", clean_plate(capture, index))
+        done[name] = key
+        write_text_atomically(state, json.dumps(done) + "\n")
+    return len(missing)
+
+
+def clean_plate(capture: Capture, index: int) -> Plate:
+    """The plate of one camera, from its pictures and mattes; raises UserError where it has none."""
+    camera = capture.cameras[index]
+    shape = (camera.height, camera.width)
+    first = _Running(shape)
+    for value, weight in _weighed(capture, index):
+        first.add(value, weight)
+    second = _Running(shape)
+    near = np.maximum(LEAST_SPREAD, OUTLIER * first.spread)
+    for value, weight in _weighed(capture, index):
+        second.add(value, weight * (np.abs(value - first.mean).max(axis=-1) < near))
+    seen = second.weight >= LEAST_FRAMES
+    rgb = np.clip(np.where(seen[..., None], second.mean, first.mean) + 0.5, 0, 255).astype(np.uint8)
+    filled = cv2.inpaint(rgb, (~seen).astype(np.uint8), FILL_PX, cv2.INPAINT_TELEA) if not seen.all() else rgb
+    return Plate(np.asarray(filled, np.uint8), seen)
+
+
+def write_plate(path: Path, plate: Plate) -> None:
+    """Write a plate as RGBA PNG, atomically."""
+    alpha = np.where(plate.seen, 255, 0).astype(np.uint8)
+    with atomic_path(path) as temporary:
+        if not cv2.imwrite(str(temporary), np.dstack([plate.rgb[..., ::-1], alpha])):
+            raise OSError(f"{path}: cannot be written")
+
+
+def _weighed(capture: Capture, index: int) -> Iterator[tuple[Floats, Floats]]:
+    """Frames (H, W, 3) at the first frame's exposure, and the weights (H, W) of what they show of the background."""
+    camera = capture.cameras[index]
+    margin = max(1, round(MARGIN * max(camera.width, camera.height)))
+    square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
+    reference: Picture | None = None
+    for frame in sampled_frames(capture.frame_count, MOST_FRAMES):
+        rgb = capture.image(index, frame)
+        weight = (1 - cv2.dilate(capture.mask(index, frame), square) / np.float32(255)).astype(np.float32)
+        reference = rgb if reference is None else reference
+        yield (rgb * _exposure(rgb, reference, weight)).astype(np.float32), weight
+
+
+def _exposure(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
+    """(3,) factors that bring a frame's still pixels to the reference's brightness."""
+    step = max(1, max(rgb.shape) // 256)
+    part, other, free = rgb[::step, ::step], reference[::step, ::step], weight[::step, ::step] > 0.99
+    free &= (part.min(axis=-1) > 16) & (other.max(axis=-1) < 250) & (part.max(axis=-1) < 250)
+    if np.count_nonzero(free) < 100:
+        return np.ones(3, np.float32)
+    gain = np.median(other[free].astype(np.float32) / part[free], axis=0)
+    # The rounding of 8 bits moves the median by less than this.
+    return np.where(np.abs(gain - 1) < 0.004, 1, gain).astype(np.float32)

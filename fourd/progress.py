@@ -1,0 +1,31 @@
+"""Progress bars that all stages show alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """Progress bars with the time that is left, on a console."""
+
+    console: Console
+
+    def track(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
+        """The items, with a bar that counts them."""
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=self.console, transient=True) as progress:
+            yield from progress.track(items, total=count, description=what)

@@ -1,0 +1,32 @@
+"""A small capture without masks, made of the ball capture, and the truth of its mattes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from fourd.capture import Capture, open_capture
+from tests.captures import write_ball_capture
+
+
+def unmasked(folder: Path, *, frames: int = 8, size: int = 96) -> Path:
+    """A ball capture whose masks lie beside it, in ``folder``/truth/masks."""
+    capture = write_ball_capture(folder / "capture", cameras=8, frames=frames, size=size)
+    shutil.move(capture / "masks", folder / "truth" / "masks")
+    return capture
+
+
+def overlaps(made: Capture, truth: Path) -> np.ndarray:
+    """(C, F) intersection over union of a capture's mattes with the true ones."""
+    shutil.copytree(made.path / "images", truth / "images", dirs_exist_ok=True)
+    for name in ("intri.yml", "extri.yml"):
+        shutil.copy(made.path / name, truth / name)
+    true = open_capture(truth)
+    table = np.zeros((len(made.names), made.frame_count))
+    for camera in range(len(made.names)):
+        for frame in range(made.frame_count):
+            a, b = made.mask(camera, frame) > 127, true.mask(camera, frame) > 127
+            table[camera, frame] = (a & b).sum() / max(1, (a | b).sum())
+    return table

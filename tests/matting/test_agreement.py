@@ -1,0 +1,68 @@
+"""The views' agreement: evidence carved from all views but a pixel's own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fourd.matting.agreement import NOWHERE, Cells
+from tests.captures import ring_cameras
+
+SIZE = 48
+
+
+def silhouettes(count: int, centre: np.ndarray, radius: float) -> tuple[Cells, list[np.ndarray]]:
+    """Log-odds of +4 on a ball and -4 off it, in each of ``count`` views."""
+    cameras = ring_cameras(count, SIZE)
+    rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
+    evidence = []
+    for camera in cameras:
+        pixel, depth = camera.project(centre[None])
+        reach = radius * camera.intrinsics[0, 0] / depth[0]
+        inside = (columns - pixel[0, 0]) ** 2 + (rows - pixel[0, 1]) ** 2 < reach**2
+        evidence.append(np.where(inside, 4.0, -4.0).astype(np.float32))
+    return Cells.filling(np.full(3, -0.8), np.full(3, 0.8), cameras, 40), evidence
+
+
+def test_a_view_that_knows_nothing_is_told_by_the_others() -> None:
+    """Catches a prior that asks the view itself, and one that ignores what the others see."""
+    cells, evidence = silhouettes(8, np.array([0.1, -0.1, 0.05]), 0.4)
+    truth = evidence[2] > 0
+    evidence[2] = np.zeros_like(evidence[2])
+    covered = cells.scores(evidence).prior(2) > 0
+    assert (covered & truth).sum() / (covered | truth).sum() > 0.8
+
+
+def test_what_one_view_alone_sees_is_denied() -> None:
+    """Catches bystanders behind the scene, who are in one view's pixels and in no hull."""
+    cells, evidence = silhouettes(8, np.zeros(3), 0.3)
+    evidence[0][2:10, 2:10] = 4.0
+    prior = cells.scores(evidence).prior(0)
+    assert (prior[3:9, 3:9] < 0).all()
+    assert prior[SIZE // 2, SIZE // 2] > 0
+
+
+def test_a_view_that_is_wrong_alone_does_not_veto_among_many() -> None:
+    """Catches a plain minimum over the views, by which one hole in one matte cuts the hull."""
+    cells, evidence = silhouettes(12, np.zeros(3), 0.3)
+    evidence[5][:] = -4.0
+    box = cells.scores(evidence).box()
+    assert box is not None
+    assert np.allclose(box[1] - box[0], 0.6, atol=0.2)
+
+
+def test_nothing_in_common_has_no_box() -> None:
+    """Catches a box about nothing, of which the next grid would be made."""
+    cells, evidence = silhouettes(4, np.zeros(3), 0.3)
+    for picture in evidence:
+        picture[:] = -4.0
+    scores = cells.scores(evidence)
+    assert scores.box() is None
+    assert (scores.prior(1) == NOWHERE).all()
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_few_views_are_no_error(count: int) -> None:
+    """Catches order statistics over more views than there are."""
+    cells, evidence = silhouettes(count, np.zeros(3), 0.3)
+    assert cells.scores(evidence).prior(0).shape == (SIZE, SIZE)

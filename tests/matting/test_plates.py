@@ -1,0 +1,66 @@
+"""Clean plates of captures whose mattes are known."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fourd.capture import open_capture
+from fourd.matting.plates import FOLDER, clean_plate, make_plates
+from tests.matting.captures import unmasked
+
+
+@pytest.fixture
+def walked(tmp_path: Path, rng: np.random.Generator) -> Path:
+    """A camera with texture behind a square that moves, and a column where it always is; exposure wanders."""
+    capture = unmasked(tmp_path, frames=1, size=64)
+    shutil.rmtree(capture / "images")
+    stage = rng.integers(40, 160, (64, 64, 3)).astype(np.float32)
+    np.save(tmp_path / "stage.npy", stage)
+    for name in ("00", "01", "02", "03", "04", "05", "06", "07"):
+        for frame in range(16):
+            left = 4 + 2 * frame
+            picture, matte = stage * (1 + 0.1 * np.sin(frame)), np.zeros((64, 64), np.uint8)
+            matte[20:40, left : left + 12] = 255
+            matte[50:58, 50:58] = 255
+            picture[matte > 0] = 230
+            for kind, content in (("images", picture), ("masks", matte)):
+                path = capture / kind / name / f"{frame:06d}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                assert cv2.imwrite(str(path), np.clip(content[..., ::-1] if kind == "images" else content, 0, 255))
+    return capture
+
+
+def test_plate_is_the_stage_without_subject_and_flicker(walked: Path, tmp_path: Path) -> None:
+    """Catches a mean that keeps the subject's ghost, and exposure that wanders into the plate."""
+    capture = open_capture(walked)
+    plate = clean_plate(capture, 0)
+    stage = np.load(tmp_path / "stage.npy")
+    assert not plate.seen[52:56, 52:56].any(), "the place that the subject never leaves is a hole"
+    assert plate.seen[5:45].all()
+    assert np.square(plate.rgb.astype(float) - stage)[plate.seen].mean() < 2
+
+
+def test_what_a_matte_missed_leaves_no_ghost(walked: Path, tmp_path: Path) -> None:
+    """Catches a single pass, to which a frame with a lost matte adds its subject."""
+    cv2.imwrite(str(walked / "masks" / "00" / "000007.png"), np.zeros((64, 64), np.uint8))
+    plate = clean_plate(open_capture(walked), 0)
+    stage = np.load(tmp_path / "stage.npy")
+    assert np.abs(plate.rgb[22:38, 20:28] - stage[22:38, 20:28]).max() < 12
+
+
+def test_plates_are_made_once_and_again_for_another_key(walked: Path) -> None:
+    """Catches plates of an older input that are kept, and work that is done twice."""
+    capture = open_capture(walked)
+    track = lambda items, count, what: items  # noqa: E731
+    assert make_plates(capture, "a", track) == 8
+    assert make_plates(capture, "a", track) == 0
+    assert make_plates(capture, "b", track) == 8
+    written = cv2.imread(str(walked / FOLDER / "00.png"), cv2.IMREAD_UNCHANGED)
+    assert written.shape == (64, 64, 4)
+    assert written[54, 54, 3] == 0
+    assert written[5, 5, 3] == 255

@@ -1,0 +1,140 @@
+"""Robust Video Matting by files: a small TorchScript network of its interface, bad files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from fourd.errors import UserError
+from fourd.matting.rvm import automatic_ratio, load_rvm
+
+Picture = NDArray[np.uint8]
+
+# A recurrent network of the published interface: alpha = red / 2 + the red of all frames before / 4.
+PROGRAM = """
+def forward(self, src, r1: Optional[Tensor], r2: Optional[Tensor], r3: Optional[Tensor], r4: Optional[Tensor],
+            downsample_ratio: float = 1.0, segmentation_pass: bool = False):
+    red = src[:, :1]
+    before = torch.zeros_like(red) if r1 is None else r1
+    alpha = 0.5 * red + 0.25 * before
+    return [src, RESULT, before + red, alpha, alpha, alpha]
+"""
+
+
+def script(path: Path, result: str = "alpha", program: str = PROGRAM) -> Path:
+    # A class of its own, since a program is the class's and cannot be put in its place.
+    module = torch.jit.script(type("Small", (nn.Module,), {})())
+    module.define(program.replace("RESULT", result))
+    torch.jit.save(module, str(path))
+    return path
+
+
+def pictures(rng: np.random.Generator, count: int, size: tuple[int, int] = (20, 30)) -> list[Picture]:
+    return [rng.integers(0, 256, (*size, 3)).astype(np.uint8) for _ in range(count)]
+
+
+def test_state_goes_from_picture_to_picture_and_begins_anew(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches a state that is lost or mixed up, channels in BGR, alpha scaled wrongly, memory across cameras."""
+    rvm = load_rvm(script(tmp_path / "small.torchscript"), "cpu")
+    frames = pictures(rng, 4)
+    for _ in range(2):
+        before = np.zeros(frames[0].shape[:2])
+        for frame, matte in zip(frames, rvm.mattes(frames), strict=True):
+            red = frame[..., 0].astype(float)
+            expected = np.minimum(0.5 * red + 0.25 * before, 255)
+            assert matte.dtype == np.uint8
+            np.testing.assert_allclose(matte, expected, atol=0.51)
+            before += red
+
+
+def test_pictures_are_taken_one_at_a_time(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches all frames of a camera being decoded before the first matte, and a mode left on in the caller."""
+    rvm = load_rvm(script(tmp_path / "small.pt"), "cpu")
+    taken: list[int] = []
+
+    def frames():  # type: ignore[no-untyped-def]
+        for number, frame in enumerate(pictures(rng, 3)):
+            taken.append(number)
+            yield frame
+
+    mattes = rvm.mattes(frames())
+    next(mattes)
+    assert taken == [0]
+    assert not torch.is_inference_mode_enabled()
+
+
+@pytest.mark.parametrize(
+    ("ratio", "size", "expected"), [(None, (20, 30), 1.0), (None, (4, 1024), 0.5), (0.25, (20, 30), 0.25)]
+)
+def test_ratio_reaches_the_network(
+    tmp_path: Path, rng: np.random.Generator, ratio: float | None, size: tuple[int, int], expected: float
+) -> None:
+    """Catches a ratio that is not handed on, or that is of the shorter side."""
+    rvm = load_rvm(script(tmp_path / "ratio.pt", "torch.full_like(alpha, downsample_ratio)"), "cpu")
+    matte = next(rvm.mattes(pictures(rng, 1, size), ratio))
+    assert np.abs(matte / 255.0 - expected).max() < 0.003
+    assert automatic_ratio(1080, 1920) == pytest.approx(512 / 1920)
+
+
+def test_bad_ratios_and_sizes_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches errors of torch's in the middle of a run."""
+    rvm = load_rvm(script(tmp_path / "small.pt"), "cpu")
+    for ratio in (0.0, 1.5, float("nan")):
+        with pytest.raises(UserError, match=r"^--downsample: expected a ratio"):
+            rvm.mattes([], ratio)
+    with pytest.raises(UserError, match=r"^picture 1: expected 30 x 20 pixels.*got 12 x 10"):
+        list(rvm.mattes([*pictures(rng, 1), *pictures(rng, 1, (10, 12))]))
+
+
+@pytest.mark.parametrize(
+    ("result", "message"),
+    [
+        ("alpha[:, :, ::2]", "a matte of shape"),
+        ("src", "a matte of shape"),
+        ("alpha, alpha", "7 outputs"),
+        ("alpha / 0.0", "no numbers"),
+        ("torch.ones([3]) + torch.ones([2])", "must match"),
+    ],
+)
+def test_other_networks_are_refused_when_loaded(tmp_path: Path, result: str, message: str) -> None:
+    """Catches networks of another kind whose outputs would be written as mattes."""
+    with pytest.raises(UserError, match=rf"small\.pt: expected .*{message}") as caught:
+        load_rvm(script(tmp_path / "small.pt", result), "cpu")
+    assert "\n" not in str(caught.value)
+
+
+def test_network_of_other_inputs_is_refused(tmp_path: Path) -> None:
+    """Catches a segmentation network of one input."""
+    path = script(tmp_path / "one.pt", program="def forward(self, src):\n    return src\n")
+    with pytest.raises(UserError, match=r"one\.pt: expected the network of Robust Video Matting, got '") as caught:
+        load_rvm(path, "cpu")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["broken.torchscript", "broken.pt"])
+def test_broken_files_are_one_line(tmp_path: Path, rng: np.random.Generator, name: str) -> None:
+    """Catches tracebacks for a download that was cut short."""
+    path = tmp_path / name
+    script(path)
+    whole = path.read_bytes()
+    for content in (b"", rng.bytes(500), whole[: len(whole) // 2]):
+        path.write_bytes(content)
+        with pytest.raises(UserError, match=rf"{name}: expected .*; fetch ") as caught:
+            load_rvm(path, "cpu")
+        assert "\n" not in str(caught.value)
+
+
+def test_missing_files_and_other_names_are_refused(tmp_path: Path) -> None:
+    """Catches a file of ONNX given for TorchScript, and a folder for a file."""
+    with pytest.raises(UserError, match="got nothing there"):
+        load_rvm(tmp_path / "none.pt")
+    with pytest.raises(UserError, match="got a folder"):
+        load_rvm(tmp_path)
+    (tmp_path / "rvm.onnx").write_bytes(b"x")
+    with pytest.raises(UserError, match=r"a TorchScript file .*\.torchscript or \.pt.*checkpoint"):
+        load_rvm(tmp_path / "rvm.onnx")

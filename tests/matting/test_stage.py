@@ -1,0 +1,99 @@
+"""Mattes of a whole capture: found without weights, resumable, the same however they were made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import pytest
+
+from fourd.capture import open_capture
+from fourd.errors import UserError
+from fourd.matting.stage import LEARNED, MATTES, MatteSettings, Selection, make_mattes
+from tests.matting.captures import overlaps, unmasked
+
+Item = TypeVar("Item")
+
+
+def untold(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
+    return items
+
+
+def contents(capture: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(capture)): path.read_bytes() for path in sorted(capture.glob(".fourd/mattes/*/*"))}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ball capture with the mattes that fourd made. Not to be changed by tests."""
+    capture = unmasked(tmp_path_factory.mktemp("made"), frames=6, size=64)
+    assert make_mattes(Selection(capture), MatteSettings(), 1, untold) == 6
+    return capture
+
+
+def test_mattes_are_the_subject(made: Path) -> None:
+    """Catches evidence of the wrong sign, views out of order, and mattes of other pixels than the pictures'."""
+    found = overlaps(open_capture(made), made.parent / "truth")
+    assert found.mean() > 0.85, found.round(2)
+    assert found.mean(axis=1).min() > 0.75, found.round(2)
+
+
+def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) -> None:
+    """Catches resuming that redoes everything, and files that depend on where work went on."""
+    before = contents(made)
+    lost = made / MATTES / "03" / "000004.png"
+    lost.unlink()
+    (made / MATTES / "03" / ".000005-killed.png").write_bytes(b"half")
+    times = {path: path.stat().st_mtime_ns for path in made.glob(".fourd/mattes/0[012]/*") if path.stem != "000004"}
+    assert make_mattes(Selection(made), MatteSettings(), 1, untold) == 1
+    assert contents(made) == before
+    assert all(path.stat().st_mtime_ns == time for path, time in times.items())
+    assert make_mattes(Selection(made), MatteSettings(), 1, untold) == 0
+
+
+@pytest.mark.slow
+def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
+    """Catches mattes that depend on how frames are shared out."""
+    before = contents(made)
+    for path in made.glob(".fourd/mattes/*/*"):
+        path.unlink()
+    assert make_mattes(Selection(made), MatteSettings(), 2, untold) == 6
+    assert contents(made) == before
+
+
+def test_other_settings_begin_anew(tmp_path: Path) -> None:
+    """Catches mattes of an older seed or input beside new ones."""
+    capture = unmasked(tmp_path, frames=3, size=64)
+    assert make_mattes(Selection(capture), MatteSettings(), 1, untold) == 3
+    assert (capture / ".fourd" / LEARNED).exists()
+    assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untold) == 3
+    picture = capture / "images" / "00" / "000001.png"
+    picture.write_bytes(picture.read_bytes() + b"\0")
+    assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untold) == 3
+
+
+def test_a_capture_in_which_nothing_moves_is_told(tmp_path: Path) -> None:
+    """Catches mattes of noise, or a traceback, where there is no subject to find."""
+    capture = unmasked(tmp_path, frames=4, size=64)
+    for folder in (capture / "images").iterdir():
+        first = (folder / "000000.png").read_bytes()
+        for path in folder.iterdir():
+            path.write_bytes(first)
+    with pytest.raises(UserError, match=r"expected a subject that moves, got nothing that changes.*chroma"):
+        make_mattes(Selection(capture), MatteSettings(), 1, untold)
+
+
+def test_views_that_disagree_on_where_are_told(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches an empty hull that becomes a traceback: another scene's videos, or a wrong calibration."""
+    capture = unmasked(tmp_path, frames=4, size=64)
+    for index, folder in enumerate(sorted((capture / "images").iterdir())):
+        for path in folder.iterdir():
+            picture = np.full((64, 64, 3), 90, np.uint8)
+            corner = (index % 2) * 44
+            picture[corner : corner + 16, corner : corner + 16] = rng.integers(0, 255, (16, 16, 3))
+            assert cv2.imwrite(str(path), picture)
+    with pytest.raises(UserError, match=r"expected views that agree on where something moves, got none.*fourd check"):
+        make_mattes(Selection(capture), MatteSettings(), 1, untold)
