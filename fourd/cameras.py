@@ -46,11 +46,14 @@ class Camera:
         object.__setattr__(self, "translation", _checked("translation", self.translation, (3,)))
         if self.width < 1 or self.height < 1:
             raise ValueError(f"width and height: expected at least 1 pixel, got {self.width} x {self.height}")
-        error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
-        if error > 1e-3 or np.linalg.det(self.rotation) < 0:
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
+            determinant = float(np.linalg.det(self.rotation))
+        # So phrased that a product that overflows to infinity or NaN fails.
+        if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
                 f"rotation: expected an orthonormal matrix of determinant +1, got one that is off by "
-                f"{error:.3g} with determinant {np.linalg.det(self.rotation):.3g}"
+                f"{error:.3g} with determinant {determinant:.3g}"
             )
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:
             raise ValueError(

@@ -1,9 +1,10 @@
-"""``fourd make``: every stage from a capture to a scene, each done once for the same input and settings."""
+"""``fourd make``: every stage from videos or a capture to a scene, each done once for the same input and settings."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -12,12 +13,15 @@ from pathlib import Path
 from rich.console import Console
 
 from fourd.baking.bake import bake_run
+from fourd.capture.calibration import INTRINSICS_NAME
 from fourd.capture.check import check_capture
-from fourd.capture.layout import camera_folders
+from fourd.capture.import_source import ImportOptions, import_source, pick_format
+from fourd.capture.layout import VIDEOS, camera_folders
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.matting.making import SHEET, make_all
-from fourd.matting.stage import MatteSettings, Selection
+from fourd.matting.selection import Selection
+from fourd.matting.stage import MatteSettings
 from fourd.progress import Tracker
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
@@ -25,6 +29,8 @@ from fourd.training.lpips import LPIPS
 from fourd.training.run import CONFIG_NAME, carve_run, create_run, load_run, open_run
 
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
+SOURCE_PATTERNS = ("*", "*/*", "*/*/*")
+CAPTURE = "capture"
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 
 
@@ -82,8 +88,9 @@ class MakeSettings:
 def make_scene(
     capture: Path, out: Path, settings: MakeSettings, train: TrainConfig, lpips: LPIPS | None, console: Console
 ) -> None:
-    """Check, matte, carve, train and export ``capture`` into the scene file ``out``.
+    """Import, check, matte, carve, train and export ``capture`` into the scene file ``out``.
 
+    What is no capture is imported beside ``out``; so is one without masks in a folder that cannot be written to.
     The stages' results lie in a folder beside ``out``, named after it. A changed input or setting
     redoes the stages that depend on it; an interrupted one goes on where it stopped.
     """
@@ -93,6 +100,10 @@ def make_scene(
     work.mkdir(parents=True, exist_ok=True)
     stages = Stages(work, console)
     run = work / "run"
+    if not _is_usable(capture):
+        source, capture = capture, work / CAPTURE
+        key = fingerprint(source, SOURCE_PATTERNS)
+        stages.run("import", key, lambda: _bring_in(source, capture, console), capture, lambda: _remove(capture))
     inputs = fingerprint(capture)
     training = asdict(train)
     matte_selection = Selection(capture, train.views, train.frames)
@@ -128,6 +139,31 @@ def fingerprint(capture: Path, patterns: Sequence[str] = INPUT_PATTERNS) -> str:
             status = path.stat()
             entries.append(f"{path.relative_to(capture)} {status.st_size} {status.st_mtime_ns}")
     return _key(str(capture.resolve()), *entries)
+
+
+def _is_usable(capture: Path) -> bool:
+    """Whether a folder is a capture as it is, to which mattes can be added where it has none."""
+    is_capture = (capture / INTRINSICS_NAME).is_file() and any((capture / name).is_dir() for name in ("images", VIDEOS))
+    return is_capture and (bool(camera_folders(capture / "masks")) or os.access(capture, os.W_OK))
+
+
+def _bring_in(source: Path, capture: Path, console: Console) -> None:
+    way = pick_format(None, source)
+    console.print(f"{source}: {way.name}, {way.summary}", soft_wrap=True)
+
+    def told(line: str) -> None:
+        console.print(line, soft_wrap=True, markup=False)
+
+    tracker = Tracker(console)
+    import_source(
+        way,
+        source,
+        capture,
+        ImportOptions(),
+        say=told,
+        warn=lambda line: told(f"warning: {line}"),
+        track=lambda what, count, loop: tracker.track(loop, count, what),
+    )
 
 
 def _check(capture: Path) -> None:

@@ -45,6 +45,7 @@ def test_cropping_shifts_pixels() -> None:
     [
         ("rotation", np.diag([1.0, 1, -1]), "rotation: expected an orthonormal"),
         ("rotation", np.full((3, 3), np.nan), "rotation: expected finite"),
+        ("rotation", np.array([[1e200, -1e200, 0], [1e200, 1e200, 0], [0, 0, 1]]), "rotation: expected an orthonormal"),
         ("intrinsics", np.diag([-1.0, 1, 1]), "intrinsics: expected positive focal"),
         ("translation", np.zeros(4), "translation: expected shape"),
         ("width", 0, "width and height"),

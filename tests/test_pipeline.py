@@ -15,6 +15,7 @@ from fourd.errors import UserError
 from fourd.matting.stage import MatteSettings
 from fourd.pipeline import MakeSettings, make_scene
 from fourd.training.config import TrainConfig
+from tests.matting.captures import unmasked, write_video
 from tests.training.small import SMALL, with_steps
 
 SETTINGS = MakeSettings(MatteSettings(), workers=1)
@@ -25,7 +26,9 @@ def made(capture: Path, out: Path, config: TrainConfig) -> dict[str, bool]:
     text = io.StringIO()
     make_scene(capture, out, SETTINGS, config, None, Console(file=text, width=200))
     lines = text.getvalue().splitlines()
-    return {name: f"{name}: working" in lines for name in ("check", "carve", "train", "export")}
+    names = ("import", "check", "mattes", "carve", "train", "export")
+    told = [name for name in names if any(line.startswith(f"{name}: ") for line in lines)]
+    return {name: f"{name}: working" in lines for name in told}
 
 
 def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -> None:
@@ -33,7 +36,7 @@ def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
     config = with_steps(SMALL, 2)
-    assert all(made(capture, out, config).values())
+    assert made(capture, out, config) == dict.fromkeys(("check", "carve", "train", "export"), True)
     assert not any(made(capture, out, config).values())
     now = made(capture, out, replace(config, seed=5))
     assert now == {"check": False, "carve": False, "train": True, "export": True}
@@ -42,6 +45,24 @@ def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -
     assert now == {"check": False, "carve": False, "train": False, "export": True}
     os.utime(capture / "images" / "00" / "000001.png", (1, 1))
     assert all(made(capture, out, replace(config, seed=5)).values())
+
+
+def test_videos_become_a_scene(tmp_path: Path) -> None:
+    """Catches a stage that is left out, or done again, on the way from videos to a scene."""
+    capture, source, out = unmasked(tmp_path, frames=6, size=64), tmp_path / "videos", tmp_path / "scene.4dv"
+    source.mkdir()
+    for name in ("intri.yml", "extri.yml"):
+        shutil.copy(capture / name, source / name)
+    for folder in (capture / "images").iterdir():
+        write_video(source / f"{folder.name}.mp4", sorted(folder.iterdir()))
+    config = with_steps(SMALL, 2)
+    stages = ["import", "check", "mattes", "carve", "train", "export"]
+    assert made(source, out, config) == dict.fromkeys(stages, True)
+    assert made(source, out, config) == dict.fromkeys(stages, False)
+    assert not (source / ".fourd").exists(), "the videos' folder is the user's"
+    matte = tmp_path / "scene.work" / "capture" / ".fourd" / "mattes" / "00" / "000002.png"
+    matte.write_bytes((matte.parent / "000001.png").read_bytes())
+    assert made(source, out, config) == dict.fromkeys(stages[:3], False) | dict.fromkeys(stages[3:], True)
 
 
 def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_path: Path) -> None:

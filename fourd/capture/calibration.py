@@ -57,9 +57,9 @@ class Survey:
 def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     """Calibrations of ``folder``'s cameras by name, in the order of intri.yml's ``names``.
 
-    Reads ``K_c`` (3, 3) in pixels, ``D_c`` (OpenCV distortion, optional), ``H_c`` and ``W_c``
-    (optional), ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector), ``T_c`` (3,), for
-    ``x_camera = R x_world + T``.
+    Reads ``K_c`` (3, 3) in pixels, ``D_c`` or else ``dist_c``, as EasyMocap's own tools write it
+    (OpenCV distortion, optional), ``H_c`` and ``W_c`` (optional), ``Rot_c`` (3, 3) or ``R_c``
+    (Rodrigues vector), ``T_c`` (3,), for ``x_camera = R x_world + T``.
 
     Raises:
         UserError: naming the file and the key, when a file is missing or no FileStorage, a value
@@ -141,7 +141,7 @@ def _one(name: str, intri: _Storage, extri: _Storage) -> Calibration:
         intrinsics,
         _rotation(name, extri),
         extri.matrix(f"T_{name}", (3,)),
-        intri.matrix(f"D_{name}", None) if intri.has(f"D_{name}") else None,
+        next((intri.matrix(key, None) for key in (f"D_{name}", f"dist_{name}") if intri.has(key)), None),
         intri.count(f"W_{name}"),
         intri.count(f"H_{name}"),
     )
@@ -218,7 +218,10 @@ class _Storage:
         node = self._storage.getNode(key)
         if node.empty():
             raise UserError(f"{self.path}: {key}: expected a matrix, got nothing; add it or drop that camera")
-        matrix = node.mat()
+        try:
+            matrix = node.mat()
+        except cv2.error as error:
+            raise UserError(f"{self.path}: {key}: expected a whole matrix, got a part of one; copy it again") from error
         if matrix is None and node.isSeq():
             matrix = np.array([node.at(i).real() for i in range(node.size())])
         if matrix is None or (shape is not None and matrix.size != int(np.prod(shape))):

@@ -60,11 +60,7 @@ def write_capture(imported: Imported, out: Path, settings: ImportSettings, track
     Raises:
         UserError: when names cannot be names of files, a video cannot be used, or offsets fit no camera.
     """
-    _check_names(imported.cameras)
-    for name in settings.offsets:
-        if name not in {camera.name for camera in imported.cameras}:
-            names = ", ".join(camera.name for camera in imported.cameras)
-            raise UserError(f"--offset: expected a camera among {names}, got '{name}'")
+    check_import(imported, settings)
     videos = _indexed(imported.cameras, settings.offsets, track)
     notes = _rates(videos)
     if videos and len(videos) < len(imported.cameras):
@@ -82,6 +78,17 @@ def write_capture(imported: Imported, out: Path, settings: ImportSettings, track
             _place_pictures(camera.masks, out / "masks" / camera.name, settings.copy, track)
     write_lenses(out, [(camera.name, camera.lens) for camera in imported.cameras if camera.lens is not None])
     return notes
+
+
+def check_import(imported: Imported, settings: ImportSettings) -> None:
+    """Whether names can be names of files, and offsets are those of videos. Raises UserError as write_capture."""
+    _check_names(imported.cameras)
+    frames = {camera.name: camera.frames for camera in imported.cameras}
+    for name in settings.offsets:
+        if name not in frames:
+            raise UserError(f"--offset: expected a camera among {', '.join(frames)}, got '{name}'; name one of them")
+        if not isinstance(frames[name], VideoFile):
+            raise UserError(f"--offset: expected a video of '{name}', got pictures; rename them so that frames agree")
 
 
 def write_lenses(out: Path, lenses: Sequence[tuple[str, Camera]]) -> None:
@@ -190,9 +197,15 @@ def _place(source: Path, target: Path, copy: bool) -> None:
     """Link ``target`` to ``source``, or copy it there; what is there already as wanted stays."""
     source = source.resolve()
     if target.is_symlink() or target.exists():
-        if target.resolve() == source or (copy and not target.is_symlink() and _same_size(source, target)):
+        is_link = target.resolve() == source
+        if (is_link and not (copy and target.is_symlink())) or (
+            copy and not target.is_symlink() and _same_size(source, target)
+        ):
             return
-        raise UserError(f"{target}: expected nothing there or the same file, got another; import into another folder")
+        if not is_link:
+            raise UserError(
+                f"{target}: expected nothing there or the same file, got another; import into another folder"
+            )
     target.parent.mkdir(parents=True, exist_ok=True)
     if copy:
         with atomic_path(target) as temporary:

@@ -12,7 +12,23 @@ from rich.console import Console
 from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
 
-COMMANDS = ("make", "synth", "check", "carve", "train", "eval", "export", "render", "view", "bench", "info")
+COMMANDS = (
+    "make",
+    "import",
+    "synth",
+    "check",
+    "matte",
+    "carve",
+    "train",
+    "eval",
+    "export",
+    "render",
+    "view",
+    "bench",
+    "info",
+)
+MODULES = {"import": "import_"}
+"""Where a command's file cannot have its name."""
 
 USERS_DISK = (
     errno.ENOSPC,
@@ -31,8 +47,10 @@ USERS_DISK = (
 HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
   fourd make CAPTURE -o scene.4dv   everything below, cached and resumable
+  fourd import [FORMAT] SRC OUT     another program's calibration and videos, as a capture
   fourd synth OUT                   a synthetic capture with truth
   fourd check CAPTURE               what is there, what is wrong
+  fourd matte CAPTURE               make mattes and clean plates
   fourd carve CAPTURE               points of each frame, bounds
   fourd train CAPTURE --out RUN     train a model
   fourd eval RUN                    quality on held-out views
@@ -93,7 +111,7 @@ def _run(command: str, words: list[str]) -> int:
         near = difflib.get_close_matches(command, COMMANDS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "see fourd --help"
         raise UserError(f"expected a command among {', '.join(COMMANDS)}, got '{command}'; {hint}")
-    module = importlib.import_module(f"fourd.cli.{command}")
+    module = importlib.import_module(f"fourd.cli.{MODULES.get(command, command)}")
     with one_line_of_usage():
         arguments = tyro.cli(
             module.Arguments,

@@ -23,7 +23,7 @@ class Arguments:
     """Every stage is cached: run the same command again after a stop, and it goes on."""
 
     capture: tyro.conf.Positional[Path]
-    """Folder with images/ or videos/, intri.yml, extri.yml, and masks/ where there are any."""
+    """A capture, or anything that fourd import reads, such as a folder of videos and their calibration."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The scene file to write; its stages' results lie beside it in OUT.work/."""
     scene: Literal["object"] | None = None

@@ -13,7 +13,8 @@ from rich.console import Console
 
 from fourd.errors import UserError
 from fourd.matting.making import Made, make_all
-from fourd.matting.stage import MatteSettings, Selection
+from fourd.matting.selection import Selection
+from fourd.matting.stage import MatteSettings
 from fourd.progress import Tracker
 
 

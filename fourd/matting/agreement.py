@@ -20,7 +20,7 @@ Floats = NDArray[np.float32]
 MOST_CELLS = 112
 """Cells along the box's longest side, at most; 1.4 million in a cube."""
 CELLS_PER_PIXEL = 1.0
-TOLERATED = 0.1
+TOLERATED = 0.05
 """Share of the views that may be wrong about a cell."""
 LEAST_SEEING = 0.75
 """Share of the views that must see a cell."""

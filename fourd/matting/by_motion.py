@@ -63,7 +63,18 @@ class Matter:
                 motions[-1] = motion_px(small[-1], reduced(other, camera))
         lit = [look.at_exposure(picture) for look, picture in zip(self.looks, small, strict=True)]
         views = joined(self.looks, lit, motions, self.cells)
-        return [matte(odds, picture) for odds, picture in zip(views.log_odds, pictures, strict=True)]
+        return [
+            matte(odds, picture, _behind(look, picture))
+            for odds, picture, look in zip(views.log_odds, pictures, self.looks, strict=True)
+        ]
+
+
+def _behind(look: Look, picture: Picture) -> Floats | None:
+    """The background's colours and sureness (H, W, 4) where they are as sharp as the picture; None otherwise."""
+    background = look.background
+    if background.frames.shape != picture.shape[:2]:
+        return None
+    return np.dstack([background.mean, background.sureness])
 
 
 def matting_cameras(capture: Capture) -> tuple[Camera, ...]:

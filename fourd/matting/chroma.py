@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
-from fourd.matting.edges import BAND, cleaned, softened
+from fourd.matting.edges import BAND, cleaned, softened, unmixed
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -37,8 +37,6 @@ SUBJECT_DISTANCE = 0.4
 """Least distance of the subject; 0 = the screen, 1 = grey: an edge's pixel that shows a little less than half of it."""
 SPREADS = 1.6
 """The screen's spread, times this, is no subject yet."""
-LEAST_CONTRAST = 30.0
-"""Between subject and screen, of 8-bit colours, for a pixel's mixture of them to be told."""
 MOST_SAMPLES = 20_000
 """Border pixels a picture."""
 
@@ -115,33 +113,7 @@ def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
     subject = cleaned((from_screen > least).astype(np.uint8))
     radius = max(2, round(BAND * max(rgb.shape[:2])))
     alpha = softened(subject, np.ascontiguousarray(rgb), radius)
-    return np.asarray(255 * _unmixed(rgb, subject, alpha, radius) + 0.5, np.uint8)
-
-
-def _unmixed(rgb: Picture, subject: Picture, alpha: Floats, radius: int) -> Floats:
-    """(H, W) in [0, 1]: at the subject's edge, its share in a pixel's mixture with the screen beside it.
-
-    Dark clothes mixed with the screen look like its shadow and fall short in ``distance``; the colours to either
-    side tell them apart. Where these are alike, ``alpha`` stands.
-    """
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    inside = np.asarray(cv2.erode(subject, disc), np.float32)
-    outside = 1 - np.asarray(cv2.dilate(subject, disc), np.float32)
-    edge = (inside == 0) & (outside == 0)
-    value = rgb.astype(np.float32)
-    (front, front_near), (back, back_near) = (_around(value, sure, radius) for sure in (inside, outside))
-    across = front - back
-    length = np.square(across).sum(axis=-1)
-    share = ((value - back) * across).sum(axis=-1) / np.maximum(length, 1)
-    known = edge & (front_near > 0.01) & (back_near > 0.01) & (length > LEAST_CONTRAST**2)
-    return np.where(known, np.clip(share, 0, 1), alpha)
-
-
-def _around(value: Floats, sure: Floats, radius: int) -> tuple[Floats, Floats]:
-    """Mean colour near each pixel (H, W, 3) of those where ``sure`` (H, W) is 1, and their share of all there."""
-    near = np.asarray(cv2.GaussianBlur(sure, (0, 0), 1.5 * radius), np.float32)
-    total = np.asarray(cv2.GaussianBlur(value * sure[..., None], (0, 0), 1.5 * radius), np.float32)
-    return (total / np.maximum(near, 1e-6)[..., None]).astype(np.float32), near
+    return np.asarray(255 * unmixed(rgb, subject, alpha, radius) + 0.5, np.uint8)
 
 
 def distance(rgb: Picture, screen: ScreenColour) -> Floats:

@@ -18,6 +18,8 @@ Picture = NDArray[np.uint8]
 
 MOST = np.float32(8.0)
 """Log-odds beyond which nothing is more certain."""
+UNSURE = np.float32(0.5)
+"""Share of the evidence against the subject that stands where the background is not known at all."""
 MOVING_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_REACHES = np.float32(-1.5)
@@ -27,7 +29,7 @@ HULL_DEPTH = np.float32(4.0)
 CONFIDENT = np.float32(4.0)
 WITHIN_HULL_LOG_ODDS = 2.5
 """At most; see :func:`_within`."""
-SMOOTHING = 3.0
+SMOOTHING = 20.0
 COLOUR_EDGE = 8.0
 
 
@@ -56,8 +58,8 @@ class Look:
         at_pixel = self.background.log_likelihood(rgb)
         mixed = np.logaddexp(at_pixel + np.log(0.95 * sure + 1e-4), surroundings + np.log(1 - 0.95 * sure))
         odds = np.clip(self.subject.log_likelihood(rgb) - mixed, -MOST, MOST)
-        # Where the background is not known, nothing may deny the subject.
-        odds = np.where(odds < 0, odds * (0.25 + 0.75 * sure), odds)
+        # Where the background is not known, colours alone should not deny the subject.
+        odds = np.where(odds < 0, odds * (UNSURE + (1 - UNSURE) * sure), odds)
         if motion is not None:
             odds += (1 - sure) * np.clip(0.7 * (motion / self.still_px - 2), 0, MOVING_LOG_ODDS)
         odds[~self.region] = -MOST

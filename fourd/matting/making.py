@@ -10,8 +10,9 @@ from fourd.capture.layout import MATTES, camera_folders
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.plates import make_plates
 from fourd.matting.sampling import Track
+from fourd.matting.selection import Selection
 from fourd.matting.sheet import contact_sheet
-from fourd.matting.stage import MatteSettings, Selection, make_mattes, matte_key
+from fourd.matting.stage import MatteSettings, make_mattes, matte_key
 
 SHEET = Path(".fourd") / "mattes.png"
 
@@ -49,5 +50,5 @@ def make_all(selection: Selection, settings: MatteSettings, workers: int, track:
     if not brought and (frames or not sheet.exists()):
         contact_sheet(capture, sheet)
     if plates:
-        make_plates(capture, matte_key(capture, settings), track)
+        make_plates(selection, matte_key(capture, settings), workers, track)
     return Made(brought, frames, path / MATTES, sheet, path / PLATES if plates else None)

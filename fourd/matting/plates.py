@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 from fourd.capture import Capture
 from fourd.files import atomic_path, write_text_atomically
 from fourd.matting.sampling import Track, sampled_frames
+from fourd.matting.selection import Selection
+from fourd.matting.spreading import spread
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 FOLDER = Path(".fourd") / "plates"
 STATE = "plates.json"
-MOST_FRAMES = 200
-"""At most so many frames are averaged: noise falls with their root, and 200 leave a fourteenth of it."""
+MOST_FRAMES = 64
+"""At most so many frames are averaged: noise falls with their root, and 64 leave an eighth of it."""
 MARGIN = 1 / 150
 """Of the picture's longest side: kept away from the matte, whose edge is soft and casts a shadow."""
 OUTLIER = 3.0
@@ -77,11 +79,13 @@ class _Running:
         return np.sqrt(self.squares.mean(axis=-1) / np.maximum(self.weight, 1e-6))
 
 
-def make_plates(capture: Capture, key: str, track: Track) -> int:
+def make_plates(selection: Selection, key: str, workers: int, track: Track) -> int:
     """Make each camera's plate into ``.fourd/plates/CAM.png``, RGBA with alpha 0 in holes, of undistorted pictures.
 
-    Plates that an earlier call with the same ``key`` made are kept. Returns how many were made now.
+    Plates that an earlier call with the same ``key`` made are kept; the others are spread over ``workers``
+    processes, a camera each. Returns how many were made now. Raises UserError where the capture has no mattes.
     """
+    capture = selection.open()
     folder = capture.path / FOLDER
     state = folder.parent / STATE
     try:
@@ -93,12 +97,28 @@ def make_plates(capture: Capture, key: str, track: Track) -> int:
         for index, name in enumerate(capture.names)
         if done.get(name) != key or not (folder / f"{name}.png").exists()
     ]
-    for index in track(missing, len(missing), "plates"):
-        name = capture.names[index]
-        write_plate(folder / f"{name}.png", clean_plate(capture, index))
+    jobs = [_Job(selection, capture.names[index], folder) for index in missing]
+    for name in track(spread(_plate, jobs, workers), len(jobs), "plates"):
         done[name] = key
         write_text_atomically(state, json.dumps(done) + "\n")
     return len(missing)
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One camera for a process, which opens everything itself."""
+
+    selection: Selection
+    name: str
+    folder: Path
+
+
+def _plate(job: _Job) -> str:
+    """Make one camera's plate; returns the camera's name."""
+    cv2.setNumThreads(1)
+    capture = replace(job.selection, views=(job.name,)).open()
+    write_plate(job.folder / f"{job.name}.png", clean_plate(capture, 0))
+    return job.name
 
 
 def clean_plate(capture: Capture, index: int) -> Plate:

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.capture import Capture, open_capture
+from fourd.capture import Capture
 from fourd.capture.layout import MATTES
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_text_atomically
@@ -23,6 +23,7 @@ from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, given_
 from fourd.matting.rvm import load_rvm
 from fourd.matting.sampling import Track, sampled_frames, take_sample
 from fourd.matting.saved import load_matter, save_subject
+from fourd.matting.selection import Selection
 from fourd.matting.spreading import blocks, spread
 from fourd.matting.subject import learn_subject
 
@@ -31,8 +32,6 @@ Picture = NDArray[np.uint8]
 VERSION = 1
 STATE = "mattes.json"
 LEARNED = "subject.npz"
-CACHE_FRAMES = 8
-"""Frames of all cameras to keep decoded: a frame and those up to the one that motion is told from."""
 INPUTS = ("*.yml", "videos.json", "videos/*", "images/*/*")
 SCREEN_FRAMES = 5
 FASTEST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
@@ -55,22 +54,6 @@ class MatteSettings:
     rvm: Path | None = None
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Which part of which capture; see :func:`fourd.capture.open_capture`."""
-
-    path: Path
-    views: tuple[str, ...] | None = None
-    frames: str | None = None
-
-    def open(self) -> Capture:
-        """The capture, with room for the frames between which motion is looked for."""
-        capture = open_capture(self.path, views=self.views, frames=self.frames, mattes=False)
-        frame_bytes = sum(3 * camera.width * camera.height for camera in capture.cameras)
-        cache_mb = 64 + (CACHE_FRAMES * frame_bytes >> 20)
-        return open_capture(self.path, views=self.views, frames=self.frames, cache_mb=cache_mb, mattes=False)
-
-
 def make_mattes(selection: Selection, settings: MatteSettings, workers: int, track: Track) -> int:
     """Make a capture's mattes into ``.fourd/mattes/CAM/FRAME.png``, of the undistorted pictures.
 
@@ -89,7 +72,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         UserError: when nothing moves or the views do not agree on where, there is no screen, or the network's file
             is none.
     """
-    capture = selection.open()
+    capture = selection.open(mattes=False)
     folder = capture.path / MATTES
     _begin(folder, matte_key(capture, settings))
     missing = [frame for frame in range(capture.frame_count) if not _is_made(folder, capture, frame)]
@@ -196,7 +179,7 @@ class _Job:
 def _mattes(job: _Job) -> Sequence[int]:
     """Make the mattes of a job's frames; returns the frames."""
     cv2.setNumThreads(1)
-    capture = job.selection.open()
+    capture = job.selection.open(mattes=False)
     matter = load_matter(job.by, matting_cameras(capture)) if isinstance(job.by, Path) else None
     for frame in job.frames:
         if matter is not None:

@@ -34,7 +34,7 @@ MOST_COLOURS = 200_000
 AROUND_PX = 20
 """Width of the surroundings whose colours stand for the background's, in sampled pixels."""
 LEAST_WEIGHT = np.float32(0.04)
-DOUBTFUL = np.float32(1.5)
+DOUBTFUL = np.float32(1.0)
 LIKENESS_SLOPE = np.float32(2.0)
 LEAST_LIKENESS = np.float32(0.02)
 """A colour whose log-odds for the subject are above DOUBTFUL is hardly taken for the background's."""

@@ -135,6 +135,17 @@ def test_sizes_may_be_missing_and_rotations_be_vectors(capture: Path) -> None:
     assert all(np.allclose(a.rotation, b.rotation, atol=1e-9) for a, b in zip(before, after, strict=True))
 
 
+def test_distortion_may_have_easymocap_s_own_name(capture: Path) -> None:
+    """Catches a lens that is taken for a pinhole, since EasyMocap's tools write dist_c for D_c."""
+    intri = capture / "intri.yml"
+    lens = replace(read_calibration(capture)["01"].camera(64, 64), distortion=BARREL)
+    write_calibration(capture, ["01"], [lens])
+    text, count = re.subn("D_01", "dist_01", intri.read_text())
+    assert count == 1
+    intri.write_text(text)
+    assert np.allclose(read_calibration(capture)["01"].distortion, BARREL)
+
+
 def _truncate_png(capture: Path) -> None:
     path = capture / "images" / "03" / "000001.png"
     path.write_bytes(path.read_bytes()[:-200])
@@ -182,6 +193,11 @@ BREAKS: list[tuple[str, Callable[[Path], object], str]] = [
         "NaN in the intrinsics",
         lambda c: edit(c / "intri.yml", r"(K_03: (?:.*\n){4}\s+data: \[ )[^,]*,", r"\g<1>.Nan,"),
         r"intri.yml: K_03: expected finite numbers, got \[nan",
+    ),
+    (
+        "a matrix that lacks numbers",
+        lambda c: edit(c / "intri.yml", r"(K_03: (?:.*\n){4}\s+data: \[ )[^,]*,", r"\g<1>"),
+        r"intri.yml: K_03: expected a whole matrix, got a part of one; copy it again",
     ),
     (
         "a camera in intri.yml without pictures",

@@ -3,12 +3,24 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
 from pathlib import Path
+from typing import TypeVar
 
+import av
 import numpy as np
+from PIL import Image
 
 from fourd.capture import Capture, open_capture
 from tests.captures import write_ball_capture
+
+Item = TypeVar("Item")
+
+
+def untold(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
+    """No progress bar."""
+    return items
 
 
 def unmasked(folder: Path, *, frames: int = 8, size: int = 96) -> Path:
@@ -16,6 +28,20 @@ def unmasked(folder: Path, *, frames: int = 8, size: int = 96) -> Path:
     capture = write_ball_capture(folder / "capture", cameras=8, frames=frames, size=size)
     shutil.move(capture / "masks", folder / "truth" / "masks")
     return capture
+
+
+def write_video(path: Path, pictures: Sequence[Path]) -> None:
+    """A video of picture files, 30 frames per second."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "6", "g": "4"})
+        with Image.open(pictures[0]) as first:
+            stream.width, stream.height = first.size
+        stream.pix_fmt = "yuv420p"
+        for place, picture in enumerate(pictures):
+            frame = av.VideoFrame.from_ndarray(np.array(Image.open(picture).convert("RGB")), format="rgb24")
+            frame.pts, frame.time_base = place, Fraction(1, 30)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
 
 
 def overlaps(made: Capture, truth: Path) -> np.ndarray:

@@ -11,7 +11,8 @@ import pytest
 
 from fourd.capture import open_capture
 from fourd.matting.plates import FOLDER, clean_plate, make_plates
-from tests.matting.captures import unmasked
+from fourd.matting.selection import Selection
+from tests.matting.captures import unmasked, untold
 
 
 @pytest.fixture
@@ -55,11 +56,10 @@ def test_what_a_matte_missed_leaves_no_ghost(walked: Path, tmp_path: Path) -> No
 
 def test_plates_are_made_once_and_again_for_another_key(walked: Path) -> None:
     """Catches plates of an older input that are kept, and work that is done twice."""
-    capture = open_capture(walked)
-    track = lambda items, count, what: items  # noqa: E731
-    assert make_plates(capture, "a", track) == 8
-    assert make_plates(capture, "a", track) == 0
-    assert make_plates(capture, "b", track) == 8
+    selection = Selection(walked)
+    assert make_plates(selection, "a", 1, untold) == 8
+    assert make_plates(selection, "a", 1, untold) == 0
+    assert make_plates(selection, "b", 1, untold) == 8
     written = cv2.imread(str(walked / FOLDER / "00.png"), cv2.IMREAD_UNCHANGED)
     assert written.shape == (64, 64, 4)
     assert written[54, 54, 3] == 0

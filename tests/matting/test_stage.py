@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -12,14 +10,9 @@ import pytest
 
 from fourd.capture import open_capture
 from fourd.errors import UserError
-from fourd.matting.stage import LEARNED, MATTES, MatteSettings, Selection, make_mattes
-from tests.matting.captures import overlaps, unmasked
-
-Item = TypeVar("Item")
-
-
-def untold(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-    return items
+from fourd.matting.selection import Selection
+from fourd.matting.stage import LEARNED, MATTES, MatteSettings, make_mattes
+from tests.matting.captures import overlaps, unmasked, untold
 
 
 def contents(capture: Path) -> dict[str, bytes]:

@@ -5,21 +5,18 @@ Pixels are taken as they are: this project's own captures have this layout, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import av
-import cv2
 
 from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, read_calibration
 from fourd.capture.decoding import picture_size
-from fourd.capture.importers.folders import Array, entries, frames_in, matched, with_lenses
+from fourd.capture.importers.folders import entries, frames_in, matched, with_lenses
 from fourd.capture.importers.imported import Frames, Imported, PictureFiles, VideoFile
 from fourd.errors import UserError
 
-PLACES = ("images", "videos")
+PLACES = ("images", "videos", ".")
 MASKS = ("masks", "mask")
 
 
@@ -35,19 +32,11 @@ def read(source: Path) -> Imported:
         UserError: as read_calibration, when cameras and calibrations do not match, or a picture has no matte.
     """
     path = source / INTRINSICS_NAME
-    try:
-        calibrations = read_calibration(source)
-        older = _older_distortion(path, calibrations)
-    except cv2.error as error:
-        raise UserError(
-            f"{path}: expected whole matrices there and in {EXTRINSICS_NAME}, got '{error.err}'; copy both again"
-        ) from error
+    calibrations = read_calibration(source)
     frames = frames_in(source, PLACES)
     found = {name: frames[camera] for camera, name in matched(list(calibrations), frames, path).items()}
     lenses = {}
     for name, calibration in calibrations.items():
-        if calibration.distortion is None and name in older:
-            calibration = replace(calibration, distortion=older[name])
         lenses[name] = _lens(path, name, calibration, found.get(name))
     cameras, notes = with_lenses(frames, lenses, path, [source / folder for folder in MASKS])
     return Imported(cameras, ("lengths and pixels as the calibration has them", *notes))
@@ -62,19 +51,6 @@ def _lens(path: Path, name: str, calibration: Calibration, frames: Frames | None
         return calibration.camera(width, height)
     except ValueError as error:
         raise UserError(f"{path}: camera '{name}': {error}; calibrate that camera again") from error
-
-
-def _older_distortion(path: Path, names: Iterable[str]) -> dict[str, Array]:
-    """``dist_c`` by camera, as EasyMocap's own tools write what others call ``D_c``."""
-    found = {}
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    for name in names:
-        node = storage.getNode(f"dist_{name}")
-        matrix = None if node.empty() else node.mat()
-        if matrix is not None:
-            found[name] = matrix.astype(float).ravel()
-    storage.release()
-    return found
 
 
 def _size(frames: Frames) -> tuple[int, int]:

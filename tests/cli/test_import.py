@@ -1,0 +1,196 @@
+"""``fourd import`` from outside: what is refused in one line with exit code 2, and what is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fourd.capture import open_capture, read_calibration, write_calibration
+from fourd.capture.mirroring import centre_hypotheses
+from fourd.capture.resizing import size_hypotheses
+from fourd.cli.main import main
+from tests.capture.rooms import Room, room_cameras
+from tests.capture.test_importing import write_source
+
+BALANCE = Path(__file__).parents[2].parent / "shared" / "captures" / "balance"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line that an import ends with."""
+    assert main(["import", *map(str, words)]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fourd import: ")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def done(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """All that a good import says."""
+    assert main(["import", *map(str, words)]) == 0
+    told = capsys.readouterr()
+    assert "next: fourd check" in told.out
+    return told.err
+
+
+def test_the_words_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a mistyped format that is taken for a path, and a source that is not there."""
+    out = tmp_path / "out"
+    assert "got 'easymocab'; did you mean 'easymocap'?" in refused(capsys, "easymocab", ball_capture, out)
+    assert "got nothing there; check the path" in refused(capsys, tmp_path / "gone", out)
+    assert "expected [FORMAT] SRC OUT, got 1 words" in refused(capsys, ball_capture)
+    (tmp_path / "empty").mkdir()
+    line = refused(capsys, tmp_path / "empty", out)
+    assert "got none of these" in line
+    assert "(qualisys)" in line
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--offset", "d=3"), "--offset: expected a camera among a, b, c, got 'd'"),
+        (("--offset", "a"), "--offset: expected CAM=FRAMES, each camera once, got 'a'"),
+        (("--offset", "a=1,a=2"), "each camera once, got 'a=2'"),
+        (("--offset", "a=1.5"), "got 'a=1.5'"),
+        (("--scale", "a,b"), "--scale: expected CAM,CAM=METRES, got 'a,b'"),
+        (("--scale", "a,b=nan"), "got 'a,b=nan'"),
+        (("--scale", "a,z=2"), "--scale: expected two cameras among a, b, c, got 'z'"),
+        (("--board", "9x6"), "--board: expected COLSxROWSxSQUARE_M, got '9x6'"),
+        (("--board", "9x6x-1"), "got '9x6x-1'"),
+        (("--sync", "--apply-sync"), "choose one"),
+    ],
+)
+def test_options_are_checked(
+    words: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches an option that is read as something else, or after minutes of work."""
+    source = write_source(tmp_path / "source")
+    assert message in refused(capsys, source, tmp_path / "out", *words)
+    assert not (tmp_path / "out").exists()
+
+
+def test_offsets_of_pictures_are_refused(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches an offset that is silently not applied."""
+    assert "got pictures" in refused(capsys, ball_capture, tmp_path / "out", "--offset", "02=1")
+
+
+def test_another_capture_is_not_overwritten(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a calibration lost to a mistyped folder."""
+    source = write_source(tmp_path / "source")
+    before = (ball_capture / "intri.yml").read_bytes()
+    assert "got one with other files; name another" in refused(capsys, source, ball_capture)
+    assert "got one with other files; name another" in refused(capsys, source, source)
+    assert (ball_capture / "intri.yml").read_bytes() == before
+
+
+def test_cameras_without_calibration_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a capture that half of its cameras cannot be used of."""
+    source = write_source(tmp_path / "source")
+    calibrations = read_calibration(source)
+    write_calibration(source, ["a", "b"], [calibrations[name].camera(32, 48) for name in ("a", "b")])
+    line = refused(capsys, source, tmp_path / "out")
+    assert "expected a calibration of every camera, got none of c; add it" in line
+    assert "--calibrate" in line
+
+
+def write_room(folder: Path, names: list[str], true: list, calibration: list) -> Path:  # type: ignore[type-arg]
+    room = Room(np.random.default_rng(4))
+    write_calibration(folder, names, calibration)
+    for name, camera in zip(names, true, strict=True):
+        path = folder / "images" / name / "000000.png"
+        path.parent.mkdir(parents=True)
+        cv2.imwrite(str(path), cv2.cvtColor(room.picture(camera), cv2.COLOR_RGB2BGR))
+    return folder
+
+
+def test_sizes_that_tell_nothing_ask_for_a_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a guess at how pictures were resized."""
+    source = write_source(tmp_path / "source")
+    lenses = [replace(of.camera(32, 48), width=36) for of in read_calibration(source).values()]
+    write_calibration(source, ["a", "b", "c"], lenses)
+    line = refused(capsys, source, tmp_path / "out")
+    assert (
+        "a, b, c: expected pictures of the calibration's size or a clear way to theirs, got 36 x 48 -> 32 x 48" in line
+    )
+    assert "stretched: no matches" in line
+    assert "say --resize NAME" in line
+    assert not (tmp_path / "out" / "intri.yml").exists()
+    assert "expected one of" in refused(capsys, source, tmp_path / "out", "--resize", "squeezed")
+    assert "cropped left (as --resize says)" in done(capsys, source, tmp_path / "out", "--resize", "cropped left")
+    assert np.allclose(open_capture(tmp_path / "out").cameras[0].intrinsics[0, 2], lenses[0].intrinsics[0, 2] - 4)
+
+
+def test_a_stretch_and_mirrored_centres_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches sizes and centres that are judged apart, a change that nobody asked for, and one that is not made."""
+    names = ["a", "b", "c", "d"]
+    shift = np.array([[0, 0, 14.0], [0, 0, -9.0], [0, 0, 0]])
+    given = [replace(lens, intrinsics=lens.intrinsics + shift) for lens in room_cameras(4, 256, 192)]
+    true = [size_hypotheses(lens, 256, 160)["stretched"] if i < 2 else lens for i, lens in enumerate(given)]
+    mirrored = [
+        centre_hypotheses(lens)[what]
+        for lens, what in zip(given, ("mirrored x", "mirrored both", "mirrored y", "mirrored x"), strict=True)
+    ]
+    source = write_room(tmp_path / "source", names, true, mirrored)
+    told = done(capsys, source, tmp_path / "out")
+    assert "a, b: 256 x 192 -> 256 x 160: stretched" in told
+    assert "warning: principal points look mirrored: a x, b both, c y, d x" in told
+    assert "--centres mirrored" in told
+    before = open_capture(tmp_path / "out").cameras
+    assert np.allclose(before[2].intrinsics, mirrored[2].intrinsics)
+    assert "principal points mirrored: a x, b both, c y, d x" in done(
+        capsys, source, tmp_path / "out", "--centres", "mirrored"
+    )
+    for camera, lens in zip(open_capture(tmp_path / "out").cameras, true, strict=True):
+        assert np.allclose(camera.intrinsics, lens.intrinsics, atol=1e-6)
+
+
+def test_a_good_calibration_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a good calibration that is called mirrored, and a unit that is not applied to it when asked for."""
+    cameras = room_cameras(4, 256, 192)
+    source = write_room(tmp_path / "source", ["a", "b", "c", "d"], cameras, cameras)
+    told = done(capsys, "easymocap", source, tmp_path / "out", "--scale", "a,b=3")
+    assert "easymocap: " in told
+    assert "warning" not in told
+    assert "px in the mean" in told
+    centres = [camera.centre for camera in open_capture(tmp_path / "out").cameras]
+    assert np.isclose(np.linalg.norm(centres[0] - centres[1]), 3)
+
+
+def test_check_tells_residuals_and_names_the_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a camera that was knocked and a check that accuses the good ones, or takes its time when told not to."""
+    true = room_cameras(5, 320, 240)
+    angle = np.deg2rad(2.5)
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    knocked = [replace(c, rotation=turn @ c.rotation, translation=turn @ c.translation) if i == 3 else c
+               for i, c in enumerate(true)]  # fmt: skip
+    source = write_room(tmp_path / "source", list("abcde"), true, knocked)
+    assert main(["check", str(source)]) == 0
+    told = capsys.readouterr().out
+    assert "px from epipolar lines in the mean of" in told
+    assert "extri.yml: camera 'd' disagrees with the others by" in told
+    assert told.count("disagrees with the others") == 1
+    write_calibration(source, list("abcde"), true)
+    assert main(["check", str(source)]) == 0
+    assert "disagree" not in capsys.readouterr().out
+    assert main(["check", str(source), "--quick"]) == 0
+    assert "epipolar" not in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_real_recording_is_mended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The finding about balance, from outside: letterboxed pictures, and principal points mirrored in the file."""
+    if not BALANCE.is_dir():
+        pytest.skip(f"no real capture at {BALANCE}")
+    told = done(capsys, BALANCE, tmp_path / "out")
+    assert "qualisys: NAME.qca.txt and a video of each camera" in told
+    assert "cam01, cam02: 1088 x 1920 -> 1080 x 1920: letterboxed (black bars of 7.0" in told
+    assert "warning: principal points look mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in told
+    told = done(capsys, BALANCE, tmp_path / "out", "--centres", "mirrored")
+    assert "principal points mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in told
