@@ -18,7 +18,7 @@ Picture = NDArray[np.uint8]
 
 MOST = np.float32(8.0)
 """Log-odds beyond which nothing is more certain."""
-UNSURE = np.float32(0.5)
+UNSURE = np.float32(0.25)
 """Share of the evidence against the subject that stands where the background is not known at all."""
 MOVING_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
