@@ -14,7 +14,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Tracker:
-    """Progress bars with the time that is left, on a console."""
+    """Progress bars with the time that is left, on a console that is a terminal."""
 
     console: Console
 
@@ -27,5 +27,5 @@ class Tracker:
             TimeElapsedColumn(),
             TimeRemainingColumn(),
         )
-        with Progress(*columns, console=self.console, transient=True) as progress:
+        with Progress(*columns, console=self.console, transient=True, disable=not self.console.is_terminal) as progress:
             yield from progress.track(items, total=count, description=what)
