@@ -242,6 +242,11 @@ def _mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
         files = pictures(folder)
         if files:
             error = missing_frame(folder, files, chosen)
+            if error is not None and made:
+                count = sum(stem in files for stem in chosen)
+                raise UserError(
+                    f"{folder}: expected mattes of {len(chosen)} frames, got {count}; go on: fourd matte {path}"
+                ) from error
             if error is not None:
                 raise error
             return Mattes(PictureSource([folder / files[stem] for stem in chosen], decode_matte), made)

@@ -208,8 +208,9 @@ def _last_metrics(path: Path) -> list[str]:
 def _capture(path: Path) -> Rows:
     calibrated = (path / "intri.yml").is_file() and (path / "extri.yml").is_file()
     folders = _cameras_in(path / "images")
+    videos = sorted(file.name for file in path.glob("videos/*") if file.suffix.lower() in _VIDEOS)
     rows: Rows = []
-    if calibrated and folders:
+    if calibrated and (folders or videos):
         from fourd.capture import open_capture
 
         capture = open_capture(path)
@@ -220,9 +221,9 @@ def _capture(path: Path) -> Rows:
     else:
         rows.append(("cameras", f"{len(folders)} in images/: {_names(folders)}" if folders else "none in images/"))
         rows.append(("calibration", "yes" if calibrated else "none: intri.yml and extri.yml are needed to train"))
-    videos = sorted(file.name for file in path.glob("videos/*") if file.suffix.lower() in _VIDEOS)
     rows.append(("videos", _names(videos) or "none"))
-    rows.append(("background plates", "yes" if (path / "bgs").is_dir() else "none"))
+    has_plates = (path / "bgs").is_dir() or (path / ".fourd" / "plates").is_dir()
+    rows.append(("background plates", "yes" if has_plates else "none"))
     rows.append(("next", f"fourd check {path}"))
     return rows
 

@@ -39,6 +39,8 @@ def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) 
     before = contents(made)
     lost = made / MATTES / "03" / "000004.png"
     lost.unlink()
+    with pytest.raises(UserError, match=r"mattes/03: expected mattes of 6 frames, got 5; go on: fourd matte"):
+        open_capture(made)
     (made / MATTES / "03" / ".000005-killed.png").write_bytes(b"half")
     times = {path: path.stat().st_mtime_ns for path in made.glob(".fourd/mattes/0[012]/*") if path.stem != "000004"}
     assert make_mattes(Selection(made), MatteSettings(), 1, untold) == 1
