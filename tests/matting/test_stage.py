@@ -22,7 +22,7 @@ def contents(capture: Path) -> dict[str, bytes]:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ball capture with the mattes that fourd made. Not to be changed by tests."""
-    capture = unmasked(tmp_path_factory.mktemp("made"), frames=6, size=64)
+    capture = unmasked(tmp_path_factory.mktemp("made"), frames=6, size=96)
     assert make_mattes(Selection(capture), MatteSettings(), 1, untold) == 6
     return capture
 
