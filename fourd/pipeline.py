@@ -154,7 +154,6 @@ def _bring_in(source: Path, capture: Path, console: Console) -> None:
     def told(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
-    tracker = Tracker(console)
     import_source(
         way,
         source,
@@ -162,7 +161,7 @@ def _bring_in(source: Path, capture: Path, console: Console) -> None:
         ImportOptions(),
         say=told,
         warn=lambda line: told(f"warning: {line}"),
-        track=lambda what, count, loop: tracker.track(loop, count, what),
+        track=Tracker(console).track,
     )
 
 

@@ -4,12 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 Item = TypeVar("Item")
+
+
+class Track(Protocol):
+    """Wraps a loop for a progress bar."""
+
+    def __call__(self, items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
+        """The same items, which are ``count``; ``what`` is done with them."""
+
+
+def untold(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
+    """The items, without a bar."""
+    return items
 
 
 @dataclass(frozen=True)

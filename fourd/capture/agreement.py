@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from fourd.capture.calibration import EXTRINSICS_NAME
-from fourd.capture.moments import spread
+from fourd.capture.layout import evenly_spread
 from fourd.capture.reader import open_capture
 from fourd.capture.residuals import WORST_PX, residuals_of
-from fourd.capture.settling import Track, matches_of_cameras
+from fourd.capture.settling import matches_of_cameras
+from fourd.progress import Track
 
 FEW_CAMERAS = 5
 FEW_FRAMES = 3
@@ -50,7 +51,7 @@ def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     scale = min(1.0, float(np.sqrt(min(MOST_PIXELS, ALL_PIXELS / len(whole.cameras)) / largest)))
     capture = whole if scale == 1 else open_capture(path, scale=scale)
     is_few = len(capture.cameras) <= FEW_CAMERAS
-    frames = spread(capture.frame_count, FEW_FRAMES) if is_few else [capture.frame_count // 2]
+    frames = evenly_spread(capture.frame_count, FEW_FRAMES) if is_few else [capture.frame_count // 2]
     pictures = [[capture.image(camera, frame) for camera in range(len(capture.cameras))] for frame in frames]
     matches = matches_of_cameras(pictures, capture.cameras, track)
     found = residuals_of(matches, capture.cameras)

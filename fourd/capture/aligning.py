@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import cv2
@@ -13,8 +13,7 @@ from fourd.capture.importers.imported import ImportedCamera
 from fourd.capture.moments import Moments
 from fourd.capture.sync import LEAST_OVERLAP, Offsets, estimate_offsets, motion_energy, plot_offsets
 from fourd.errors import UserError
-
-Track = Callable[[str, int, Iterable[int]], Iterable[int]]
+from fourd.progress import Track
 
 WIDTH = 200
 MOST = 300
@@ -41,7 +40,7 @@ def find_offsets(cameras: tuple[ImportedCamera, ...], out: Path, track: Track) -
             )
         energies = []
         for index, name in enumerate(moments.names):
-            numbers = track(f"motion of {name}", moments.counts[index], range(moments.counts[index]))
+            numbers = track(range(moments.counts[index]), moments.counts[index], f"motion of {name}")
             energies.append(motion_energy(_small(moments, index, numbers)))
     found = estimate_offsets(energies, most)
     plot_offsets(out / PLOT, moments.names, energies, found)

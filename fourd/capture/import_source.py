@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -14,12 +14,13 @@ from fourd.capture.import_record import ImportRecord, check_same, check_unpacked
 from fourd.capture.importers.formats import FORMATS, Format
 from fourd.capture.importers.imported import Imported
 from fourd.capture.importing import ImportSettings, check_import, write_capture
-from fourd.capture.moments import Moments, spread
+from fourd.capture.layout import evenly_spread
+from fourd.capture.moments import Moments
 from fourd.capture.settling import Centres, settle
 from fourd.errors import UserError
+from fourd.progress import Track
 
 Say = Callable[[str], None]
-Track = Callable[[str, int, Iterable[int]], Iterable[int]]
 
 MOST_MOMENTS = 3
 FEW_CAMERAS = 5
@@ -179,11 +180,11 @@ def _with_lenses(
     names = [camera.name for camera in imported.cameras]
     with Moments(imported.cameras, offsets) as moments:
         few = len(names) <= FEW_CAMERAS
-        frames = spread(moments.count, MOST_MOMENTS if few and not needs_calibration else 1)
-        pictures = [moments.pictures(frame) for frame in track("frames", len(frames), frames)]
+        frames = evenly_spread(moments.count, MOST_MOMENTS if few and not needs_calibration else 1)
+        pictures = [moments.pictures(frame) for frame in track(frames, len(frames), "frames")]
     first = dict(zip(names, pictures[0], strict=True))
     if needs_calibration:
-        for _ in track("calibrating", 1, range(1)):
+        for _ in track(range(1), 1, "calibrating"):
             lenses, note = calibrated(first)
         say(note)
         if options.distance is None and options.board is None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from fourd.cameras import Camera
 from fourd.capture.calibration import write_calibration
@@ -20,12 +21,12 @@ from fourd.capture.video import VideoReader, index_video
 from fourd.capture.video_list import Video, aligned, common_frames, write_video_list
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_bytes_atomically
+from fourd.progress import Track
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 JPEG_QUALITY = 95
-
-Track = Callable[[str, int, Iterable[int]], Iterable[int]]
-"""Wraps a loop for a progress bar: what it is, how many, the loop."""
+LONG_GROUP = 250
+"""Frames between keyframes; a frame at the end of such a group waits for the decoding of all before it."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _indexed(cameras: Sequence[ImportedCamera], offsets: Mapping[str, int], trac
     late = aligned({name: offsets.get(name, 0) for name in files})
     names = list(files)
     videos = {}
-    for place in track("videos", len(names), range(len(names))):
+    for place in track(range(len(names)), len(names), "videos"):
         name = names[place]
         videos[name] = Video(files[name], index_video(files[name]), late[name])
     for name, video in videos.items():
@@ -148,16 +149,9 @@ def _rates(videos: Mapping[str, Video]) -> list[str]:
             notes.append(f"{name}: the last {video.frames_left - count} frames are not used, others end before")
         if video.offset:
             notes.append(f"{name}: its first {video.offset} frames are skipped, as the offsets say")
-        spans = [
-            after - before
-            for before, after in zip(
-                (*video.index.keyframes, video.index.frames),
-                (*video.index.keyframes[1:], video.index.frames),
-                strict=False,
-            )
-        ]
-        if max(spans, default=0) > 250:
-            notes.append(f"{name}: {max(spans)} frames between keyframes; --unpack makes jumping about faster")
+        longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
+        if longest > LONG_GROUP:
+            notes.append(f"{name}: {longest} frames between keyframes; --unpack makes jumping about faster")
     return notes
 
 
@@ -172,11 +166,11 @@ def _place_videos(videos: Mapping[str, Video], out: Path, copy: bool) -> None:
 
 def _place_pictures(frames: Frames, folder: Path, copy: bool, track: Track) -> None:
     if isinstance(frames, PictureFiles):
-        for number in track(folder.name, len(frames.paths), range(len(frames.paths))):
+        for number in track(range(len(frames.paths)), len(frames.paths), folder.name):
             path = frames.paths[number]
             _place(path, folder / f"{frame_name(number)}{path.suffix.lower()}", copy)
     elif isinstance(frames, EncodedPictures):
-        for number in track(folder.name, frames.count, range(frames.count)):
+        for number in track(range(frames.count), frames.count, folder.name):
             target = folder / f"{frame_name(number)}{frames.suffix}"
             if not target.exists():
                 write_bytes_atomically(target, frames.read(number))
@@ -184,7 +178,7 @@ def _place_pictures(frames: Frames, folder: Path, copy: bool, track: Track) -> N
 
 def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
     with VideoReader(video.path, video.index) as reader:
-        for number in track(folder.name, count, range(count)):
+        for number in track(range(count), count, folder.name):
             target = folder / f"{frame_name(number)}.jpg"
             if target.exists():
                 continue

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
 
+import numpy as np
+
 from fourd.errors import UserError
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
@@ -63,6 +65,11 @@ def videos_in(folder: Path) -> dict[str, Path]:
             )
         found[path.stem] = path
     return found
+
+
+def evenly_spread(count: int, most: int) -> list[int]:
+    """At most ``most`` positions of ``count``, evenly from the first to the last."""
+    return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})
 
 
 def frame_name(number: int) -> str:

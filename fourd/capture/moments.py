@@ -84,8 +84,3 @@ class Moments:
         index = index_video(frames.path)
         reader = self._open.enter_context(VideoReader(frames.path, index))
         return VideoSource(reader, range(late, index.frames)), index.frames - late
-
-
-def spread(count: int, most: int) -> list[int]:
-    """At most ``most`` frames of ``count``, evenly from the first to the last."""
-    return sorted({round(place) for place in np.linspace(0, count - 1, min(most, count))})

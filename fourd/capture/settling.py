@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Literal
@@ -18,10 +18,10 @@ from fourd.capture.mirroring import MOST_COMBINATIONS, MirrorChoice, centre_hypo
 from fourd.capture.residuals import LEAST_MATCHES, LEAST_PAIRS, WORST_PX, Pair, matched_pairs, residuals_of
 from fourd.capture.resizing import SizeChoice, black_borders, pick_size, size_hypotheses
 from fourd.errors import UserError
+from fourd.progress import Track, untold
 
 Picture = NDArray[np.uint8]
 Centres = Literal["auto", "as-given", "mirrored"]
-Track = Callable[[str, int, Iterable[int]], Iterable[int]]
 
 LEAST_FEATURES = 20
 """Seen from far apart, repeated patterns gave 8 wrong matches that a plane supported."""
@@ -70,16 +70,16 @@ def matches_of_cameras(
     Raises:
         ValueError: when a picture is not of its lens's size.
     """
-    track = track or (lambda what, total, loop: loop)
+    track = track or untold
     matches: dict[Pair, Matches] = {}
-    for frame in track("features", len(pictures_by_frame), range(len(pictures_by_frame))):
+    for frame in track(range(len(pictures_by_frame)), len(pictures_by_frame), "features"):
         _join(matches, matched_pairs(pictures_by_frame[frame], lenses))
     matches = {pair: found if len(found) >= LEAST_FEATURES else NONE for pair, found in matches.items()}
     good = [pair for pair, found in matches.items() if len(found)]
     lonely = {index for index in range(len(lenses)) if sum(index in pair for pair in good) < LEAST_PAIRS}
     pairs = [pair for pair in matches if set(pair) & lonely]
     grounds = _grounds(lenses)
-    for place in track("ground", len(pairs), range(len(pairs))) if grounds else ():
+    for place in track(range(len(pairs)), len(pairs), "ground") if grounds else ():
         i, j = pairs[place]
         on_ground: dict[Pair, Matches] = {}
         for ground in grounds:

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import tyro
 from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, track
+from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
 from fourd.capture.agreement import Agreement, check_agreement
 from fourd.capture.check import Report, check_capture, shown
 from fourd.errors import UserError
+from fourd.progress import Tracker
 
 MOST_LINES = 20
 
@@ -61,14 +62,7 @@ def _tracked(files: Sequence[Path]) -> Iterable[Path]:
 
 
 def _agreement(path: Path) -> Agreement:
-    console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("residuals: {task.description}"))
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-
-        def tracked(what: str, total: int, loop: Iterable[int]) -> Iterable[int]:
-            return progress.track(loop, total=total, description=what)
-
-        return check_agreement(path, tracked)
+    return check_agreement(path, Tracker(Console(stderr=True)).track)
 
 
 def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:

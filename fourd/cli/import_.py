@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 from rich.console import Console
-from rich.progress import track
 from rich.text import Text
 
 from fourd.capture.gauging import Board, Distance
 from fourd.capture.import_source import ImportOptions, import_source, pick_format
 from fourd.capture.settling import Centres
 from fourd.errors import UserError
+from fourd.progress import Tracker
 
 
 @dataclass(frozen=True)
@@ -65,13 +65,8 @@ def run(arguments: Arguments) -> None:
     options = _options(arguments)
     way = pick_format(name[0] if name else None, Path(source))
     say(f"{way.name}: {way.summary}")
-    import_source(way, Path(source), Path(out), options, say=say, warn=warn, track=_tracked)
+    import_source(way, Path(source), Path(out), options, say=say, warn=warn, track=Tracker(console).track)
     Console().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
-
-
-def _tracked(what: str, total: int, loop: Iterable[int]) -> Iterable[int]:
-    console = Console(stderr=True)
-    return track(loop, description=what, total=total, console=console, transient=True, disable=not console.is_terminal)
 
 
 def _options(arguments: Arguments) -> ImportOptions:

@@ -16,12 +16,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.errors import UserError
 
 Rows = list[tuple[str, str]]
 
-_IMAGES = {".jpg", ".jpeg", ".png"}
-_VIDEOS = {".mp4", ".mov", ".mkv", ".avi", ".webm"}
 _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 
@@ -61,7 +60,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
         return "points (PLY)", _points(path)
     if path.suffix == ".safetensors":
         return "a checkpoint", _checkpoint(path)
-    if path.suffix.lower() in _VIDEOS:
+    if path.suffix.lower() in VIDEO_SUFFIXES:
         return "a video", _video(path)
     raise _unknown(path)
 
@@ -72,7 +71,7 @@ def _describe_folder(path: Path) -> tuple[str, Rows]:
     signs = ("images", "videos", "intri.yml", "extri.yml")
     if any((path / sign).exists() for sign in signs):
         return "a multi-view capture", _capture(path)
-    videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _VIDEOS]
+    videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in VIDEO_SUFFIXES]
     if videos:
         return "a folder of videos", [(file.name, "; ".join(value for _, value in _video(file))) for file in videos]
     raise _unknown(path)
@@ -208,7 +207,7 @@ def _last_metrics(path: Path) -> list[str]:
 def _capture(path: Path) -> Rows:
     calibrated = (path / "intri.yml").is_file() and (path / "extri.yml").is_file()
     folders = _cameras_in(path / "images")
-    videos = sorted(file.name for file in path.glob("videos/*") if file.suffix.lower() in _VIDEOS)
+    videos = sorted(file.name for file in path.glob("videos/*") if file.suffix.lower() in VIDEO_SUFFIXES)
     rows: Rows = []
     if calibrated and (folders or videos):
         from fourd.capture import open_capture
@@ -234,7 +233,7 @@ def _cameras_in(images: Path) -> list[str]:
     return sorted(
         folder.name
         for folder in images.iterdir()
-        if folder.is_dir() and any(file.suffix.lower() in _IMAGES for file in folder.iterdir())
+        if folder.is_dir() and any(file.suffix.lower() in PICTURE_SUFFIXES for file in folder.iterdir())
     )
 
 

@@ -9,10 +9,10 @@ from fourd.capture import open_capture
 from fourd.capture.layout import MATTES, camera_folders
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.plates import make_plates
-from fourd.matting.sampling import Track
 from fourd.matting.selection import Selection
 from fourd.matting.sheet import contact_sheet
 from fourd.matting.stage import MatteSettings, make_mattes, matte_key
+from fourd.progress import Track
 
 SHEET = Path(".fourd") / "mattes.png"
 

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
+from fourd.capture.layout import evenly_spread
 from fourd.files import atomic_path, write_text_atomically
-from fourd.matting.sampling import Track, sampled_frames
 from fourd.matting.selection import Selection
 from fourd.matting.spreading import spread
+from fourd.progress import Track
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -152,7 +153,7 @@ def _weighed(capture: Capture, index: int) -> Iterator[tuple[Floats, Floats]]:
     margin = max(1, round(MARGIN * max(camera.width, camera.height)))
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     reference: Picture | None = None
-    for frame in sampled_frames(capture.frame_count, MOST_FRAMES):
+    for frame in evenly_spread(capture.frame_count, MOST_FRAMES):
         rgb = capture.image(index, frame)
         weight = (1 - cv2.dilate(capture.mask(index, frame), square) / np.float32(255)).astype(np.float32)
         reference = rgb if reference is None else reference

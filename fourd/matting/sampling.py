@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
 
 import cv2
 import numpy as np
@@ -12,10 +10,11 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture import Capture
+from fourd.capture.layout import evenly_spread
+from fourd.progress import Track
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
-Item = TypeVar("Item")
 
 MOST_FRAMES = 24
 MOST_PIXELS = 32 << 20
@@ -24,13 +23,6 @@ MOST_PIXELS = 32 << 20
 LONGEST_SIDE = 512
 MOST_STEP = 4
 """Frames between which motion is looked for, at most: 67 ms at 60 frames per second."""
-
-
-class Track(Protocol):
-    """Wraps a loop for a progress bar."""
-
-    def __call__(self, items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-        """The same items, which are ``count``; ``what`` is done with them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +65,9 @@ def neighbour(frame: int, count: int) -> int | None:
     return beside if beside >= 0 else None
 
 
-def sampled_frames(count: int, most: int = MOST_FRAMES) -> list[int]:
-    """At most ``most`` positions in ``count`` frames, evenly spread, first and last among them."""
-    return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})
+def sampled_frames(count: int) -> list[int]:
+    """Which of ``count`` frames the subject is learned from."""
+    return evenly_spread(count, MOST_FRAMES)
 
 
 def reduced(picture: Picture, camera: Camera) -> Picture:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
+from fourd.capture.layout import evenly_spread
 from fourd.files import write_bytes_atomically
-from fourd.matting.sampling import sampled_frames
 
 Picture = NDArray[np.uint8]
 Box = tuple[slice, slice]
@@ -53,8 +53,8 @@ def contact_sheet(capture: Capture, path: Path | str, cameras: Sequence[int] | N
     """
     if moments < 1:
         raise ValueError(f"moments: expected at least 1, got {moments}")
-    chosen = sampled_frames(len(capture.names), MOST_CAMERAS) if cameras is None else list(cameras)
-    frames = sampled_frames(capture.frame_count, moments)
+    chosen = evenly_spread(len(capture.names), MOST_CAMERAS) if cameras is None else list(cameras)
+    frames = evenly_spread(capture.frame_count, moments)
     flat = _flat_colour(capture, chosen, frames)
     rows = [_row(capture, camera, frames, flat) for camera in chosen]
     width = max(LEAST_WIDTH, *(row.shape[1] for row in rows))

@@ -15,17 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import MATTES
+from fourd.capture.layout import MATTES, evenly_spread
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_text_atomically
 from fourd.matting.by_motion import fine_background, matting_cameras
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, given_screen
 from fourd.matting.rvm import load_rvm
-from fourd.matting.sampling import Track, sampled_frames, take_sample
+from fourd.matting.sampling import take_sample
 from fourd.matting.saved import load_matter, save_subject
 from fourd.matting.selection import Selection
 from fourd.matting.spreading import blocks, spread
 from fourd.matting.subject import learn_subject
+from fourd.progress import Track
 
 Picture = NDArray[np.uint8]
 
@@ -143,7 +144,7 @@ def _screens(capture: Capture, settings: MatteSettings, track: Track) -> tuple[S
     numbers = range(len(capture.names))
     if settings.screen is not None:
         return tuple(given_screen(settings.screen) for _ in numbers)
-    frames = sampled_frames(capture.frame_count, SCREEN_FRAMES)
+    frames = evenly_spread(capture.frame_count, SCREEN_FRAMES)
     return tuple(
         find_screen([capture.image(index, frame) for frame in frames])
         for index in track(numbers, len(numbers), "screens")

@@ -9,7 +9,7 @@ keeps its place in one view is found by the others.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -22,8 +22,9 @@ from fourd.matting.agreement import Cells
 from fourd.matting.background import Background, commonest
 from fourd.matting.colours import Colours
 from fourd.matting.evidence import Look, joined, probability
-from fourd.matting.sampling import CameraSample, Track
+from fourd.matting.sampling import CameraSample
 from fourd.matting.swept import Swept
+from fourd.progress import Track
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -196,16 +197,10 @@ class _Learner:
         inner = commonest(rgb[:, rows, columns], weights[:, rows, columns], self.swept.noise)
         for whole, found in ((mean, inner.mean), (variance, inner.variance), (frames, inner.frames)):
             whole[rows, columns][part] = found[part]
-        self.look = Look(
-            Background(mean, variance, frames),
-            self.look.subject,
-            self.look.surroundings,
-            self.look.region,
-            self.swept.still_px,
-        )
+        self.look = replace(self.look, background=Background(mean, variance, frames))
 
     def _set_colours(self, subject: Colours, surroundings: Colours) -> None:
-        self.look = Look(self.look.background, subject, surroundings, self.look.region, self.swept.still_px)
+        self.look = replace(self.look, subject=subject, surroundings=surroundings)
 
 
 def _window(region: Flags) -> tuple[slice, slice]:

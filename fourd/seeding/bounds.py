@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Array, Camera
+from fourd.capture.layout import evenly_spread
 from fourd.errors import UserError
 from fourd.seeding.hull import Silhouettes, refine, root_cells, view_distance
 from fourd.seeding.source import MaskSource, frame_masks
@@ -87,8 +88,7 @@ def find_bounds(
     Raises:
         UserError: when the hull of a frame is empty; names the views that disagree most.
     """
-    count = min(capture.frame_count, most_frames)
-    frames = sorted({round(f) for f in np.linspace(0, capture.frame_count - 1, count)})
+    frames = evenly_spread(capture.frame_count, most_frames)
     box: Bounds | None = None
     for frame in frames:
         hull = hull_bounds(

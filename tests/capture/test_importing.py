@@ -13,6 +13,7 @@ import pytest
 from fourd.capture import open_capture, write_calibration
 from fourd.capture.import_source import ImportOptions, import_source, pick_format
 from fourd.errors import UserError
+from fourd.progress import untold
 from tests.capture.films import HEIGHT, WIDTH, number_of, write_film
 from tests.captures import ring_cameras
 
@@ -39,7 +40,7 @@ def bring(source: Path, out: Path, **options: object) -> list[str]:
         settings,
         say=lines.append,
         warn=lambda line: lines.append(f"warning: {line}"),
-        track=lambda what, total, loop: loop,
+        track=untold,
     )
     return lines
 

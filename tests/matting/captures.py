@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TypeVar
 
 import av
 import numpy as np
@@ -14,13 +13,6 @@ from PIL import Image
 
 from fourd.capture import Capture, open_capture
 from tests.captures import write_ball_capture
-
-Item = TypeVar("Item")
-
-
-def untold(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-    """No progress bar."""
-    return items
 
 
 def unmasked(folder: Path, *, frames: int = 8, size: int = 96) -> Path:

@@ -12,7 +12,8 @@ import pytest
 from fourd.capture import open_capture
 from fourd.matting.plates import FOLDER, clean_plate, make_plates
 from fourd.matting.selection import Selection
-from tests.matting.captures import unmasked, untold
+from fourd.progress import untold
+from tests.matting.captures import unmasked
 
 
 @pytest.fixture

@@ -12,7 +12,8 @@ from fourd.capture import open_capture
 from fourd.errors import UserError
 from fourd.matting.selection import Selection
 from fourd.matting.stage import LEARNED, MATTES, MatteSettings, make_mattes
-from tests.matting.captures import overlaps, unmasked, untold
+from fourd.progress import untold
+from tests.matting.captures import overlaps, unmasked
 
 
 def contents(capture: Path) -> dict[str, bytes]:
