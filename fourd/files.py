@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+UNFINISHED = ".unfinished-"
+"""How names of files begin that are being written."""
 
 
 @contextmanager
@@ -14,12 +18,13 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success fsync it and rename it over ``target``.
 
     Use this for writers that want a path of their own. If the body raises, the temporary
-    file is removed and ``target`` stays as it was. The temporary name keeps the suffix of
-    ``target``, since some writers choose their format by it.
+    file is removed and ``target`` stays as it was; a killed process leaves it behind, for
+    :func:`remove_unfinished`. The temporary name keeps the suffix of ``target``, since some
+    writers choose their format by it.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix)
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix)
     os.close(descriptor)
     temporary = Path(name)
     try:
@@ -49,6 +54,32 @@ def write_bytes_atomically(target: Path | str, content: bytes) -> None:
 def write_text_atomically(target: Path | str, content: str) -> None:
     """Write UTF-8 text to ``target`` in one indivisible step (see :func:`atomic_path`)."""
     write_bytes_atomically(target, content.encode("utf-8"))
+
+
+def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
+    """Remove what killed processes left half-written in ``folder``, and below it when ``deep``.
+
+    Only where no other process writes: its files would vanish under its hands.
+    """
+    for path in Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*"):
+        path.unlink(missing_ok=True)
+
+
+def remove_unfinished_of(target: Path | str) -> None:
+    """Remove what killed processes left of one file, beside others of which nothing is known."""
+    target = Path(target)
+    for path in target.parent.glob(f"{UNFINISHED}{glob.escape(target.stem)}-????????{glob.escape(target.suffix)}"):
+        path.unlink(missing_ok=True)
+
+
+def is_new(folder: Path | str) -> bool:
+    """Whether a folder is not there, or holds no file but what killed processes left half-written."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        return not folder.exists()
+    return all(
+        path.name.startswith(UNFINISHED) or (path.is_dir() and not path.is_symlink()) for path in folder.rglob("*")
+    )
 
 
 def _fsync_folder(folder: Path) -> None:

@@ -16,13 +16,14 @@ from fourd.baking.bake import bake_run
 from fourd.capture.calibration import INTRINSICS_NAME
 from fourd.capture.check import check_capture
 from fourd.capture.import_source import ImportOptions, import_source, pick_format
+from fourd.capture.indexing import index_capture
 from fourd.capture.layout import VIDEOS, camera_folders
 from fourd.errors import UserError
-from fourd.files import write_text_atomically
-from fourd.matting.making import SHEET, make_all
+from fourd.files import is_new, remove_unfinished, remove_unfinished_of, write_text_atomically
+from fourd.matting.making import make_all
 from fourd.matting.selection import Selection
-from fourd.matting.stage import MatteSettings
-from fourd.progress import Tracker
+from fourd.matting.stage import SHEET, MatteSettings
+from fourd.progress import Track, Tracker
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.lpips import LPIPS
@@ -95,9 +96,11 @@ def make_scene(
     redoes the stages that depend on it; an interrupted one goes on where it stopped.
     """
     work = out.with_suffix(".work")
-    if work.exists() and not (work / "stages.json").exists() and any(work.iterdir()):
+    if not (work / "stages.json").exists() and not is_new(work):
         raise UserError(f"{work}: expected a folder made by fourd make, got another; move it or choose another -o")
     work.mkdir(parents=True, exist_ok=True)
+    remove_unfinished(work, deep=True)
+    remove_unfinished_of(out)
     stages = Stages(work, console)
     run = work / "run"
     if not _is_usable(capture):
@@ -107,20 +110,21 @@ def make_scene(
     inputs = fingerprint(capture)
     training = asdict(train)
     matte_selection = Selection(capture, train.views, train.frames)
-    stages.run("check", inputs, lambda: _check(capture), capture, lambda: None)
+    track = Tracker(console).track
+    stages.run("check", inputs, lambda: _check(capture, track), capture, lambda: None)
     if not camera_folders(capture / "masks"):
         matte_key = _key(inputs, asdict(settings.mattes), train.views, train.frames)
         stages.run(
             "mattes",
             matte_key,
-            lambda: make_all(matte_selection, settings.mattes, settings.workers, Tracker(console).track, plates=True),
+            lambda: make_all(matte_selection, settings.mattes, settings.workers, track, plates=True),
             capture / SHEET,
             lambda: None,
         )
     selection = {name: training[name] for name in ("views", "test_views", "frames", "image_scale", "points")}
     carve_key = _key(inputs, fingerprint(capture, MATTE_PATTERNS), selection)
     train_key = _key(carve_key, training)
-    stages.run("carve", carve_key, lambda: carve_run(capture, run, train), run / "hull", lambda: _remove(run))
+    stages.run("carve", carve_key, lambda: carve_run(capture, run, train, track), run / "hull", lambda: _remove(run))
     stages.run(
         "train",
         train_key,
@@ -165,8 +169,9 @@ def _bring_in(source: Path, capture: Path, console: Console) -> None:
     )
 
 
-def _check(capture: Path) -> None:
-    problems = check_capture(capture).problems
+def _check(capture: Path, track: Track) -> None:
+    index_capture(capture, None, track)
+    problems = check_capture(capture, track=lambda files: track(files, len(files), "files")).problems
     if problems:
         more = f" (and {len(problems) - 1} more; fourd check lists them)" if len(problems) > 1 else ""
         raise UserError(f"{problems[0]}{more}")

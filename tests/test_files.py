@@ -7,7 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from fourd.files import atomic_path, write_text_atomically
+from fourd.files import (
+    UNFINISHED,
+    atomic_path,
+    is_new,
+    remove_unfinished,
+    remove_unfinished_of,
+    write_text_atomically,
+)
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
@@ -27,3 +34,31 @@ def test_permissions_are_those_of_a_plain_file(tmp_path: Path) -> None:
     plain.write_text("")
     write_text_atomically(ours, "")
     assert stat.S_IMODE(ours.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
+
+
+def test_what_a_killed_process_leaves_is_known_and_removed(tmp_path: Path) -> None:
+    """Catches names of half-written files that their remover does not know, and whole files that it takes."""
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "deep" / "a.json") as temporary:
+        assert temporary.name.startswith(UNFINISHED)
+        assert temporary.suffix == ".json"
+        assert is_new(tmp_path)
+        temporary.rename(temporary.with_name(f"{UNFINISHED}of-a-killed-process.json"))
+    write_text_atomically(tmp_path / "whole", "")
+    assert not is_new(tmp_path)
+    remove_unfinished(tmp_path)
+    assert len(list((tmp_path / "deep").iterdir())) == 1
+    remove_unfinished(tmp_path, deep=True)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["deep", "whole"]
+    assert is_new(tmp_path / "nothing")
+    assert not is_new(tmp_path / "whole")
+
+
+def test_what_is_left_of_one_file_is_removed_alone(tmp_path: Path) -> None:
+    """Catches gigabytes left beside a scene whose writing was killed, and another program's files taken with them."""
+    for name in ("scene.4dv", "scene-2.4dv"):
+        with pytest.raises(FileNotFoundError), atomic_path(tmp_path / name) as temporary:
+            temporary.rename(temporary.with_name(temporary.name[:-5] + "z.4dv"))
+    remove_unfinished_of(tmp_path / "scene.4dv")
+    left = [path.name for path in tmp_path.iterdir()]
+    assert len(left) == 1
+    assert left[0].startswith(f"{UNFINISHED}scene-2-")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import cv2
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fourd.capture.importers.imported import ImportedCamera
 from fourd.capture.moments import Moments
 from fourd.capture.sync import LEAST_OVERLAP, Offsets, estimate_offsets, motion_energy, plot_offsets
+from fourd.capture.video import VideoIndex
 from fourd.errors import UserError
 from fourd.progress import Track
 
@@ -24,7 +25,9 @@ NO_PROOF = 3
 PLOT = Path(".fourd") / "sync.png"
 
 
-def find_offsets(cameras: tuple[ImportedCamera, ...], out: Path, track: Track) -> Offsets:
+def find_offsets(
+    cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
+) -> Offsets:
     """Estimate by how many frames cameras run behind the first, and plot it as ``out``/.fourd/sync.png.
 
     Offsets up to a third of the shortest camera's frames are looked for, and 300 at most.
@@ -32,7 +35,7 @@ def find_offsets(cameras: tuple[ImportedCamera, ...], out: Path, track: Track) -
     Raises:
         UserError: when there are too few frames, or one of them cannot be decoded.
     """
-    with Moments(cameras, {}) as moments:
+    with Moments(cameras, indices, {}) as moments:
         most = min(moments.count // 3, moments.count - LEAST_OVERLAP, MOST)
         if most < 1:
             raise UserError(

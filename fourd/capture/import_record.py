@@ -11,7 +11,7 @@ from typing import Any
 
 from fourd.capture.importers.imported import EncodedPictures, Imported, PictureFiles
 from fourd.errors import UserError
-from fourd.files import write_text_atomically
+from fourd.files import is_new, write_text_atomically
 
 RECORD = Path(".fourd") / "import.json"
 VERSION = 1
@@ -44,12 +44,12 @@ class ImportRecord:
 
 
 def read_record(out: Path) -> ImportRecord | None:
-    """The record in the folder ``out``; None where that is new or empty.
+    """The record in the folder ``out``; None where that is new or holds no file.
 
     Raises:
         UserError: when ``out`` is a file, or holds something that no import wrote.
     """
-    if not out.exists() or (out.is_dir() and not any(out.iterdir())):
+    if is_new(out):
         return None
     path = out / RECORD
     if not path.is_file():

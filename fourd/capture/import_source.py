@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,15 +12,19 @@ from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.capture.gauging import Board, Distance, calibrated, gauged
 from fourd.capture.import_record import ImportRecord, check_same, check_unpacked, digests, read_record, write_record
 from fourd.capture.importers.formats import FORMATS, Format
-from fourd.capture.importers.imported import Imported
+from fourd.capture.importers.imported import Imported, video_files
 from fourd.capture.importing import ImportSettings, check_import, write_capture
+from fourd.capture.indexing import kept_indices
 from fourd.capture.layout import evenly_spread
 from fourd.capture.moments import Moments
 from fourd.capture.settling import Centres, settle
+from fourd.capture.video import VideoIndex
 from fourd.errors import UserError
+from fourd.files import remove_unfinished
 from fourd.progress import Track
 
 Say = Callable[[str], None]
+Indices = Mapping[str, VideoIndex]
 
 MOST_MOMENTS = 3
 FEW_CAMERAS = 5
@@ -106,7 +110,9 @@ def import_source(
     calibration, files, asked = *digests(imported), asdict(options)
     same = before is not None and (before.calibration, before.files, before.options) == (calibration, files, asked)
     if before is not None and same and before.done and _has_lenses(out):
-        _write(imported, out, options, before.offsets, track)
+        remove_unfinished(out, deep=True)
+        indices = kept_indices(video_files(imported.cameras), out, track)
+        _write(imported, indices, out, options, before.offsets, track)
         say("done already with these options; nothing to change")
         for line in before.warnings:
             warn(line)
@@ -115,15 +121,17 @@ def import_source(
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
     check_unpacked(out, started, files, started.offsets)
     write_record(out, record)
+    remove_unfinished(out, deep=True)
+    indices = kept_indices(video_files(imported.cameras), out, track)
     offsets = dict(options.offsets)
     if options.sync or options.apply_sync:
-        offsets = _synced(imported, out, options, say, track)
+        offsets = _synced(imported, indices, out, options, say, track)
     check_unpacked(out, started, files, offsets)
     warnings: list[str] = []
-    imported = _with_lenses(imported, offsets, options, needs_calibration, say, warnings.append, track)
+    imported = _with_lenses(imported, indices, offsets, options, needs_calibration, say, warnings.append, track)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
-    for line in _write(imported, out, options, offsets, track, lenses=True):
+    for line in _write(imported, indices, out, options, offsets, track, lenses=True):
         say(line)
     for line in warnings:
         warn(line)
@@ -154,9 +162,11 @@ def _check_fitting(imported: Imported, options: ImportOptions) -> None:
             raise UserError(f"--scale: expected two cameras among {', '.join(names)}, got '{name}'; name one of them")
 
 
-def _synced(imported: Imported, out: Path, options: ImportOptions, say: Say, track: Track) -> dict[str, int]:
+def _synced(
+    imported: Imported, indices: Indices, out: Path, options: ImportOptions, say: Say, track: Track
+) -> dict[str, int]:
     """Tell the estimated offsets; those to apply."""
-    found = find_offsets(imported.cameras, out, track)
+    found = find_offsets(imported.cameras, indices, out, track)
     names = [camera.name for camera in imported.cameras]
     applied = sure_offsets(names, found) if options.apply_sync else dict(options.offsets)
     for name, frames, sure in zip(names, found.frames, found.confidence, strict=True):
@@ -169,6 +179,7 @@ def _synced(imported: Imported, out: Path, options: ImportOptions, say: Say, tra
 
 def _with_lenses(
     imported: Imported,
+    indices: Indices,
     offsets: dict[str, int],
     options: ImportOptions,
     needs_calibration: bool,
@@ -178,7 +189,7 @@ def _with_lenses(
 ) -> Imported:
     """The cameras with lenses that fit their pictures."""
     names = [camera.name for camera in imported.cameras]
-    with Moments(imported.cameras, offsets) as moments:
+    with Moments(imported.cameras, indices, offsets) as moments:
         few = len(names) <= FEW_CAMERAS
         frames = evenly_spread(moments.count, MOST_MOMENTS if few and not needs_calibration else 1)
         pictures = [moments.pictures(frame) for frame in track(frames, len(frames), "frames")]
@@ -205,6 +216,7 @@ def _with_lenses(
 
 def _write(
     imported: Imported,
+    indices: Indices,
     out: Path,
     options: ImportOptions,
     offsets: dict[str, int],
@@ -214,4 +226,4 @@ def _write(
     """Write what is missing; the calibration only when asked to."""
     if not lenses:
         imported = replace(imported, cameras=tuple(replace(camera, lens=None) for camera in imported.cameras))
-    return write_capture(imported, out, ImportSettings(options.copy, options.unpack, offsets), track)
+    return write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)

@@ -14,10 +14,17 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.capture.calibration import write_calibration
-from fourd.capture.decoding import picture_size
-from fourd.capture.importers.imported import EncodedPictures, Frames, Imported, ImportedCamera, PictureFiles, VideoFile
+from fourd.capture.importers.imported import (
+    EncodedPictures,
+    Frames,
+    Imported,
+    ImportedCamera,
+    PictureFiles,
+    VideoFile,
+    video_files,
+)
 from fourd.capture.layout import VIDEOS, frame_name
-from fourd.capture.video import VideoReader, index_video
+from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import Video, aligned, common_frames, write_video_list
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_bytes_atomically
@@ -44,13 +51,16 @@ class ImportSettings:
     offsets: Mapping[str, int] = field(default_factory=dict)
 
 
-def write_capture(imported: Imported, out: Path, settings: ImportSettings, track: Track) -> list[str]:
+def write_capture(
+    imported: Imported, indices: Mapping[str, VideoIndex], out: Path, settings: ImportSettings, track: Track
+) -> list[str]:
     """Write ``imported`` into the folder ``out``, which a second call with the same source completes.
 
     Cameras without a lens get no calibration; see :mod:`fourd.capture.calibrate`.
 
     Args:
         imported: as an importer read it.
+        indices: of the cameras that have videos.
         out: the capture's folder.
         settings: copy or link, unpack, offsets.
         track: for progress.
@@ -62,7 +72,7 @@ def write_capture(imported: Imported, out: Path, settings: ImportSettings, track
         UserError: when names cannot be names of files, a video cannot be used, or offsets fit no camera.
     """
     check_import(imported, settings)
-    videos = _indexed(imported.cameras, settings.offsets, track)
+    videos = _aligned(imported.cameras, indices, settings.offsets)
     notes = _rates(videos)
     if videos and len(videos) < len(imported.cameras):
         raise UserError(f"{out}: expected videos of all cameras or of none, got both; import with the pictures alone")
@@ -71,7 +81,7 @@ def write_capture(imported: Imported, out: Path, settings: ImportSettings, track
         for name, video in videos.items():
             _unpack(video, out / "images" / name, count, track)
     elif videos:
-        _place_videos(videos, out, settings.copy)
+        _place_videos(videos, out, settings.copy, track)
     for camera in imported.cameras:
         if camera.name not in videos:
             _place_pictures(camera.frames, out / "images" / camera.name, settings.copy, track)
@@ -98,14 +108,6 @@ def write_lenses(out: Path, lenses: Sequence[tuple[str, Camera]]) -> None:
         write_calibration(out, [name for name, _ in lenses], [lens for _, lens in lenses])
 
 
-def frame_size(frames: Frames) -> tuple[int, int] | None:
-    """(width, height) of the first picture; None where it lies encoded in another file."""
-    if isinstance(frames, VideoFile):
-        index = index_video(frames.path)
-        return index.width, index.height
-    return picture_size(frames.paths[0]) if isinstance(frames, PictureFiles) else None
-
-
 def _check_names(cameras: Sequence[ImportedCamera]) -> None:
     seen: set[str] = set()
     for camera in cameras:
@@ -116,15 +118,13 @@ def _check_names(cameras: Sequence[ImportedCamera]) -> None:
         seen.add(camera.name)
 
 
-def _indexed(cameras: Sequence[ImportedCamera], offsets: Mapping[str, int], track: Track) -> dict[str, Video]:
-    """The videos, read through once, with the offsets between them."""
-    files = {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}
+def _aligned(
+    cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
+) -> dict[str, Video]:
+    """The videos with the offsets between them."""
+    files = video_files(cameras)
     late = aligned({name: offsets.get(name, 0) for name in files})
-    names = list(files)
-    videos = {}
-    for place in track(range(len(names)), len(names), "videos"):
-        name = names[place]
-        videos[name] = Video(files[name], index_video(files[name]), late[name])
+    videos = {name: Video(path, indices[name], late[name]) for name, path in files.items()}
     for name, video in videos.items():
         if not video.frames_left:
             raise UserError(f"--offset: expected less than {video.index.frames} frames of '{name}', got {video.offset}")
@@ -155,9 +155,10 @@ def _rates(videos: Mapping[str, Video]) -> list[str]:
     return notes
 
 
-def _place_videos(videos: Mapping[str, Video], out: Path, copy: bool) -> None:
+def _place_videos(videos: Mapping[str, Video], out: Path, copy: bool, track: Track) -> None:
     placed = {}
-    for name, video in videos.items():
+    for name in track(list(videos), len(videos), "copying" if copy else "linking"):
+        video = videos[name]
         target = out / VIDEOS / f"{name}{video.path.suffix}"
         _place(video.path, target, copy)
         placed[name] = replace(video, path=target)

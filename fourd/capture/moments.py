@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture.decoding import decode_rgb
-from fourd.capture.importers.imported import EncodedPictures, Frames, ImportedCamera, PictureFiles, VideoFile
+from fourd.capture.importers.imported import EncodedPictures, Frames, ImportedCamera, PictureFiles
 from fourd.capture.sources import FrameSource, PictureSource, VideoSource
-from fourd.capture.video import VideoReader, index_video
+from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import aligned
 from fourd.errors import UserError
 
@@ -49,13 +49,18 @@ class Moments:
         count: number of frames that all cameras have, after the offsets.
     """
 
-    def __init__(self, cameras: tuple[ImportedCamera, ...], offsets: Mapping[str, int]) -> None:
-        """Open the cameras' frames; ``offsets`` are those by which videos run late. Raises UserError as index_video."""
+    def __init__(
+        self, cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
+    ) -> None:
+        """Open the cameras' frames; ``indices`` are the videos', ``offsets`` those by which these run late.
+
+        Raises:
+            UserError: when there is no frame that all cameras have.
+        """
         self.names = tuple(camera.name for camera in cameras)
-        videos = [camera.name for camera in cameras if isinstance(camera.frames, VideoFile)]
-        late = aligned({name: offsets.get(name, 0) for name in videos})
+        late = aligned({name: offsets.get(name, 0) for name in indices})
         self._open = ExitStack()
-        opened = [self._opened(camera.frames, late.get(camera.name, 0)) for camera in cameras]
+        opened = [self._opened(camera.frames, indices.get(camera.name), late.get(camera.name, 0)) for camera in cameras]
         self._sources = tuple(source for source, _ in opened)
         self.counts = tuple(count for _, count in opened)
         self.count = max(0, min(self.counts, default=0))
@@ -76,11 +81,11 @@ class Moments:
         """The pictures of all cameras at one frame."""
         return [source.read(frame) for source in self._sources]
 
-    def _opened(self, frames: Frames, late: int) -> tuple[FrameSource, int]:
+    def _opened(self, frames: Frames, index: VideoIndex | None, late: int) -> tuple[FrameSource, int]:
         if isinstance(frames, PictureFiles):
             return PictureSource(frames.paths, decode_rgb), len(frames.paths)
         if isinstance(frames, EncodedPictures):
             return EncodedSource(frames), frames.count
-        index = index_video(frames.path)
+        assert index is not None
         reader = self._open.enter_context(VideoReader(frames.path, index))
         return VideoSource(reader, range(late, index.frames)), index.frames - late

@@ -82,6 +82,7 @@ class Capture:
         total_frames: int,
         scale: float,
         cache_mb: int,
+        cache_frames: int = 0,
     ) -> None:
         self.path = path
         self.names = tuple(names)
@@ -91,7 +92,8 @@ class Capture:
         self.total_frames = total_frames
         self._lenses = tuple(lenses)
         self._footage = tuple(footage)
-        self._cache = _Cache(cache_mb << 20)
+        frame_bytes = sum(3 * camera.width * camera.height for camera in self.cameras)
+        self._cache = _Cache((cache_mb << 20) + cache_frames * frame_bytes)
 
     @property
     def frame_count(self) -> int:
@@ -151,6 +153,7 @@ def open_capture(
     frames: str | None = None,
     scale: float = 1.0,
     cache_mb: int = 256,
+    cache_frames: int = 0,
     mattes: bool = True,
 ) -> Capture:
     """Open a capture of the EasyMocap layout: images/CAM/FRAME.jpg|png, masks/CAM/FRAME.png, intri.yml, extri.yml.
@@ -165,6 +168,7 @@ def open_capture(
         frames: ``A:B[:S]``, positions in the capture's order of frames; None for all.
         scale: of the images' size, in (0, 4].
         cache_mb: MiB of decoded pictures to keep at most.
+        cache_frames: pictures of so many frames of all cameras that are kept beyond these.
         mattes: whether to look for mattes, which must then be whole.
 
     Raises:
@@ -200,7 +204,7 @@ def open_capture(
                 "add them or leave the camera out with --views"
             )
     lenses = [_lens(path, name, calibrations[name], of.size) for name, of in zip(names, footage, strict=True)]
-    return Capture(path, names, lenses, footage, chosen, list(selected), len(stems), scale, cache_mb)
+    return Capture(path, names, lenses, footage, chosen, list(selected), len(stems), scale, cache_mb, cache_frames)
 
 
 def _picture_frames(path: Path, names: Sequence[str]) -> list[str]:

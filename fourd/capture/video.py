@@ -11,6 +11,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.capture.matroska import missing_bytes
 from fourd.errors import UserError
 
 MOST_UNEVEN = 0.25
@@ -67,6 +68,12 @@ def index_video(path: Path) -> VideoIndex:
             raise UserError(f"{path}: expected a video's frames, got none; copy it again")
         if len(packets) < promised:
             raise _ends_early(path, len(packets), promised)
+        lacking = missing_bytes(path)
+        if lacking:
+            whole = path.stat().st_size + lacking
+            raise UserError(
+                f"{path}: expected {whole} bytes, as it says, got {whole - lacking}; copy or record it again"
+            )
         packets.sort()
         fps = _even_rate(path, np.array([pts for pts, _ in packets], np.int64), base)
         width, height = _first_size(path)

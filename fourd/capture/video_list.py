@@ -15,7 +15,11 @@ from fourd.errors import UserError
 from fourd.files import write_text_atomically
 
 NAME = "videos.json"
+KEPT = Path(".fourd") / NAME
+"""What was indexed beside it: a source's videos, and those of a capture that came without a list."""
 VERSION = 1
+
+Entry = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,9 @@ class Video:
 
 
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
-    """The videos of ``capture``/videos by camera, as videos.json has them; those it lacks are indexed now.
+    """The videos of ``capture``/videos by camera, as videos.json or else .fourd/videos.json has them.
+
+    Those that both lack are indexed now; :func:`fourd.capture.indexing.index_capture` keeps that.
 
     Args:
         capture: the capture's folder.
@@ -49,15 +55,23 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
         UserError: when two videos have one name, videos.json is damaged, or a video cannot be used.
     """
     files = videos_in(capture / VIDEOS)
-    known = _read(capture / NAME)
+    listing, kept = capture / NAME, capture / KEPT
+    known, spare = read_entries(listing), read_entries(kept)
     wanted = files if names is None else [name for name in names if name in files]
-    return {name: _listed(capture / NAME, files[name], known.get(name)) for name in wanted}
+    return {
+        name: listed(listing, files[name], known[name]) if name in known else listed(kept, files[name], spare.get(name))
+        for name in wanted
+    }
 
 
 def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
     """Write videos.json atomically."""
-    content = {"version": VERSION, "cameras": {name: _entry(video) for name, video in videos.items()}}
-    write_text_atomically(capture / NAME, json.dumps(content, indent=1) + "\n")
+    write_entries(capture / NAME, {name: entry_of(video) for name, video in videos.items()})
+
+
+def write_entries(listing: Path, entries: Mapping[str, Entry]) -> None:
+    """Write a list of videos atomically."""
+    write_text_atomically(listing, json.dumps({"version": VERSION, "cameras": entries}, indent=1) + "\n")
 
 
 def aligned(offsets: Mapping[str, int]) -> dict[str, int]:
@@ -71,7 +85,8 @@ def common_frames(videos: Mapping[str, Video]) -> int:
     return min((video.frames_left for video in videos.values()), default=0)
 
 
-def _entry(video: Video) -> dict[str, Any]:
+def entry_of(video: Video) -> Entry:
+    """What a list says of a video."""
     status = video.path.stat()
     index = asdict(video.index) | {"start": str(video.index.start), "fps": str(video.index.fps)}
     return {
@@ -82,8 +97,13 @@ def _entry(video: Video) -> dict[str, Any]:
     }
 
 
-def _listed(listing: Path, path: Path, entry: dict[str, Any] | None) -> Video:
-    """The video by its entry; indexed again where there is none or the file is another one."""
+def is_of(entry: Entry | None, path: Path) -> bool:
+    """Whether an entry is of the file as it is now, by name and size."""
+    return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
+
+
+def listed(listing: Path, path: Path, entry: Entry | None) -> Video:
+    """The video by its entry; indexed again where there is none or the file is another one. Raises UserError."""
     if entry is None:
         return Video(path, index_video(path), 0)
     try:
@@ -92,14 +112,15 @@ def _listed(listing: Path, path: Path, entry: dict[str, Any] | None) -> Video:
         index = VideoIndex(**values | {"keyframes": tuple(int(number) for number in values["keyframes"])})
         if offset < 0 or min(index.frames, index.width, index.height) < 1 or index.fps <= 0:
             raise ValueError
-        if (entry["file"], entry["bytes"]) != (path.name, path.stat().st_size):
+        if not is_of(entry, path):
             index = index_video(path)
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise UserError(f"{listing}: expected the index of {path.name}, got something else; import again") from error
+        raise _damaged(listing, f"the index of {path.name}") from error
     return Video(path, index, offset)
 
 
-def _read(path: Path) -> dict[str, dict[str, Any]]:
+def read_entries(path: Path) -> dict[str, Entry]:
+    """What a list says of each video; nothing where there is no such file. Raises UserError where it is damaged."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != VERSION:
@@ -108,6 +129,9 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
     except FileNotFoundError:
         return {}
     except (ValueError, KeyError, TypeError) as error:
-        raise UserError(
-            f"{path}: expected the list of this capture's videos, got something else; import again"
-        ) from error
+        raise _damaged(path, "the list of this capture's videos") from error
+
+
+def _damaged(listing: Path, expected: str) -> UserError:
+    mend = "delete it" if listing.parent.name == KEPT.parent.name else "import again"
+    return UserError(f"{listing}: expected {expected}, got something else; {mend}")

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from fourd.capture import open_capture
 from fourd.errors import UserError
+from fourd.progress import Tracker
 from fourd.seeding import carve_capture
 
 FOLDER = Path(".fourd") / "hulls"
@@ -58,6 +59,7 @@ def run(arguments: Arguments) -> None:
         agreement=arguments.agreement,
         least_views=arguments.least_views,
         seed=arguments.seed,
+        track=Tracker(Console(stderr=True)).track,
     )
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
     Console(stderr=True).print(

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import tyro
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
@@ -57,8 +56,7 @@ def run(arguments: Arguments) -> None:
 
 
 def _tracked(files: Sequence[Path]) -> Iterable[Path]:
-    console = Console(stderr=True)
-    return track(files, description="check", console=console, transient=True, disable=not console.is_terminal)
+    return Tracker(Console(stderr=True)).track(files, len(files), "files")
 
 
 def _agreement(path: Path) -> Agreement:

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from fourd.configs import load_overlay
 from fourd.errors import UserError
+from fourd.progress import Tracker
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.lpips import load_lpips
@@ -61,7 +62,8 @@ def run(arguments: Arguments) -> None:
     if arguments.resume:
         opened = open_run(arguments.out)
     else:
-        opened = create_run(arguments.capture, arguments.out, overlaid(arguments), arguments.points_from)
+        track = Tracker(console).track
+        opened = create_run(arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track)
     if lpips is None:
         note = "LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)"
         console.print(note, soft_wrap=True)

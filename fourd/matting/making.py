@@ -6,15 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.capture import open_capture
+from fourd.capture.indexing import index_capture
 from fourd.capture.layout import MATTES, camera_folders
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.plates import make_plates
 from fourd.matting.selection import Selection
 from fourd.matting.sheet import contact_sheet
-from fourd.matting.stage import MatteSettings, make_mattes, matte_key
+from fourd.matting.stage import SHEET, MatteSettings, make_mattes, matte_key
 from fourd.progress import Track
-
-SHEET = Path(".fourd") / "mattes.png"
 
 
 @dataclass(frozen=True)
@@ -43,12 +42,13 @@ def make_all(selection: Selection, settings: MatteSettings, workers: int, track:
         UserError: as :func:`fourd.matting.stage.make_mattes`.
     """
     path = selection.path
+    index_capture(path, selection.views, track)
     brought = bool(camera_folders(path / "masks"))
     frames = 0 if brought else make_mattes(selection, settings, workers, track)
     capture = open_capture(path, views=selection.views, frames=selection.frames)
     sheet = path / SHEET
     if not brought and (frames or not sheet.exists()):
-        contact_sheet(capture, sheet)
+        contact_sheet(capture, sheet, track=track)
     if plates:
         make_plates(selection, matte_key(capture, settings), workers, track)
     return Made(brought, frames, path / MATTES, sheet, path / PLATES if plates else None)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fourd.capture import Capture
 from fourd.capture.layout import evenly_spread
-from fourd.files import atomic_path, write_text_atomically
+from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.selection import Selection
 from fourd.matting.spreading import spread
 from fourd.progress import Track
@@ -88,6 +88,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track) -> i
     """
     capture = selection.open()
     folder = capture.path / FOLDER
+    remove_unfinished(folder)
     state = folder.parent / STATE
     try:
         done = dict(json.loads(state.read_text(encoding="utf-8")))
@@ -101,7 +102,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track) -> i
     jobs = [_Job(selection, capture.names[index], folder) for index in missing]
     for name in track(spread(_plate, jobs, workers), len(jobs), "plates"):
         done[name] = key
-        write_text_atomically(state, json.dumps(done) + "\n")
+        write_text_atomically(state, json.dumps(done, sort_keys=True) + "\n")
     return len(missing)
 
 
@@ -114,12 +115,12 @@ class _Job:
     folder: Path
 
 
-def _plate(job: _Job) -> str:
-    """Make one camera's plate; returns the camera's name."""
+def _plate(job: _Job) -> Iterator[str]:
+    """Make one camera's plate; the camera's name when it is there."""
     cv2.setNumThreads(1)
     capture = replace(job.selection, views=(job.name,)).open()
     write_plate(job.folder / f"{job.name}.png", clean_plate(capture, 0))
-    return job.name
+    yield job.name
 
 
 def clean_plate(capture: Capture, index: int) -> Plate:

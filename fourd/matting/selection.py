@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fourd.capture import Capture, open_capture
 
+CACHE_MB = 64
 CACHE_FRAMES = 8
 """Frames of all cameras to keep decoded: a frame and those up to the one that motion is told from."""
 
@@ -21,7 +22,11 @@ class Selection:
 
     def open(self, *, mattes: bool = True) -> Capture:
         """The capture, with room for the frames between which motion is looked for."""
-        capture = open_capture(self.path, views=self.views, frames=self.frames, mattes=mattes)
-        frame_bytes = sum(3 * camera.width * camera.height for camera in capture.cameras)
-        cache_mb = 64 + (CACHE_FRAMES * frame_bytes >> 20)
-        return open_capture(self.path, views=self.views, frames=self.frames, cache_mb=cache_mb, mattes=mattes)
+        return open_capture(
+            self.path,
+            views=self.views,
+            frames=self.frames,
+            cache_mb=CACHE_MB,
+            cache_frames=CACHE_FRAMES,
+            mattes=mattes,
+        )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fourd.capture import Capture
 from fourd.capture.layout import evenly_spread
 from fourd.files import write_bytes_atomically
+from fourd.progress import Track, untold
 
 Picture = NDArray[np.uint8]
 Box = tuple[slice, slice]
@@ -35,7 +36,13 @@ FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))
 WORST_SHARE = 0.1
 
 
-def contact_sheet(capture: Capture, path: Path | str, cameras: Sequence[int] | None = None, moments: int = 10) -> None:
+def contact_sheet(
+    capture: Capture,
+    path: Path | str,
+    cameras: Sequence[int] | None = None,
+    moments: int = 10,
+    track: Track = untold,
+) -> None:
     """Write a PNG: a row a camera, a column a moment; a cell is the picture and, below it, the cut-out on flat colour.
 
     All cells of a row show the box that its mattes fill at these moments, with a margin, or the whole picture where
@@ -47,6 +54,7 @@ def contact_sheet(capture: Capture, path: Path | str, cameras: Sequence[int] | N
         path: of the file, whatever its suffix; whole or not at all.
         cameras: indices into ``capture.names``; None for at most 8, evenly chosen.
         moments: at least 1, evenly spread over the selected frames; fewer where there are fewer frames.
+        track: for progress.
 
     Raises:
         UserError: when there are no mattes, or a picture is damaged.
@@ -56,7 +64,7 @@ def contact_sheet(capture: Capture, path: Path | str, cameras: Sequence[int] | N
     chosen = evenly_spread(len(capture.names), MOST_CAMERAS) if cameras is None else list(cameras)
     frames = evenly_spread(capture.frame_count, moments)
     flat = _flat_colour(capture, chosen, frames)
-    rows = [_row(capture, camera, frames, flat) for camera in chosen]
+    rows = [_row(capture, camera, frames, flat) for camera in track(chosen, len(chosen), "sheet")]
     width = max(LEAST_WIDTH, *(row.shape[1] for row in rows))
     named = [
         np.concatenate([_caption(f"camera {capture.names[camera]}", width), _padded(row, width)])

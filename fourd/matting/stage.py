@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, evenly_spread
 from fourd.errors import UserError
-from fourd.files import atomic_path, write_text_atomically
+from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.by_motion import fine_background, matting_cameras
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, given_screen
 from fourd.matting.rvm import load_rvm
@@ -33,6 +33,7 @@ Picture = NDArray[np.uint8]
 VERSION = 1
 STATE = "mattes.json"
 LEARNED = "subject.npz"
+SHEET = Path(".fourd") / "mattes.png"
 INPUTS = ("*.yml", "videos.json", "videos/*", "images/*/*")
 SCREEN_FRAMES = 5
 FASTEST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
@@ -90,8 +91,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         if not by.exists():
             _learn(capture, settings, by, track)
     jobs = [_Job(selection, by, folder, tuple(block)) for block in blocks(missing, workers)]
-    done = (frame for made in spread(_mattes, jobs, workers) for frame in made)
-    for _ in track(done, len(missing), "mattes"):
+    for _ in track(spread(_mattes, jobs, workers), len(missing), "mattes"):
         pass
     return len(missing)
 
@@ -118,9 +118,10 @@ def _begin(folder: Path, key: str) -> None:
     if known != key:
         shutil.rmtree(folder, ignore_errors=True)
         (folder.parent / LEARNED).unlink(missing_ok=True)
+        (folder.parent / SHEET.name).unlink(missing_ok=True)
         write_text_atomically(state, json.dumps({"version": VERSION, "key": key}) + "\n")
-    for rest in folder.glob("*/.*"):
-        rest.unlink()
+    remove_unfinished(folder.parent)
+    remove_unfinished(folder, deep=True)
 
 
 def _is_made(folder: Path, capture: Capture, frame: int) -> bool:
@@ -177,8 +178,8 @@ class _Job:
     frames: tuple[int, ...]
 
 
-def _mattes(job: _Job) -> Sequence[int]:
-    """Make the mattes of a job's frames; returns the frames."""
+def _mattes(job: _Job) -> Iterator[int]:
+    """Make the mattes of a job's frames; each frame when its files are there."""
     cv2.setNumThreads(1)
     capture = job.selection.open(mattes=False)
     matter = load_matter(job.by, matting_cameras(capture)) if isinstance(job.by, Path) else None
@@ -188,8 +189,10 @@ def _mattes(job: _Job) -> Sequence[int]:
         elif isinstance(job.by, tuple):
             mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.by)]
         for name, made in zip(capture.names, mattes, strict=True):
-            write_matte(job.folder / name / f"{capture.frame_names[frame]}.png", made)
-    return job.frames
+            path = job.folder / name / f"{capture.frame_names[frame]}.png"
+            if not path.exists():  # others of an unfinished frame may have been mended by hand since
+                write_matte(path, made)
+        yield frame
 
 
 def write_matte(path: Path, matte: Picture) -> None:

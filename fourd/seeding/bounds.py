@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fourd.cameras import Array, Camera
 from fourd.capture.layout import evenly_spread
 from fourd.errors import UserError
+from fourd.progress import Track, untold
 from fourd.seeding.hull import Silhouettes, refine, root_cells, view_distance
 from fourd.seeding.source import MaskSource, frame_masks
 
@@ -75,6 +76,7 @@ def find_bounds(
     least_views: float = 1 / 2,
     margin: float = 0.05,
     most_frames: int = 120,
+    track: Track = untold,
 ) -> Bounds:
     """The box of the visual hulls over the capture's frames, with a margin.
 
@@ -84,13 +86,14 @@ def find_bounds(
         least_views: share in (0, 1] of all views that must see a point (at least 2 views).
         margin: share of the longest side that is added on every face.
         most_frames: at most so many frames are read, evenly spaced, first and last among them.
+        track: for progress.
 
     Raises:
         UserError: when the hull of a frame is empty; names the views that disagree most.
     """
     frames = evenly_spread(capture.frame_count, most_frames)
     box: Bounds | None = None
-    for frame in frames:
+    for frame in track(frames, len(frames), "bounds"):
         hull = hull_bounds(
             frame_masks(capture, frame),
             capture.cameras,

@@ -5,17 +5,16 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fourd.errors import UserError
-from fourd.files import write_text_atomically
+from fourd.files import remove_unfinished, write_text_atomically
+from fourd.progress import Track, untold
 from fourd.seeding.bounds import Bounds, find_bounds
 from fourd.seeding.carve import carve_frame
 from fourd.seeding.colour import colour_points
@@ -47,7 +46,7 @@ def carve_capture(
     agreement: float = 0.95,
     least_views: float = 1 / 2,
     seed: int = 0,
-    show_progress: bool = True,
+    track: Track = untold,
 ) -> Bounds:
     """Carve every frame into ``out_folder``: ``FRAME.ply`` (xyz, rgb) each, and ``bounds.json``.
 
@@ -62,7 +61,7 @@ def carve_capture(
         agreement: share in (0, 1] of the views seeing a point that must hold it.
         least_views: share in (0, 1] of all views that must see a point (at least 2 views).
         seed: of the points' order.
-        show_progress: a bar on stderr.
+        track: for progress.
 
     Returns:
         the box of all frames' points with a margin of 5% of its longest side.
@@ -74,9 +73,10 @@ def carve_capture(
     folder = Path(out_folder)
     key = settings_key(capture, settings)
     try:
-        search = _search_box(capture, folder, settings, key)
+        remove_unfinished(folder)
+        search = _search_box(capture, folder, settings, key, track)
         lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-        for frame in _tracked(range(capture.frame_count), show_progress):
+        for frame in track(range(capture.frame_count), capture.frame_count, "carving"):
             xyz = _carved_points(capture, frame, folder, search, settings)
             lower, upper = np.minimum(lower, xyz.min(axis=0)), np.maximum(upper, xyz.max(axis=0))
         pad = MARGIN * float((upper - lower).max())
@@ -119,7 +119,7 @@ def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
     return digest.hexdigest()
 
 
-def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str) -> Bounds:
+def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
     """The box to carve in: as an earlier call with the same key found it, or else found and saved now.
 
     Frames that were not looked at get three margins.
@@ -138,6 +138,7 @@ def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key:
         least_views=settings.least_views,
         margin=MARGIN if capture.frame_count <= MOST_SEARCHED else 3 * MARGIN,
         most_frames=MOST_SEARCHED,
+        track=track,
     )
     _save(folder, key, settings, box, None)
     return box
@@ -196,9 +197,3 @@ def _load(path: Path, *, missing_is_empty: bool = False) -> dict[str, Any]:
 
 def _frame_path(folder: Path, number: int) -> Path:
     return folder / f"{number:06d}.ply"
-
-
-def _tracked(frames: range, show: bool) -> Iterator[int]:
-    columns = (TextColumn("carving"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, disable=not show, transient=True) as progress:
-        yield from progress.track(frames)

@@ -20,6 +20,7 @@ from fourd.capture.layout import chosen_views
 from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
 from fourd.model import PointModel
+from fourd.progress import Track, untold
 from fourd.seeding import Bounds, carve_capture, read_ply, write_ply
 from fourd.seeding.order import morton_order
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
@@ -126,7 +127,7 @@ class TrainedRun:
     renderer: Renderer
 
 
-def carve_run(capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
+def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track = untold) -> Bounds:
     """Carve the training views of the selection into ``folder/hull``; goes on where an earlier call stopped.
 
     Held-out views are not carved from: they must not shape what they judge.
@@ -141,7 +142,7 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
         scale=train.image_scale,
         cache_mb=DECODED_MB,
     )
-    return carve_capture(seeing, folder / "hull", points=train.points)
+    return carve_capture(seeing, folder / "hull", points=train.points, track=track)
 
 
 def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
@@ -163,7 +164,9 @@ def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainCon
     return Bounds(lower, upper).padded(0.05)
 
 
-def create_run(capture_path: Path, folder: Path, train: TrainConfig, points_from: Path | None = None) -> Run:
+def create_run(
+    capture_path: Path, folder: Path, train: TrainConfig, points_from: Path | None = None, track: Track = untold
+) -> Run:
     """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
 
     With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved. A
@@ -175,7 +178,7 @@ def create_run(capture_path: Path, folder: Path, train: TrainConfig, points_from
     if folder.exists() and (not folder.is_dir() or any(entry.name != "hull" for entry in folder.iterdir())):
         raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
     if points_from is None:
-        bounds = carve_run(capture_path, folder, train)
+        bounds = carve_run(capture_path, folder, train, track)
     else:
         bounds = adopt_points(points_from, capture_path, folder, train)
     capture, _, _ = _open_views(capture_path, train)

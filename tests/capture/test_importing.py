@@ -12,6 +12,7 @@ import pytest
 
 from fourd.capture import open_capture, write_calibration
 from fourd.capture.import_source import ImportOptions, import_source, pick_format
+from fourd.capture.video import VideoIndex, index_video
 from fourd.errors import UserError
 from fourd.progress import untold
 from tests.capture.films import HEIGHT, WIDTH, number_of, write_film
@@ -129,6 +130,39 @@ def test_the_second_import_changes_nothing(tmp_path: Path) -> None:
     assert {name: content for name, (_, content) in after.items()} == {n: content for n, (_, content) in before.items()}
     assert after["intri.yml"] == before["intri.yml"]
     assert after["videos/a.mp4"] == before["videos/a.mp4"]
+
+
+def test_a_video_is_read_through_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches an import that reads whole videos twice, and one that reads them again after it was stopped."""
+    source, out = write_source(tmp_path / "source"), tmp_path / "out"
+    indexed: list[str] = []
+
+    def counted(path: Path) -> VideoIndex:
+        if len(indexed) == 2 and not out.joinpath("stopped").exists():
+            out.joinpath("stopped").touch()
+            raise KeyboardInterrupt
+        indexed.append(path.stem)
+        return index_video(path)
+
+    monkeypatch.setattr("fourd.capture.video_list.index_video", counted)
+    with pytest.raises(KeyboardInterrupt):
+        bring(source, out, sync=True)
+    bring(source, out, sync=True)
+    bring(source, out, unpack=True)
+    bring(source, out)
+    assert indexed == list(NAMES)
+
+
+def test_what_a_killed_import_left_half_written_is_removed(tmp_path: Path) -> None:
+    """Catches a folder refused since its record itself was being written, and half copies that stay for ever."""
+    source, out = write_source(tmp_path / "source"), tmp_path / "out"
+    (out / ".fourd").mkdir(parents=True)
+    (out / ".fourd" / ".unfinished-import-abc.json").write_text("{")
+    bring(source, out, copy=True)
+    (out / "videos" / ".unfinished-b-abc.mp4").write_bytes(b"half")
+    bring(source, out, copy=True)
+    assert not [path for path in out.rglob("*") if "unfinished" in path.name]
+    assert sorted(path.name for path in (out / "videos").iterdir()) == ["a.mp4", "b.mp4", "c.mp4"]
 
 
 def test_another_calibration_is_taken_over(tmp_path: Path) -> None:

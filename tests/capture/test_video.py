@@ -9,10 +9,13 @@ import av
 import numpy as np
 import pytest
 
+from fourd.capture.indexing import index_capture
 from fourd.capture.layout import videos_in
+from fourd.capture.matroska import SEGMENT, missing_bytes
 from fourd.capture.video import VideoReader, index_video
-from fourd.capture.video_list import NAME, Video, aligned, common_frames, list_videos, write_video_list
+from fourd.capture.video_list import KEPT, NAME, Video, aligned, common_frames, list_videos, write_video_list
 from fourd.errors import UserError
+from fourd.progress import untold
 from tests.capture.films import KEYFRAMES_EVERY, number_of, write_film
 
 KINDS = [("film.mp4", "libx264"), ("film.webm", "libvpx-vp9")]
@@ -107,6 +110,35 @@ def test_a_video_cut_short_is_refused(tmp_path: Path) -> None:
     refused(cut, r"expected 40 frames, got \d+ before its end; copy or record it again")
 
 
+@pytest.mark.parametrize(("name", "codec"), [("film.webm", "libvpx-vp9"), ("film.mkv", "libx264")])
+def test_a_matroska_file_cut_short_is_refused(name: str, codec: str, tmp_path: Path) -> None:
+    """Catches a WebM without a frame count whose end is missing, taken for a shorter one; and a whole one refused."""
+    path = write_film(tmp_path / name, codec=codec)
+    whole = path.read_bytes()
+    assert index_video(path).frames == 40
+    for share in (0.6, 0.9):
+        path.write_bytes(whole[: int(share * len(whole))])
+        refused(
+            path, rf"expected {len(whole)} bytes, as it says, got {int(share * len(whole))}; copy or record it again"
+        )
+    path.write_bytes(whole + b"\0")
+    assert missing_bytes(path) == 0
+
+
+def test_a_matroska_file_without_a_length_is_no_shorter_for_it(tmp_path: Path) -> None:
+    """Catches a live recording refused: its length was not known when its head was written."""
+    path = write_film(tmp_path / "film.webm", codec="libvpx-vp9")
+    content = bytearray(path.read_bytes())
+    place = content.index(SEGMENT) + len(SEGMENT)
+    assert content[place] == 1, "a size of eight bytes"
+    content[place : place + 8] = b"\x01" + b"\xff" * 7
+    path.write_bytes(content)
+    assert index_video(path).frames == 40
+    for length in range(60):
+        path.write_bytes(content[:length])
+        assert missing_bytes(path) == 0
+
+
 def test_a_dropped_frame_is_refused(tmp_path: Path) -> None:
     """Catches cameras that drift apart by a frame from where one dropped one."""
     times = [*range(20), *range(21, 41)]
@@ -159,6 +191,27 @@ def test_a_video_that_was_replaced_is_indexed_again(tmp_path: Path) -> None:
     write_film(tmp_path / "videos" / "b.mp4", range(35))
     assert list_videos(tmp_path)["b"].index.frames == 35
     assert list_videos(tmp_path)["a"].index.frames == 40
+
+
+def test_a_capture_without_a_list_is_indexed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches whole videos read again by each process that opens a capture which no import wrote."""
+    paths = [write_film(tmp_path / "videos" / f"{name}.mp4") for name in "ab"]
+    index_capture(tmp_path, ["a"], untold)
+    indexed = []
+    monkeypatch.setattr(
+        "fourd.capture.video_list.index_video", lambda path: (indexed.append(path), index_video(path))[1]
+    )
+    index_capture(tmp_path, None, untold)
+    assert indexed == paths[1:]
+    assert {name: video.index.frames for name, video in list_videos(tmp_path).items()} == {"a": 40, "b": 40}
+    assert indexed == paths[1:]
+    write_film(paths[0], range(35))
+    index_capture(tmp_path, None, untold)
+    assert list_videos(tmp_path)["a"].index.frames == 35
+    assert indexed == [paths[1], paths[0]]
+    (tmp_path / KEPT).write_text("{")
+    with pytest.raises(UserError, match=r"\.fourd/videos.json: expected .*; delete it"):
+        list_videos(tmp_path)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"version": 1}', '{"version": 1, "cameras": {"a": {"offset": "x"}}}'])

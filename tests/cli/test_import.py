@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -194,3 +198,32 @@ def test_the_real_recording_is_mended(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "warning: principal points look mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in told
     told = done(capsys, BALANCE, tmp_path / "out", "--centres", "mirrored")
     assert "principal points mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in told
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "when", [".fourd/import.json", ".fourd/videos.json", "images/a/000003.jpg", "images/c/000020.jpg"]
+)
+def test_a_killed_import_goes_on_to_the_same_capture(when: str, tmp_path: Path) -> None:
+    """Catches pictures cut in half or written again, and a folder that no import is let into any more."""
+    source = write_source(tmp_path / "source")
+    command = [sys.executable, "-m", "fourd.cli.main", "import", "--unpack", str(source)]
+    whole, stopped = tmp_path / "whole", tmp_path / "stopped"
+    subprocess.run([*command, str(whole)], check=True, timeout=100)
+    process = subprocess.Popen([*command, str(stopped)])
+    deadline = time.monotonic() + 100
+    while not (stopped / when).exists():
+        assert process.poll() is None, "ended before it could be stopped"
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    process.kill()
+    assert process.wait(60) == -signal.SIGKILL
+    before = {path: path.stat().st_mtime_ns for path in stopped.glob("images/*/[!.]*")}
+    assert len(before) < 3 * 40
+    subprocess.run([*command, str(stopped)], check=True, timeout=100)
+    assert contents(stopped) == contents(whole)
+    assert {path: path.stat().st_mtime_ns for path in before} == before, "what was finished is written again"
+
+
+def contents(capture: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(capture)): path.read_bytes() for path in sorted(capture.rglob("*")) if path.is_file()}

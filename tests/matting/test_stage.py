@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from fourd.capture import open_capture
+from fourd.capture import Capture, open_capture
 from fourd.errors import UserError
-from fourd.matting.selection import Selection
-from fourd.matting.stage import LEARNED, MATTES, MatteSettings, make_mattes
+from fourd.matting.selection import CACHE_FRAMES, Selection
+from fourd.matting.stage import LEARNED, MATTES, SHEET, MatteSettings, make_mattes
 from fourd.progress import untold
 from tests.matting.captures import overlaps, unmasked
 
@@ -36,15 +37,17 @@ def test_mattes_are_the_subject(made: Path) -> None:
 
 
 def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) -> None:
-    """Catches resuming that redoes everything, and files that depend on where work went on."""
+    """Catches resuming that redoes everything, mended mattes overwritten, files that depend on where work went on."""
     before = contents(made)
     lost = made / MATTES / "03" / "000004.png"
     lost.unlink()
     with pytest.raises(UserError, match=r"mattes/03: expected mattes of 6 frames, got 5; go on: fourd matte"):
         open_capture(made)
-    (made / MATTES / "03" / ".000005-killed.png").write_bytes(b"half")
-    times = {path: path.stat().st_mtime_ns for path in made.glob(".fourd/mattes/0[012]/*") if path.stem != "000004"}
+    half = made / MATTES / "03" / ".unfinished-000005-killed.png"
+    half.write_bytes(b"half")
+    times = {path: path.stat().st_mtime_ns for path in made.glob(".fourd/mattes/*/[!.]*")}
     assert make_mattes(Selection(made), MatteSettings(), 1, untold) == 1
+    assert not half.exists()
     assert contents(made) == before
     assert all(path.stat().st_mtime_ns == time for path, time in times.items())
     assert make_mattes(Selection(made), MatteSettings(), 1, untold) == 0
@@ -60,12 +63,31 @@ def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
     assert contents(made) == before
 
 
+def test_a_capture_is_opened_once(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches folders of thousands of files listed twice by each process, the first time to size its cache."""
+    opened = []
+
+    def counted(path: Path, **options: Any) -> Capture:
+        opened.append(path)
+        return open_capture(path, **options)
+
+    monkeypatch.setattr("fourd.matting.selection.open_capture", counted)
+    capture = Selection(made).open()
+    assert len(opened) == 1
+    first = [capture.image(camera, 0) for camera in range(8)]
+    for frame in range(1, CACHE_FRAMES - 2):
+        capture.image(0, frame)
+    assert all(capture.image(camera, 0) is picture for camera, picture in enumerate(first))
+
+
 def test_other_settings_begin_anew(tmp_path: Path) -> None:
-    """Catches mattes of an older seed or input beside new ones."""
+    """Catches mattes of an older seed or input beside new ones, and a sheet that shows them still."""
     capture = unmasked(tmp_path, frames=3, size=64)
     assert make_mattes(Selection(capture), MatteSettings(), 1, untold) == 3
     assert (capture / ".fourd" / LEARNED).exists()
+    (capture / SHEET).write_bytes(b"of these")
     assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untold) == 3
+    assert not (capture / SHEET).exists()
     picture = capture / "images" / "00" / "000001.png"
     picture.write_bytes(picture.read_bytes() + b"\0")
     assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untold) == 3

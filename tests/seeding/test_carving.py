@@ -146,17 +146,17 @@ def test_colours_come_from_views_that_see(one_ball: MemoryCapture) -> None:
 def test_a_capture_is_carved_once(tmp_path: Path) -> None:
     """Catches work done again, results kept after a changed setting, and half a file taken for a whole one."""
     capture = moving_ball(frames=3)
-    first = carve_capture(capture, tmp_path, points=800, show_progress=False)
+    first = carve_capture(capture, tmp_path, points=800)
     times = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.ply")}
     assert sorted(times) == ["000000.ply", "000001.ply", "000002.ply"]
-    again = carve_capture(capture, tmp_path, points=800, show_progress=False)
+    again = carve_capture(capture, tmp_path, points=800)
     assert np.array_equal(first.lower, again.lower)
     assert times == {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.ply")}
     cut = tmp_path / "000001.ply"
     whole = cut.read_bytes()
     cut.write_bytes(whole[:-40])
-    carve_capture(capture, tmp_path, points=800, show_progress=False)
+    carve_capture(capture, tmp_path, points=800)
     assert cut.read_bytes() == whole
-    carve_capture(capture, tmp_path, points=500, show_progress=False)
+    carve_capture(capture, tmp_path, points=500)
     assert len(read_ply(cut).xyz) == 500
     assert np.all(first.holds(read_ply(cut).xyz))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,3 +71,8 @@ class Imported:
 
     cameras: tuple[ImportedCamera, ...]
     notes: tuple[str, ...]
+
+
+def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:
+    """The videos of the cameras that have one, by name."""
+    return {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}

@@ -1,0 +1,39 @@
+"""Whether a Matroska or WebM file is whole: it says how long it is, and not how many frames it has (RFC 8794, 9559)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import BinaryIO
+
+HEADER = b"\x1a\x45\xdf\xa3"
+SEGMENT = b"\x18\x53\x80\x67"
+
+
+def missing_bytes(path: Path) -> int:
+    """Bytes that a file lacks of what it says it holds.
+
+    0 where it lacks none, is of another kind, or does not say: what is recorded live has no length until its end.
+    """
+    with path.open("rb") as stream:
+        if stream.read(len(HEADER)) != HEADER:
+            return 0
+        header = _size(stream)
+        if header is None:
+            return 0
+        stream.seek(header, 1)
+        if stream.read(len(SEGMENT)) != SEGMENT:
+            return 0
+        segment = _size(stream)
+        return 0 if segment is None else max(0, stream.tell() + segment - path.stat().st_size)
+
+
+def _size(stream: BinaryIO) -> int | None:
+    """The size of an element, whose first byte's leading zeros count the bytes that follow; None where unknown."""
+    first = stream.read(1)
+    if not first or not first[0]:
+        return None
+    length = 9 - first[0].bit_length()
+    rest = stream.read(length - 1)
+    unknown = (1 << 7 * length) - 1
+    value = int.from_bytes(first + rest, "big") & unknown
+    return None if value == unknown or len(rest) < length - 1 else value

@@ -1,0 +1,81 @@
+"""A video set of any length out of a short capture, which is shown back and forth: for tests of endurance.
+
+    python tools/long_set.py CAPTURE OUT --seconds 180 --cameras 8 --size 160
+
+writes OUT/videos/CAM.mp4 and the calibration, which ``fourd import`` reads.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.capture import open_capture, write_calibration
+from fourd.capture.layout import VIDEOS, evenly_spread
+from fourd.files import atomic_path
+
+Picture = NDArray[np.uint8]
+
+ENCODING = {"crf": "16", "g": "60"}
+
+
+def main() -> None:
+    """Write the set that the command line describes."""
+    arguments = _parsed()
+    names = open_capture(arguments.capture, mattes=False).names
+    chosen = [names[place] for place in evenly_spread(len(names), arguments.cameras)]
+    whole = open_capture(arguments.capture, views=chosen, mattes=False)
+    longest = max(max(camera.width, camera.height) for camera in whole.cameras)
+    capture = open_capture(arguments.capture, views=chosen, mattes=False, scale=arguments.size / longest)
+    for camera in capture.cameras:
+        if camera.width % 2 or camera.height % 2:
+            sys.exit(
+                f"--size: expected even sides, which H.264 needs, got {camera.width} x {camera.height}; try another"
+            )
+    shown = back_and_forth(capture.frame_count, round(arguments.seconds * arguments.fps))
+    for index, name in enumerate(capture.names):
+        pictures = [capture.image(index, frame) for frame in range(capture.frame_count)]
+        write_video(arguments.out / VIDEOS / f"{name}.mp4", pictures, shown, arguments.fps)
+        print(f"{name}: {len(shown)} frames")
+    write_calibration(arguments.out, capture.names, capture.cameras)
+
+
+def back_and_forth(count: int, length: int) -> list[int]:
+    """``length`` positions among ``count``: up, down, and up again, so that nothing ever jumps."""
+    period = max(1, 2 * (count - 1))
+    return [min(place % period, period - place % period) for place in range(length)]
+
+
+def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], fps: int) -> None:
+    """Write H.264 of those of ``pictures`` (H, W, 3), of even sides, that ``shown`` names, atomically."""
+    frames = [av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv420p") for picture in pictures]
+    with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
+        stream = container.add_stream("libx264", rate=fps, options=ENCODING)
+        stream.width, stream.height, stream.pix_fmt = frames[0].width, frames[0].height, "yuv420p"
+        for place, position in enumerate(shown):
+            frame = frames[position]
+            frame.pts, frame.time_base = place, Fraction(1, fps)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+def _parsed() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path, help="a capture whose frames are shown back and forth")
+    parser.add_argument("out", type=Path, help="folder to write the set into")
+    parser.add_argument("--seconds", type=float, default=180.0, help="length of each video (default 180)")
+    parser.add_argument("--cameras", type=int, default=8, help="of the capture, evenly chosen (default 8)")
+    parser.add_argument("--size", type=int, default=160, help="pixels of the longer side (default 160)")
+    parser.add_argument("--fps", type=int, default=30, help="frames per second (default 30)")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,69 @@
+"""Runs a command and tells the memory of it and all its children over time (Linux).
+
+    python tools/tree_memory.py memory.csv -- fourd matte CAPTURE
+
+writes a line each ``--every`` seconds: seconds since the start, processes, and their memory in MB, of which what is
+shared counts once (PSS). The last line on stderr is the highest, and the mean of each tenth of the time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+TENTHS = 10
+
+
+def main() -> int:
+    """Run the command; returns its exit code."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("table", type=Path, help="CSV file to write")
+    parser.add_argument("--every", type=float, default=1.0, help="seconds between two looks (default 1)")
+    parser.add_argument("command", nargs="+", help="what to run, after --")
+    arguments = parser.parse_args()
+    started = time.monotonic()
+    rows: list[float] = []
+    process = subprocess.Popen(arguments.command)
+    with arguments.table.open("w", encoding="utf-8", buffering=1) as table:
+        table.write("seconds,processes,MB\n")
+        while process.poll() is None:
+            held = [_held_mb(each) for each in (process.pid, *_children(process.pid))]
+            rows.append(sum(held))
+            table.write(f"{time.monotonic() - started:.1f},{len(held)},{rows[-1]:.1f}\n")
+            time.sleep(arguments.every)
+    parts = [rows[len(rows) * part // TENTHS : len(rows) * (part + 1) // TENTHS] for part in range(TENTHS)]
+    means = " ".join(f"{sum(part) / len(part):.0f}" for part in parts if part)
+    print(f"{time.monotonic() - started:.0f} s, at most {max(rows):.0f} MB; by tenths: {means}", file=sys.stderr)
+    return process.returncode
+
+
+def _children(pid: int) -> Iterator[int]:
+    """Processes that a process started, and those that they started."""
+    try:
+        found = [int(word) for path in Path(f"/proc/{pid}/task").iterdir() for word in _words(path / "children")]
+    except OSError:
+        return
+    for child in found:
+        yield child
+        yield from _children(child)
+
+
+def _held_mb(pid: int) -> float:
+    """Proportional set size in MB; 0 of a process that has ended."""
+    words = _words(Path(f"/proc/{pid}/smaps_rollup"))
+    return int(words[words.index("Pss:") + 1]) / 1024 if "Pss:" in words else 0.0
+
+
+def _words(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="ascii").split()
+    except OSError:
+        return []
+
+
+if __name__ == "__main__":
+    sys.exit(main())
