@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.matting.channels import channel_sum
+
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
@@ -42,19 +44,26 @@ class Background:
 
     def log_likelihood(self, rgb: Picture) -> Floats:
         """(h, w) log density of colours (h, w, 3), in plain light or in shadow, per unit of colour cubed."""
-        scale = -0.5 * np.log(self.variance).sum(axis=-1) - np.float32(1.5 * LOG_TWO_PI)
-        inverse = 1 / self.variance
-        value = rgb.astype(np.float32)
-        plain = -0.5 * (np.square(value - self.mean) * inverse).sum(axis=-1)
+        scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
+        inverse: Floats = (1 / self.variance).astype(np.float32)
+        value: Floats = rgb.astype(np.float32)
+        plain = -0.5 * channel_sum(np.square(value - self.mean) * inverse)
         weighed = self.mean * inverse
-        light = (value * weighed).sum(axis=-1) / np.maximum((self.mean * weighed).sum(axis=-1), 1e-3)
+        light = channel_sum(value * weighed) / np.maximum(channel_sum(self.mean * weighed), 1e-3)
         light = np.clip(light, SHADOW_DARKEST, SHADOW_BRIGHTEST)
-        shaded = -0.5 * (np.square(value - light[..., None] * self.mean) * inverse).sum(axis=-1) + SHADOW_LOG_ODDS
+        shaded = -0.5 * channel_sum(np.square(value - light[..., None] * self.mean) * inverse) + SHADOW_LOG_ODDS
         return np.maximum(np.maximum(plain, shaded) + scale, FLOOR)
 
     def likeness(self, rgb: Picture) -> Floats:
         """(h, w) in [0, 1]: 1 where colours (h, w, 3) are the mean."""
-        return np.exp(-0.5 * (np.square(rgb - self.mean) / (2 * self.variance)).sum(axis=-1)).astype(np.float32)
+        return np.exp(-0.5 * channel_sum(np.square(rgb - self.mean) / (2 * self.variance)))
+
+    def shown(self, rgb: Picture, weights: Floats, noise: float) -> Floats:
+        """(h, w) weight (T, h, w) of the frames (T, h, w, 3) that show the mean."""
+        total = np.zeros(rgb.shape[1:3], np.float32)
+        for value, weight in zip(rgb, weights, strict=True):
+            total += weight * _nearness(value.astype(np.float32) - self.mean, noise)
+        return total
 
     def resized(self, width: int, height: int) -> Background:
         """The same background in pixels of another size."""
@@ -73,13 +82,12 @@ def commonest(rgb: Picture, weights: Floats, noise: float) -> Background:
         weights: (T, h, w), how likely each shows the background.
         noise: standard deviation of a still pixel's values.
     """
-    spread = 2.5 * noise + 3
     values = rgb.astype(np.float32)
     most = np.zeros(rgb.shape[1:3], np.float32)
     mean = np.zeros(rgb.shape[1:], np.float32)
     variance = np.zeros_like(mean)
     for place, value in enumerate(values):
-        near = weights * np.exp(-np.square(values - value).sum(axis=-1) / (6 * spread**2))
+        near = weights * _nearness(values - value, noise)
         total = near.sum(axis=0)
         better = (total > most) & (weights[place] > 0.05 * weights.max(axis=0))
         if not better.any():
@@ -91,3 +99,9 @@ def commonest(rgb: Picture, weights: Floats, noise: float) -> Background:
         variance[better] = np.einsum("tn,tnc->nc", share, np.square(chosen - centre))
         most[better] = total[better]
     return Background(mean, variance + np.float32((noise + 1) ** 2), most)
+
+
+def _nearness(difference: Floats, noise: float) -> Floats:
+    """(...,) in [0, 1]: 1 where colours that differ by (..., 3) are the same but for noise."""
+    spread = 2.5 * noise + 3
+    return np.asarray(np.exp(-channel_sum(np.square(difference)) / np.float32(6 * spread**2)), np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +33,15 @@ class Colours:
         smooth = gaussian_filter(counts.astype(np.float64), SPREAD_BINS)
         share = smooth / max(float(smooth.sum()), 1e-9)
         density = (1 - UNIFORM) * share * (BINS / 256) ** 3 + UNIFORM / 256**3
+        return Colours(np.log(density).astype(np.float32))
+
+    @staticmethod
+    def mixed(distributions: Sequence[Colours], shares: Sequence[float] | None = None) -> Colours:
+        """The mixture of distributions, in equal parts unless ``shares``, which add up to 1, are given."""
+        weights = np.full(len(distributions), 1 / len(distributions)) if shares is None else np.asarray(shares)
+        density = sum(
+            weight * np.exp(colours.log_density) for weight, colours in zip(weights, distributions, strict=True)
+        )
         return Colours(np.log(density).astype(np.float32))
 
     def log_likelihood(self, rgb: Picture) -> Floats:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fourd.matting.agreement import NOWHERE, Cells
 from fourd.matting.background import Background
+from fourd.matting.channels import channel_max, channel_min
 from fourd.matting.colours import Colours
 
 Floats = NDArray[np.float32]
@@ -74,7 +75,7 @@ class Look:
 
     def at_exposure(self, rgb: Picture) -> Picture:
         """The picture with each channel's exposure brought to the background's, told from where nothing moves."""
-        still = ~self.region & (self.background.mean.min(axis=-1) > 16) & (rgb.max(axis=-1) < 250)
+        still = ~self.region & (channel_min(self.background.mean) > 16) & (channel_max(rgb) < 250)
         if np.count_nonzero(still) < 100:
             return rgb
         gain = np.median(self.background.mean[still] / np.maximum(rgb[still], 1), axis=0)

@@ -30,7 +30,7 @@ from fourd.progress import Track
 
 Picture = NDArray[np.uint8]
 
-VERSION = 1
+VERSION = 2
 STATE = "mattes.json"
 LEARNED = "subject.npz"
 SHEET = Path(".fourd") / "mattes.png"

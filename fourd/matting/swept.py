@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.matting.channels import channel_max
 from fourd.matting.sampling import CameraSample
 
 Floats = NDArray[np.float32]
@@ -17,6 +18,8 @@ LEAST_CHANGE = 12.0
 """Of 255: a pixel that never changes by more shows one thing alone."""
 NOISES = 6.0
 LEAST_MOTION_PX = 0.15
+MOVING = 2.5
+"""Times the flow of what is still."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,17 +41,18 @@ class Swept:
     @staticmethod
     def of(sample: CameraSample) -> Swept:
         """As the sampled frames show it."""
-        median = np.median(sample.rgb, axis=0)
-        away = np.stack([np.abs(picture - median).max(axis=-1) for picture in sample.rgb]).astype(np.float32)
+        median = np.median(sample.rgb, axis=0).astype(np.float32)
+        away = np.stack([channel_max(np.abs(picture - median)) for picture in sample.rgb]).astype(np.float32)
         noise = 1.48 * float(np.median(away)) + 1
         change = max(LEAST_CHANGE, NOISES * noise)
-        # The second largest: one flash of one frame is no subject.
+        still = float(np.median(sample.motion_px)) + LEAST_MOTION_PX
+        # The second largest, since a flash of one frame is no subject; unless it moves: a swinging foot is seen once.
         farthest = np.partition(away, -2, axis=0)[-2] if len(away) > 2 else away.max(axis=0)
+        farthest = np.maximum(farthest, np.where(sample.motion_px > MOVING * still, away, 0).max(axis=0))
         region = (farthest > change).astype(np.uint8)
         region = cv2.morphologyEx(region, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
         region = cv2.morphologyEx(region, cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
         region = filled(np.asarray(cv2.dilate(region, np.ones((3, 3), np.uint8)), np.uint8))
-        still = float(np.median(sample.motion_px)) + LEAST_MOTION_PX
         return Swept(noise, still, change, region > 0)
 
 
