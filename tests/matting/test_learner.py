@@ -84,7 +84,7 @@ def test_floor_is_known_by_its_colour_though_always_within_the_hull(scene: Scene
 
 @pytest.mark.parametrize(("moves", "expected"), [(True, True), (False, False)])
 def test_what_is_seen_once_counts_when_it_moves(moves: bool, expected: bool, rng: np.random.Generator) -> None:
-    """Catches a swinging foot that is cut off, since it is in no place in two of the frames; and a flash that counts."""
+    """Catches a swinging foot that is cut off, which is in no place twice; and a flash that counts."""
     rgb = np.clip(rng.normal(60, 1, (FRAMES, SIZE, SIZE, 3)), 0, 255)
     motion = np.zeros((FRAMES, SIZE, SIZE))
     rgb[(5, *FOOT)] = SKIN
