@@ -36,6 +36,20 @@ def test_mattes_are_the_subject(made: Path) -> None:
     assert found.mean(axis=1).min() > 0.75, found.round(2)
 
 
+def test_mattes_are_as_steady_as_the_subject(made: Path) -> None:
+    """Catches parts that come and go: pixels unlike the frames before and after them, which agree."""
+
+    def flips(folder: Path) -> float:
+        shares = []
+        for camera in sorted(path for path in folder.iterdir() if path.is_dir()):
+            frames = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 127 for path in sorted(camera.glob("*.png"))]
+            for before, now, after in zip(frames, frames[1:], frames[2:], strict=False):
+                shares.append(((now != before) & (now != after)).sum() / max(1, now.sum()))
+        return float(np.mean(shares))
+
+    assert flips(made / MATTES) < flips(made.parent / "truth" / "masks") + 0.03
+
+
 def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) -> None:
     """Catches resuming that redoes everything, mended mattes overwritten, files that depend on where work went on."""
     before = contents(made)
