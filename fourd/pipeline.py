@@ -79,7 +79,7 @@ class MakeSettings:
 
     Attributes:
         mattes: how mattes are made where the capture has none.
-        workers: processes that make them.
+        workers: processes that make them, and carve.
     """
 
     mattes: MatteSettings
@@ -124,7 +124,13 @@ def make_scene(
     selection = {name: training[name] for name in ("views", "test_views", "frames", "image_scale", "points")}
     carve_key = _key(inputs, fingerprint(capture, MATTE_PATTERNS), selection)
     train_key = _key(carve_key, training)
-    stages.run("carve", carve_key, lambda: carve_run(capture, run, train, track), run / "hull", lambda: _remove(run))
+    stages.run(
+        "carve",
+        carve_key,
+        lambda: carve_run(capture, run, train, track, settings.workers),
+        run / "hull",
+        lambda: _remove(run),
+    )
     stages.run(
         "train",
         train_key,

@@ -309,6 +309,10 @@ class _Cache:
         self._used = 0
         self._kept: OrderedDict[object, NDArray[Any]] = OrderedDict()
 
+    def __reduce__(self) -> tuple[type[_Cache], tuple[int]]:
+        """Another process fills its own."""
+        return _Cache, (self._budget,)
+
     def get(self, key: object, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
         if key in self._kept:
             self._kept.move_to_end(key)

@@ -100,6 +100,10 @@ class VideoReader:
         self._next = 0
         self._last: tuple[int, NDArray[np.uint8]] | None = None
 
+    def __reduce__(self) -> tuple[type[VideoReader], tuple[Path, VideoIndex]]:
+        """Another process opens the file itself."""
+        return VideoReader, (self.path, self.index)
+
     def __enter__(self) -> VideoReader:
         return self
 

@@ -10,6 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.capture import open_capture
+from fourd.cli.matte import processes
 from fourd.errors import UserError
 from fourd.progress import Tracker
 from fourd.seeding import carve_capture
@@ -39,6 +40,8 @@ class Arguments:
     """Scale of the images; 0.5 halves both sides."""
     seed: int = 0
     """Seed of the points' order."""
+    workers: int | None = None
+    """Processes; as many as there are cores when not given."""
 
 
 def run(arguments: Arguments) -> None:
@@ -60,6 +63,7 @@ def run(arguments: Arguments) -> None:
         least_views=arguments.least_views,
         seed=arguments.seed,
         track=Tracker(Console(stderr=True)).track,
+        workers=processes(arguments.workers),
     )
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
     Console(stderr=True).print(

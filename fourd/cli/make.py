@@ -53,7 +53,7 @@ class Arguments:
     rvm: Path | None = None
     """TorchScript file of Robust Video Matting, for --method rvm."""
     workers: int | None = None
-    """Processes that make mattes; as many as there are cores when not given."""
+    """Processes that make mattes and carve; as many as there are cores when not given."""
     lpips_weights: Path | None = None
     """File or folder with the weights of VGG-16 and LPIPS; the usual caches when not given."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from fourd.matting.making import Made, make_all
 from fourd.matting.selection import Selection
 from fourd.matting.stage import MatteSettings
 from fourd.progress import Tracker
+from fourd.spreading import cores
 
 
 @dataclass(frozen=True)
@@ -71,4 +71,4 @@ def processes(asked: int | None) -> int:
         if asked < 1:
             raise UserError(f"--workers: expected at least 1, got {asked}; leave it out for one a core")
         return asked
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores()

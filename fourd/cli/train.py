@@ -13,6 +13,7 @@ from rich.console import Console
 from fourd.configs import load_overlay
 from fourd.errors import UserError
 from fourd.progress import Tracker
+from fourd.spreading import cores
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.lpips import load_lpips
@@ -63,7 +64,9 @@ def run(arguments: Arguments) -> None:
         opened = open_run(arguments.out)
     else:
         track = Tracker(console).track
-        opened = create_run(arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track)
+        opened = create_run(
+            arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track, cores()
+        )
     if lpips is None:
         note = "LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)"
         console.print(note, soft_wrap=True)

@@ -24,9 +24,9 @@ from fourd.matting.rvm import load_rvm
 from fourd.matting.sampling import take_sample
 from fourd.matting.saved import load_matter, save_subject
 from fourd.matting.selection import Selection
-from fourd.matting.spreading import blocks, spread
 from fourd.matting.subject import learn_subject
 from fourd.progress import Track
+from fourd.spreading import blocks, spread
 
 Picture = NDArray[np.uint8]
 

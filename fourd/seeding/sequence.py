@@ -5,10 +5,13 @@ from __future__ import annotations
 import glob
 import hashlib
 import json
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,11 +23,16 @@ from fourd.seeding.carve import carve_frame
 from fourd.seeding.colour import colour_points
 from fourd.seeding.ply import read_ply, write_ply
 from fourd.seeding.source import MaskSource, frame_masks
+from fourd.spreading import blocks, spread
+
+Corners = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 BOUNDS_NAME = "bounds.json"
 VERSION = 1
 MARGIN = 0.05
 MOST_SEARCHED = 120
+WORTH_SPREADING_SECONDS = 10.0
+"""Of carving that is left: processes take some seconds to start."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
 
 
@@ -47,6 +55,7 @@ def carve_capture(
     least_views: float = 1 / 2,
     seed: int = 0,
     track: Track = untold,
+    workers: int = 1,
 ) -> Bounds:
     """Carve every frame into ``out_folder``: ``FRAME.ply`` (xyz, rgb) each, and ``bounds.json``.
 
@@ -62,6 +71,8 @@ def carve_capture(
         least_views: share in (0, 1] of all views that must see a point (at least 2 views).
         seed: of the points' order.
         track: for progress.
+        workers: processes, between which frames are shared out once one has shown to be worth it. The capture goes to
+            them pickled, and the points are the same for any number.
 
     Returns:
         the box of all frames' points with a margin of 5% of its longest side.
@@ -76,9 +87,9 @@ def carve_capture(
         remove_unfinished(folder)
         search = _search_box(capture, folder, settings, key, track)
         lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-        for frame in track(range(capture.frame_count), capture.frame_count, "carving"):
-            xyz = _carved_points(capture, frame, folder, search, settings)
-            lower, upper = np.minimum(lower, xyz.min(axis=0)), np.maximum(upper, xyz.max(axis=0))
+        job = _Job(capture, folder, search, settings, tuple(range(capture.frame_count)))
+        for low, high in track(_shared_out(job, workers), capture.frame_count, "carving"):
+            lower, upper = np.minimum(lower, low), np.maximum(upper, high)
         pad = MARGIN * float((upper - lower).max())
         bounds = Bounds(lower - pad, upper + pad)
         _save(folder, key, settings, search, bounds)
@@ -169,6 +180,47 @@ def _carved_points(
     rgb = colour_points(carved.xyz, carved.normals, carved.spacing, images, capture.cameras)
     write_ply(path, carved.xyz, rgb)
     return carved.xyz
+
+
+@dataclass(frozen=True)
+class _Job:
+    """Frames for one process."""
+
+    capture: MaskSource
+    folder: Path
+    search: Bounds
+    settings: CarveSettings
+    frames: tuple[int, ...]
+
+
+def _shared_out(job: _Job, workers: int) -> Iterator[Corners]:
+    """Each frame's corners, of frames in any order; by other processes where they are worth their start."""
+    numbers = job.capture.frame_numbers
+    done = [frame for frame in job.frames if _frame_path(job.folder, numbers[frame]).exists()]
+    left = [frame for frame in job.frames if frame not in set(done)]
+    yield from _carved(replace(job, frames=tuple(done)))
+    begun = monotonic()
+    yield from _carved(replace(job, frames=tuple(left[:1])))
+    left = left[1:]
+    if workers == 1 or (monotonic() - begun) * len(left) < WORTH_SPREADING_SECONDS:
+        yield from _carved(replace(job, frames=tuple(left)))
+    else:
+        yield from spread(
+            _carved_apart, [replace(job, frames=tuple(block)) for block in blocks(left, workers)], workers
+        )
+
+
+def _carved(job: _Job) -> Iterator[Corners]:
+    """Carve a job's frames; the least and the greatest coordinates of each when its file is there."""
+    for frame in job.frames:
+        xyz = _carved_points(job.capture, frame, job.folder, job.search, job.settings)
+        yield xyz.min(axis=0), xyz.max(axis=0)
+
+
+def _carved_apart(job: _Job) -> Iterator[Corners]:
+    """The same in a process of its own, which leaves the other cores to the others."""
+    cv2.setNumThreads(1)
+    yield from _carved(job)
 
 
 def _save(folder: Path, key: str, settings: CarveSettings, search: Bounds, bounds: Bounds | None) -> None:

@@ -127,7 +127,7 @@ class TrainedRun:
     renderer: Renderer
 
 
-def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track = untold) -> Bounds:
+def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track = untold, workers: int = 1) -> Bounds:
     """Carve the training views of the selection into ``folder/hull``; goes on where an earlier call stopped.
 
     Held-out views are not carved from: they must not shape what they judge.
@@ -142,7 +142,7 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track
         scale=train.image_scale,
         cache_mb=DECODED_MB,
     )
-    return carve_capture(seeing, folder / "hull", points=train.points, track=track)
+    return carve_capture(seeing, folder / "hull", points=train.points, track=track, workers=workers)
 
 
 def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
@@ -165,12 +165,17 @@ def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainCon
 
 
 def create_run(
-    capture_path: Path, folder: Path, train: TrainConfig, points_from: Path | None = None, track: Track = untold
+    capture_path: Path,
+    folder: Path,
+    train: TrainConfig,
+    points_from: Path | None = None,
+    track: Track = untold,
+    workers: int = 1,
 ) -> Run:
     """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
 
-    With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved. A
-    folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
+    With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved; else ``workers``
+    processes carve. A folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
     UserError when ``folder`` exists and is not a run, or is a run already.
     """
     if (folder / CONFIG_NAME).exists():
@@ -178,7 +183,7 @@ def create_run(
     if folder.exists() and (not folder.is_dir() or any(entry.name != "hull" for entry in folder.iterdir())):
         raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
     if points_from is None:
-        bounds = carve_run(capture_path, folder, train, track)
+        bounds = carve_run(capture_path, folder, train, track, workers)
     else:
         bounds = adopt_points(points_from, capture_path, folder, train)
     capture, _, _ = _open_views(capture_path, train)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from pathlib import Path
 
 import av
@@ -67,6 +68,15 @@ def test_a_reader_reads_on_after_it_was_closed(tmp_path: Path) -> None:
     reader.close()
     with pytest.raises(ValueError, match="expected 0 to 39, got 40"):
         reader.read(40)
+
+
+def test_another_process_reads_on_its_own(tmp_path: Path) -> None:
+    """Catches an open container that is sent along, which no process can take."""
+    path = write_film(tmp_path / "film.mp4")
+    reader = VideoReader(path, index_video(path))
+    reader.read(12)
+    sent: VideoReader = pickle.loads(pickle.dumps(reader))
+    assert number_of(sent.read(13)) == number_of(reader.read(13)) == 13
 
 
 def test_a_search_begins_at_the_keyframe_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,16 @@ import pytest
 from scipy.spatial import cKDTree
 
 from fourd.errors import UserError
-from fourd.seeding import Bounds, carve_capture, carve_frame, colour_points, find_bounds, hull_bounds, read_ply
+from fourd.seeding import (
+    Bounds,
+    carve_capture,
+    carve_frame,
+    colour_points,
+    find_bounds,
+    hull_bounds,
+    read_ply,
+    sequence,
+)
 from fourd.seeding.hull import Silhouettes
 from fourd.seeding.surface import surface_cells
 from tests.captures import ring_cameras
@@ -160,3 +169,14 @@ def test_a_capture_is_carved_once(tmp_path: Path) -> None:
     carve_capture(capture, tmp_path, points=500)
     assert len(read_ply(cut).xyz) == 500
     assert np.all(first.holds(read_ply(cut).xyz))
+
+
+def test_processes_carve_the_same_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches points that depend on how frames are shared out, and bounds of the last frame alone."""
+    capture = moving_ball(frames=4)
+    alone = carve_capture(capture, tmp_path / "alone", points=300)
+    monkeypatch.setattr(sequence, "WORTH_SPREADING_SECONDS", 0)
+    together = carve_capture(capture, tmp_path / "together", points=300, workers=2)
+    assert np.array_equal(np.stack([alone.lower, alone.upper]), np.stack([together.lower, together.upper]))
+    for path in (tmp_path / "alone").glob("*.ply"):
+        assert (tmp_path / "together" / path.name).read_bytes() == path.read_bytes()

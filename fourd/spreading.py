@@ -23,6 +23,11 @@ LOOK_SECONDS = 0.2
 """Between two looks for results."""
 
 
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
     """Runs of neighbouring items, some for each worker."""
     length = max(1, min(LONGEST_BLOCK, len(items) // (3 * workers)))

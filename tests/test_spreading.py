@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from fourd.matting.spreading import blocks, spread
+from fourd.spreading import blocks, spread
 
 PARENT = """
 import signal
-from tests.matting.test_spreading import spread_for_ever
+from tests.test_spreading import spread_for_ever
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell's background job does not have
 spread_for_ever({folder!r})
 """
