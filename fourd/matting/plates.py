@@ -7,6 +7,7 @@ pass's mean, which is what mattes missed.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import MATTES, evenly_spread
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.selection import Selection
 from fourd.progress import Track
@@ -83,8 +84,8 @@ class _Running:
 def make_plates(selection: Selection, key: str, workers: int, track: Track) -> int:
     """Make each camera's plate into ``.fourd/plates/CAM.png``, RGBA with alpha 0 in holes, of undistorted pictures.
 
-    Plates that an earlier call with the same ``key`` made are kept; the others are spread over ``workers``
-    processes, a camera each. Returns how many were made now. Raises UserError where the capture has no mattes.
+    Plates that an earlier call with the same ``key`` made of the same mattes are kept; the others are spread over
+    ``workers`` processes, a camera each. Returns how many were made now. Raises UserError where the capture has no mattes.
     """
     capture = selection.open()
     folder = capture.path / FOLDER
@@ -94,16 +95,24 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track) -> i
         done = dict(json.loads(state.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         done = {}
-    missing = [
-        index
-        for index, name in enumerate(capture.names)
-        if done.get(name) != key or not (folder / f"{name}.png").exists()
-    ]
-    jobs = [_Job(selection, capture.names[index], folder) for index in missing]
+    keys = {name: _camera_key(capture, name, key) for name in capture.names}
+    missing = [name for name in capture.names if done.get(name) != keys[name] or not (folder / f"{name}.png").exists()]
+    jobs = [_Job(selection, name, folder) for name in missing]
     for name in track(spread(_plate, jobs, workers), len(jobs), "plates"):
-        done[name] = key
+        done[name] = keys[name]
         write_text_atomically(state, json.dumps(done, sort_keys=True) + "\n")
     return len(missing)
+
+
+def _camera_key(capture: Capture, name: str, key: str) -> str:
+    """A hash of ``key`` and of the mattes that the camera's plate is made by, which a person may mend."""
+    digest = hashlib.sha256(key.encode())
+    for frame in evenly_spread(capture.frame_count, MOST_FRAMES):
+        for folder in (Path("masks"), MATTES):
+            matte = capture.path / folder / name / f"{capture.frame_names[frame]}.png"
+            if matte.exists():
+                digest.update(matte.read_bytes())
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,9 @@ def test_plates_are_made_once_and_again_for_another_key(walked: Path) -> None:
     assert make_plates(selection, "a", 1, untold) == 8
     assert make_plates(selection, "a", 1, untold) == 0
     assert make_plates(selection, "b", 1, untold) == 8
+    matte = walked / "masks" / "03" / "000004.png"
+    cv2.imwrite(str(matte), np.zeros((64, 64), np.uint8))
+    assert make_plates(selection, "b", 1, untold) == 1, "a matte was mended by hand"
     written = cv2.imread(str(walked / FOLDER / "00.png"), cv2.IMREAD_UNCHANGED)
     assert written.shape == (64, 64, 4)
     assert written[54, 54, 3] == 0
