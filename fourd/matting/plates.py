@@ -85,7 +85,8 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track) -> i
     """Make each camera's plate into ``.fourd/plates/CAM.png``, RGBA with alpha 0 in holes, of undistorted pictures.
 
     Plates that an earlier call with the same ``key`` made of the same mattes are kept; the others are spread over
-    ``workers`` processes, a camera each. Returns how many were made now. Raises UserError where the capture has no mattes.
+    ``workers`` processes, a camera each. Returns how many were made now. Raises UserError where the capture has
+    no mattes.
     """
     capture = selection.open()
     folder = capture.path / FOLDER
