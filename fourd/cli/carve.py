@@ -31,7 +31,8 @@ class Arguments:
     agreement: float = 0.95
     """Share of the views seeing a point that must hold it, in (0, 1]; lower it where mattes have holes."""
     least_views: float = 0.5
-    """Share of all views that must see a point, in (0, 1]; lower it where cameras see parts of the scene."""
+    """Share of all views that must see a point, in (0, 1]; lower it where cameras see parts of the scene.
+    Never fewer than three views see it, or all where there are fewer: what two see alone is full of ghosts."""
     views: str | None = None
     """Names of the cameras to use, with commas; all when not given."""
     frames: str | None = None

@@ -83,7 +83,7 @@ def find_bounds(
     Args:
         capture: cameras and masks; frames are read one at a time.
         agreement: share in (0, 1] of the seeing views that must hold a point for it to count.
-        least_views: share in (0, 1] of all views that must see a point (at least 2 views).
+        least_views: share in (0, 1] of all views that must see a point (at least 3 views, or all of fewer).
         margin: share of the longest side that is added on every face.
         most_frames: at most so many frames are read, evenly spaced, first and last among them.
         track: for progress.

@@ -57,7 +57,7 @@ def carve_frame(
         points: wanted number of points, at least 1; all of them are returned.
         agreement: share in (0, 1] of the views seeing a point that must hold it; with 20
             views, 0.95 lets one be wrong. Views that do not see a point abstain.
-        least_views: share in (0, 1] of all views that must see a point (at least 2 views).
+        least_views: share in (0, 1] of all views that must see a point (at least 3 views, or all of fewer).
         seed: of the order of the points; the same input and seed give the same bits.
         names: camera names for messages.
         label: what these masks are, for messages.

@@ -28,6 +28,9 @@ SLACK_PIXELS = np.float32(0.75)
 SLACK_SHARE = np.float32(1.03)
 """The 5x5 distance transform is off by up to 2%."""
 
+FEWEST_VIEWS = 3
+"""What two views alone see is mostly no surface: any two silhouettes meet wherever their rays do."""
+
 DIAGONAL = float(np.sqrt(3) / 2)
 """Half diagonal of a cell over its side."""
 
@@ -69,7 +72,8 @@ class Silhouettes:
             if not 0 < share <= 1:
                 raise ValueError(f"{name}: expected a share in (0, 1], got {share}")
         views = tuple(SilhouetteView.of(m, c, origin) for m, c in zip(masks, cameras, strict=True))
-        return Silhouettes(origin, views, agreement, max(2, int(np.ceil(least_views * len(views) - 1e-9))))
+        needed = max(min(FEWEST_VIEWS, len(views)), int(np.ceil(least_views * len(views) - 1e-9)))
+        return Silhouettes(origin, views, agreement, needed)
 
     def without(self, index: int) -> Silhouettes:
         """The same views but for one; as many must see a point as before, or all that are left."""

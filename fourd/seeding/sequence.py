@@ -28,7 +28,7 @@ from fourd.spreading import blocks, spread
 Corners = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 BOUNDS_NAME = "bounds.json"
-VERSION = 1
+VERSION = 2
 MARGIN = 0.05
 MOST_SEARCHED = 120
 WORTH_SPREADING_SECONDS = 10.0
@@ -68,7 +68,7 @@ def carve_capture(
         out_folder: made when missing.
         points: points a frame, at least 1.
         agreement: share in (0, 1] of the views seeing a point that must hold it.
-        least_views: share in (0, 1] of all views that must see a point (at least 2 views).
+        least_views: share in (0, 1] of all views that must see a point (at least 3 views, or all of fewer).
         seed: of the points' order.
         track: for progress.
         workers: processes, between which frames are shared out once one has shown to be worth it. The capture goes to

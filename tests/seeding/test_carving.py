@@ -87,6 +87,16 @@ def test_points_outside_some_views_survive() -> None:
     assert carved.xyz[:, 2].min() < -0.35
 
 
+@pytest.mark.parametrize(("cameras", "needed"), [(2, 2), (3, 3), (4, 3), (6, 3), (8, 4), (20, 10)])
+def test_two_of_several_views_are_no_proof(cameras: int, needed: int) -> None:
+    """Catches half of four views, two, that are enough: wherever their rays meet beside the subject is a ghost."""
+    ring = ring_cameras(cameras, 32)
+    views = Silhouettes.of(
+        [mask(camera, [ball((0, 0, 0), 0.3)]) for camera in ring], ring, np.zeros(3), agreement=0.95, least_views=0.5
+    )
+    assert views.needed == needed
+
+
 def test_coarse_to_fine_finds_what_brute_force_finds(one_ball: MemoryCapture) -> None:
     """Catches surface lost by an early verdict, and a search that touches every fine cell after all."""
     views = Silhouettes.of(one_ball.masks[0], one_ball.cameras, np.zeros(3), agreement=0.95, least_views=0.5)
