@@ -27,9 +27,7 @@ class Colours:
     @staticmethod
     def of(rgb: Picture, weights: NDArray[np.floating] | None = None) -> Colours:
         """The distribution of colours (N, 3) uint8, with weights (N,) where given."""
-        places = (rgb.astype(np.int32) * BINS) >> 8
-        flat = (places[:, 0] * BINS + places[:, 1]) * BINS + places[:, 2]
-        counts = np.bincount(flat, weights=weights, minlength=BINS**3).reshape(BINS, BINS, BINS)
+        counts = np.bincount(binned(rgb, BINS), weights=weights, minlength=BINS**3).reshape(BINS, BINS, BINS)
         smooth = gaussian_filter(counts.astype(np.float64), SPREAD_BINS)
         share = smooth / max(float(smooth.sum()), 1e-9)
         density = (1 - UNIFORM) * share * (BINS / 256) ** 3 + UNIFORM / 256**3
@@ -46,5 +44,10 @@ class Colours:
 
     def log_likelihood(self, rgb: Picture) -> Floats:
         """Log densities (...,) of colours (..., 3) uint8."""
-        places = (rgb.astype(np.int32) * BINS) >> 8
-        return self.log_density[places[..., 0], places[..., 1], places[..., 2]]
+        return self.log_density.ravel()[binned(rgb, BINS)]
+
+
+def binned(rgb: Picture, bins: int) -> NDArray[np.int32]:
+    """(...,) places of colours (..., 3) in a flat histogram of ``bins`` ** 3."""
+    places = (rgb.astype(np.int32) * bins) >> 8
+    return np.asarray((places[..., 0] * bins + places[..., 1]) * bins + places[..., 2], np.int32)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from fourd.matting.colours import UNIFORM, binned
+
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
@@ -19,8 +21,6 @@ STEP_PX = 10
 """Of the grid; half the reach, so that the interpolation between its points does not show."""
 ANYWHERE = 4.0
 """Pixels' worth of the colours of the whole picture, which stand where there is nothing near."""
-UNIFORM = 0.02
-"""Share of the distribution spread over all colours: one that was not seen is not impossible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class NearbyColours:
         height, width = counted.shape
         rows, columns = height // STEP_PX + 2, width // STEP_PX + 2
         y, x = np.nonzero(counted)
-        cells = ((y // STEP_PX) * columns + x // STEP_PX) * BINS**3 + _bins(rgb[counted])
+        cells = ((y // STEP_PX) * columns + x // STEP_PX) * BINS**3 + binned(rgb[counted], BINS)
         shape = (rows, columns, BINS, BINS, BINS)
         counts = np.bincount(cells, minlength=rows * columns * BINS**3).reshape(shape).astype(np.float32)
         reach = REACH_PX / STEP_PX
@@ -51,7 +51,7 @@ class NearbyColours:
         """(h, w) log densities of a picture's colours (h, w, 3), interpolated between the grid's points."""
         height, width = rgb.shape[:2]
         rows, columns = self.log_density.shape[:2]
-        bins = _bins(rgb)
+        bins = binned(rgb, BINS)
         (upper, down), (left, right) = _between(height, rows), _between(width, columns)
         down, right = down[:, None], right[None]
 
@@ -61,12 +61,6 @@ class NearbyColours:
         above = (1 - right) * at(0, 0) + right * at(0, 1)
         below = (1 - right) * at(1, 0) + right * at(1, 1)
         return np.asarray((1 - down) * above + down * below, np.float32)
-
-
-def _bins(rgb: Picture) -> NDArray[np.int32]:
-    """(...,) of colours (..., 3)."""
-    places = (rgb.astype(np.int32) * BINS) >> 8
-    return np.asarray((places[..., 0] * BINS + places[..., 1]) * BINS + places[..., 2], np.int32)
 
 
 def _between(size: int, points: int) -> tuple[NDArray[np.intp], Floats]:
