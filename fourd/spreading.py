@@ -13,6 +13,8 @@ from multiprocessing.connection import wait as wait_for
 from multiprocessing.queues import SimpleQueue
 from typing import Any, TypeVar
 
+import cv2
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Item = TypeVar("Item")
@@ -68,8 +70,12 @@ _results: SimpleQueue[Any]
 
 
 def _begin(results: SimpleQueue[Any]) -> None:
-    """Ctrl-C reaches all processes of a terminal, and the parent alone answers it; its death ends this process."""
+    """Ctrl-C reaches all processes of a terminal, and the parent alone answers it; its death ends this process.
+
+    OpenCV's threads would take the other processes' cores.
+    """
     global _results
+    cv2.setNumThreads(1)
     _results = results
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

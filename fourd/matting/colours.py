@@ -29,9 +29,7 @@ class Colours:
         """The distribution of colours (N, 3) uint8, with weights (N,) where given."""
         counts = np.bincount(binned(rgb, BINS), weights=weights, minlength=BINS**3).reshape(BINS, BINS, BINS)
         smooth = gaussian_filter(counts.astype(np.float64), SPREAD_BINS)
-        share = smooth / max(float(smooth.sum()), 1e-9)
-        density = (1 - UNIFORM) * share * (BINS / 256) ** 3 + UNIFORM / 256**3
-        return Colours(np.log(density).astype(np.float32))
+        return Colours(log_density(smooth / max(float(smooth.sum()), 1e-9), BINS))
 
     @staticmethod
     def mixed(distributions: Sequence[Colours], shares: Sequence[float] | None = None) -> Colours:
@@ -45,6 +43,11 @@ class Colours:
     def log_likelihood(self, rgb: Picture) -> Floats:
         """Log densities (...,) of colours (..., 3) uint8."""
         return self.log_density.ravel()[binned(rgb, BINS)]
+
+
+def log_density(shares: NDArray[np.floating], bins: int) -> Floats:
+    """Per unit of 8-bit colour cubed, of the shares (...) that bins, ``bins`` along each axis, have of all."""
+    return np.log((1 - UNIFORM) * shares * (bins / 256) ** 3 + UNIFORM / 256**3).astype(np.float32)
 
 
 def binned(rgb: Picture, bins: int) -> NDArray[np.int32]:

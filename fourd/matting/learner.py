@@ -50,10 +50,12 @@ class Learner:
     subject: Colours = field(init=False)
     _around: Flags = field(init=False)
     _still: Floats = field(init=False)
+    _median: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self.subject = self.look.subject
         self._around = _dilated(self.look.region, AROUND_PX)
+        self._median = np.median(self.sample.rgb, axis=0).astype(np.float32)
         motion = np.stack([cv2.dilate(frame.astype(np.float32), np.ones((3, 3))) for frame in self.sample.motion_px])
         self._still = np.exp(-np.square(motion / (2.5 * self.swept.still_px))).astype(np.float32)
 
@@ -118,7 +120,7 @@ class Learner:
         """
         rgb = self.sample.rgb
         rows, columns = _window(self.look.region)
-        mean = np.median(rgb, axis=0).astype(np.float32)
+        mean = self._median.copy()
         variance = np.full_like(mean, (self.swept.noise + 1) ** 2)
         frames = np.full(mean.shape[:2], len(rgb), np.float32)
         part = self.look.region[rows, columns]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from fourd.matting.colours import UNIFORM, binned
+from fourd.matting.colours import binned, log_density
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -44,8 +44,7 @@ class NearbyColours:
         everywhere /= max(float(everywhere.sum()), 1e-9)
         near = counts.sum(axis=(2, 3, 4), keepdims=True)
         share = (counts + ANYWHERE * everywhere) / (near + ANYWHERE)
-        density = (1 - UNIFORM) * share * (BINS / 256) ** 3 + UNIFORM / 256**3
-        return NearbyColours(np.log(density).astype(np.float32).reshape(rows, columns, -1))
+        return NearbyColours(log_density(share, BINS).reshape(rows, columns, -1))
 
     def log_likelihood(self, rgb: Picture) -> Floats:
         """(h, w) log densities of a picture's colours (h, w, 3), interpolated between the grid's points."""

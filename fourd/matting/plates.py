@@ -127,7 +127,6 @@ class _Job:
 
 def _plate(job: _Job) -> Iterator[str]:
     """Make one camera's plate; the camera's name when it is there."""
-    cv2.setNumThreads(1)
     capture = replace(job.selection, views=(job.name,)).open()
     write_plate(job.folder / f"{job.name}.png", clean_plate(capture, 0))
     yield job.name

@@ -11,7 +11,6 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -196,18 +195,16 @@ class _Job:
 def _shared_out(job: _Job, workers: int) -> Iterator[Corners]:
     """Each frame's corners, of frames in any order; by other processes where they are worth their start."""
     numbers = job.capture.frame_numbers
-    done = [frame for frame in job.frames if _frame_path(job.folder, numbers[frame]).exists()]
-    left = [frame for frame in job.frames if frame not in set(done)]
-    yield from _carved(replace(job, frames=tuple(done)))
+    left = [frame for frame in job.frames if not _frame_path(job.folder, numbers[frame]).exists()]
+    yield from _carved(replace(job, frames=tuple(sorted(set(job.frames) - set(left)))))
     begun = monotonic()
     yield from _carved(replace(job, frames=tuple(left[:1])))
     left = left[1:]
     if workers == 1 or (monotonic() - begun) * len(left) < WORTH_SPREADING_SECONDS:
         yield from _carved(replace(job, frames=tuple(left)))
     else:
-        yield from spread(
-            _carved_apart, [replace(job, frames=tuple(block)) for block in blocks(left, workers)], workers
-        )
+        jobs = [replace(job, frames=tuple(block)) for block in blocks(left, workers)]
+        yield from spread(_carved, jobs, workers)
 
 
 def _carved(job: _Job) -> Iterator[Corners]:
@@ -215,12 +212,6 @@ def _carved(job: _Job) -> Iterator[Corners]:
     for frame in job.frames:
         xyz = _carved_points(job.capture, frame, job.folder, job.search, job.settings)
         yield xyz.min(axis=0), xyz.max(axis=0)
-
-
-def _carved_apart(job: _Job) -> Iterator[Corners]:
-    """The same in a process of its own, which leaves the other cores to the others."""
-    cv2.setNumThreads(1)
-    yield from _carved(job)
 
 
 def _save(folder: Path, key: str, settings: CarveSettings, search: Bounds, bounds: Bounds | None) -> None:
