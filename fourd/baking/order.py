@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame
 from fourd.cameras import Camera
-from fourd.raster.loading import native
-from fourd.raster.validation import camera_numbers, check_points, simd_name, thread_count
+from fourd.kernels.loading import native, simd_name, thread_count
+from fourd.raster.validation import camera_numbers, check_points
 
 
 class DepthSorter:

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import torch
 
-from fourd.raster.gpu import cuda_missing
-from fourd.raster.loading import native
-from fourd.raster.validation import simd_name, thread_count
+from fourd.kernels.gpu import cuda_missing
+from fourd.kernels.loading import native, simd_name, thread_count
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.raster.loading import as_array, native
-from fourd.raster.validation import simd_name, thread_count
+from fourd.kernels.loading import as_array, native, simd_name, thread_count
 
 LOGIT_RANGE = 5.0
 

@@ -9,9 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fourd.raster.gpu import cuda_missing, dense, gpu_of, takes
-from fourd.raster.loading import as_array, native
-from fourd.raster.validation import simd_name, thread_count
+from fourd.kernels.gpu import cuda_missing, dense, gpu_of, takes
+from fourd.kernels.loading import as_array, native, simd_name, thread_count
 
 MOST_PLANES_GPU = 64
 

@@ -11,9 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.raster.gpu import dense, gpu_of, takes
-from fourd.raster.loading import as_array, native
-from fourd.raster.validation import simd_name, thread_count
+from fourd.kernels.gpu import dense, gpu_of, takes
+from fourd.kernels.loading import as_array, native, simd_name, thread_count
 
 MOST_VIEWS_GPU = 16
 

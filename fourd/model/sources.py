@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.cameras import Camera
+from fourd.kernels.gpu import cuda_missing
 from fourd.model.source_sampling import MOST_VIEWS_GPU, sample
-from fourd.raster.gpu import cuda_missing
 from fourd.raster.validation import camera_numbers
 
 

@@ -8,14 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.raster.loading import native
-from fourd.raster.validation import (
-    camera_numbers,
-    check_background,
-    check_points,
-    simd_name,
-    thread_count,
-)
+from fourd.kernels.loading import native, simd_name, thread_count
+from fourd.raster.validation import camera_numbers, check_background, check_points
 
 Floats = NDArray[np.float32]
 

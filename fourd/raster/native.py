@@ -11,9 +11,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fourd.kernels.gpu import takes
+from fourd.kernels.loading import as_array, native, simd_name, thread_count
 from fourd.raster import gpu
-from fourd.raster.loading import as_array, native
-from fourd.raster.validation import simd_name, thread_count
 
 
 @torch.library.custom_op("fourd::render_points", mutates_args=(), device_types=("cpu", "cuda"))
@@ -32,7 +32,7 @@ def render(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Features (H, W, C), alpha (H, W) and depth (H, W) of points; ``camera`` is camera_numbers(...)."""
     out = _empty_image(features, width, height)
-    if gpu.takes(xyz):
+    if takes(xyz):
         gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
         return out
     arrays = [as_array(tensor) for tensor in (xyz, features, radius, density)]
@@ -75,7 +75,7 @@ def render_backward(
     """Gradients of xyz, features, radius and density from those of the image."""
     inputs = (xyz, features, radius, density)
     out = _empty_cloud(*inputs)
-    if gpu.takes(xyz):
+    if takes(xyz):
         gpu.render_backward(inputs, camera, layers, near, (grad_features, grad_alpha, grad_depth), out)
         return out
     native().render_points_backward(
@@ -152,7 +152,7 @@ def visibility(
 ) -> Tensor:
     """The largest weight (N,) that each point has in any pixel."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
-    if gpu.takes(xyz):
+    if takes(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
         return out
     count = thread_count(threads, torch.get_num_threads())
@@ -178,7 +178,7 @@ def _(
 
 def _check_layers(xyz: Tensor, layers: int) -> None:
     """On a GPU a pixel's layers lie in its thread's own memory on the way back."""
-    if gpu.takes(xyz) and layers > gpu.MOST_LAYERS_BACKWARD:
+    if takes(xyz) and layers > gpu.MOST_LAYERS_BACKWARD:
         expected = f"at most {gpu.MOST_LAYERS_BACKWARD} where gradients are wanted on a GPU"
         raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' takes any number")
 

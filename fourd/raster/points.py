@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
-from fourd.raster.gpu import cuda_missing
+from fourd.kernels.gpu import cuda_missing
 from fourd.raster.validation import camera_numbers, check_background, check_points
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]

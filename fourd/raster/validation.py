@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -54,27 +53,6 @@ def check_background(background: Any, camera: Camera, channels: int) -> None:
 def camera_numbers(camera: Camera) -> list[float]:
     """K, R (row by row) and T: the 21 numbers that the kernels take."""
     return [*camera.intrinsics.ravel(), *camera.rotation.ravel(), *camera.translation]
-
-
-def thread_count(threads: int, default: int | None = None) -> int:
-    """How many threads to use: ``threads`` if above 0, else FOURD_THREADS, else ``default``, else one a core."""
-    if threads < 0:
-        raise ValueError(f"threads: expected 0 (for the default) or more, got {threads}")
-    if threads > 0:
-        return threads
-    text = os.environ.get("FOURD_THREADS", "")
-    if text:
-        if not text.isdecimal() or int(text) < 1:
-            raise ValueError(f"FOURD_THREADS: expected a whole number of at least 1, got {text!r}")
-        return int(text)
-    if default is not None:
-        return default
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def simd_name() -> str:
-    """The instruction set that FOURD_SIMD forces, or '' for the widest there is."""
-    return os.environ.get("FOURD_SIMD", "")
 
 
 def _check_shapes(arrays: Mapping[str, Any]) -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from fourd.baking import BakedFrame
 from fourd.baking.order import DepthSorter
 from fourd.cameras import Camera
-from fourd.raster.loading import native
+from fourd.kernels.loading import native
 from tests.baking.scenes import random_frame, ring
 
 NEAR = 0.5

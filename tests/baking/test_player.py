@@ -8,8 +8,8 @@ import pytest
 from fourd.baking.player import Player
 from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
+from fourd.kernels.loading import native
 from fourd.raster.arrays import render_points_numpy
-from fourd.raster.loading import native
 from tests.baking.scenes import manifest, random_frame, ring
 
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from fourd.kernels.loading import native
 from fourd.model.blend_logits import blend_logits, blend_logits_reference
-from fourd.raster.loading import native
 
 
 def arguments(

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from fourd.kernels.loading import native
 from fourd.model.plane_lookup import sample_planes, sample_planes_reference
-from fourd.raster.loading import native
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 

@@ -10,10 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from fourd.kernels.gpu import gpu_of
+from fourd.kernels.loading import native
 from fourd.model.source_sampling import sample
 from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
-from fourd.raster.gpu import gpu_of
-from fourd.raster.loading import native
 from fourd.raster.validation import camera_numbers
 from tests.baking.scenes import ring
 

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from fourd.kernels.gpu import cuda_missing, gpu_of
 from fourd.raster import point_visibility, render_points
-from fourd.raster.gpu import cuda_missing, gpu_of
 from fourd.raster.validation import camera_numbers
 from tests.raster.clouds import Cloud, random_cloud, spoilt_cloud, turned_camera
 from tests.raster.test_parity import NEAR, OUTPUTS, assert_parity, run

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
+from fourd.kernels.loading import native
 from fourd.raster import point_visibility, render_points
 from fourd.raster.arrays import point_visibility_numpy, render_points_numpy
-from fourd.raster.loading import native
 from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
 
 NEAR = 0.01

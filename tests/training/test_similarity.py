@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.raster.loading import native
+from fourd.kernels.loading import native
 from fourd.training.metrics import ssim
 from fourd.training.similarity import _similarity, similarity
 
