@@ -91,9 +91,11 @@ def _scene(app: App) -> None:
         imgui.text_wrapped("Drop a .4dv file or a run's folder on this window.")
         return
     imgui.text_wrapped(scene.path.name)
-    points = scene.manifest.points
+    points, background = scene.manifest.points, scene.manifest.background
     many = f", {max(points):,} points" if points else ""
     imgui.text_disabled(f"{scene.manifest.frame_count} frames{many}, {scene.manifest.view_count} source views")
+    if background is not None:
+        imgui.text_disabled(f"background: {background.points:,} points")
     if scene.checkpoint:
         imgui.text_disabled(f"training: {scene.checkpoint}")
 

@@ -90,7 +90,7 @@ def open_source(path: Path) -> FrameSource:
     if manifest.frame_count == 0:
         source.close()
         raise UserError(f"{path}: expected at least one frame, got a scene of none; export it again")
-    if manifest.points and not any(manifest.points):
+    if manifest.points and not any(manifest.points) and manifest.background_nbytes == 0:
         source.close()
         raise UserError(f"{path}: expected points in some frame, got a scene of none; export it again")
     return source

@@ -33,10 +33,13 @@ class FrameStream:
     """Gives frames that are there, and reads those that come next. Frames are asked for by one thread."""
 
     def __init__(self, source: FrameSource, ring_bytes: int = RING_BYTES) -> None:
-        """Takes ``source`` over and closes it. The frames kept fit ``ring_bytes``, but are at least two."""
+        """Takes ``source`` over and closes it.
+
+        The frames kept fit ``ring_bytes`` together with a background, which the source keeps, but are at least two.
+        """
         self._source = source
         self._frames = source.manifest.frame_count
-        self._room = ring_bytes
+        self._room = ring_bytes - source.manifest.background_nbytes
         self._changed = threading.Condition()
         self._ring: dict[int, BakedFrame | UserError] = {}
         self._head, self._direction = 0, 1

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from fourd.baking.player import HIDDEN
@@ -37,11 +39,11 @@ class GpuFrame:
 
     @classmethod
     def of(cls, frame: BakedFrame, device: torch.device) -> GpuFrame:
-        """Copy a frame to a device."""
+        """Copy a frame, whose arrays may be read-only, to a device."""
         halves = (frame.radius, frame.density, frame.sh, frame.blend_weights)
-        radius, density, sh, blend_weights = (torch.from_numpy(half.view(np.int16)).to(device) for half in halves)
-        xyz, rgb = torch.from_numpy(frame.xyz).to(device), torch.from_numpy(frame.rgb).to(device)
-        return cls(xyz, radius, density, sh, blend_weights, rgb)
+        arrays: list[NDArray[Any]] = [frame.xyz, *(half.view(np.int16) for half in halves), frame.rgb]
+        # Copied first: torch warns of arrays that it may not write to.
+        return cls(*(torch.from_numpy(array.copy()).to(device) for array in arrays))
 
 
 class GpuPlayer:

@@ -11,7 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from fourd.baking.scene import ATTRIBUTES, FORMAT_NAME, FORMAT_VERSION, SceneKind, SceneManifest
+from fourd.baking.scene import (
+    ATTRIBUTES,
+    FORMAT_NAME,
+    FORMAT_VERSION,
+    FULL_VERSION,
+    SceneBackground,
+    SceneKind,
+    SceneManifest,
+)
 from fourd.cameras import Camera
 
 MAX_FRAMES = 1_000_000
@@ -36,6 +44,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         "version": manifest.version,
         "producer": manifest.producer,
         "kind": manifest.kind,
+        **_background_to_json(manifest.background),
         "fps": manifest.fps,
         "layers": manifest.layers,
         "neighbours": manifest.neighbours,
@@ -69,6 +78,8 @@ def manifest_from_json(text: bytes) -> SceneManifest:
     _check_attributes(root.node("attributes"))
     source_names, source_cameras = _views(root.items("source_views", MAX_VIEWS))
     other_names, other_cameras = _views(root.items("other_views", MAX_VIEWS))
+    kind = _kind(root)
+    background = _background(root, kind, version)
     frames = root.items("frames", MAX_FRAMES)
     sh = root.node("sh")
     try:
@@ -87,7 +98,8 @@ def manifest_from_json(text: bytes) -> SceneManifest:
             sh_range=sh.number("range", 0, 1e3),
             sh_base=sh.number("base", -1e3, 1e3),
             near=root.number("near", 1e-12, 1e9),
-            kind=_kind(root),
+            kind=kind,
+            background=background,
             producer=root.text("producer"),
             version=version,
         )
@@ -133,6 +145,12 @@ class _Node:
         value = self.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self.fail(key, f"a whole number from {low} to {high}")
+        return value
+
+    def flag(self, key: str) -> bool:
+        value = self.get(key)
+        if not isinstance(value, bool):
+            raise self.fail(key, "true or false")
         return value
 
     def number(self, key: str, low: float, high: float) -> float:
@@ -182,6 +200,23 @@ def _kind(root: _Node) -> SceneKind:
     if kind == "full":
         return "full"
     raise root.fail("kind", '"object" or "full"')
+
+
+def _background_to_json(background: SceneBackground | None) -> dict[str, Any]:
+    if background is None:
+        return {}
+    return {"background": {"points": background.points, "shadow": background.shadow}}
+
+
+def _background(root: _Node, kind: SceneKind, version: int) -> SceneBackground | None:
+    if kind == "object":
+        if "background" in root.content:
+            raise root.fail("background", 'none beside kind "object"')
+        return None
+    if version < FULL_VERSION:
+        raise root.fail("kind", f'"object" in format version {version}')
+    node = root.node("background")
+    return SceneBackground(node.whole("points", 0, MAX_POINTS), node.flag("shadow"))
 
 
 def _bounds(node: _Node) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

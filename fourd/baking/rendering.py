@@ -42,7 +42,7 @@ class Scene:
     def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
         self._reader = SceneReader(path)
         self._cache: OrderedDict[int, BakedFrame] = OrderedDict()
-        self._cache_bytes = cache_bytes
+        self._cache_bytes = cache_bytes - self._reader.manifest.background_nbytes  # which the reader keeps
         self._lock = Lock()
 
     @property
@@ -70,7 +70,7 @@ class Scene:
         self._cache.clear()
 
     def frame(self, index: int) -> BakedFrame:
-        """The arrays of frame ``index`` from 0; read-only.
+        """The arrays of frame ``index`` from 0, a background's points behind its own; read-only.
 
         Raises IndexError outside the scene, UserError when the file is damaged there.
         """
@@ -120,7 +120,7 @@ def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
     """Open a `.4dv`.
 
     Args:
-        cache_bytes: memory for frames that were read; one frame is kept whatever its size.
+        cache_bytes: memory for frames that were read and a background; one frame is kept whatever its size.
 
     Raises:
         UserError: one line that names the file and the mend, when it is no whole scene.

@@ -12,8 +12,13 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 
 FORMAT_NAME = "fourd-scene"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""The newest that is read."""
+OBJECT_VERSION, FULL_VERSION = 1, 2
+"""What is written for each kind: programs that know version 1 alone can still read object scenes."""
 SH_TERMS = 16
+SHADOW_ONE = 128
+"""The shadow that leaves a colour as it is; shadows are bytes, in 1/128."""
 
 SceneKind = Literal["object", "full"]
 
@@ -120,15 +125,28 @@ class BakedFrame:
 
 
 @dataclass(frozen=True)
+class SceneBackground:
+    """The static points of a full scene, stored once.
+
+    Attributes:
+        points: how many.
+        shadow: whether every frame has a factor for the colours of each.
+    """
+
+    points: int
+    shadow: bool = False
+
+
+@dataclass(frozen=True)
 class SceneManifest:
     """What holds for all frames of a baked scene; the manifest.json of a `.4dv`.
 
     Attributes:
         source_names, source_cameras: the V source views in the order of the frames' arrays.
         focus: (x, y, z), the point from which view angles are measured.
-        bounds: lower and upper corner, world units.
+        bounds: lower and upper corner of what moves, world units.
         frame_numbers: the frames' numbers in the capture; their count is the scene's frame count.
-        points: number of points of every frame; the writer fills this in.
+        points: number of points of every frame, without the background's; the writer fills this in.
         other_names, other_cameras: further cameras of the capture, such as held-out views, that
             give no colour but can be rendered by name.
         fps: frames a second when played.
@@ -136,9 +154,13 @@ class SceneManifest:
         neighbours: how many source views a picture blends, N'.
         sh_range, sh_base: the SH part is ``sh_base + sh_range * tanh(sh . Y(d))``.
         near: points nearer to the camera than this are not drawn, world units.
-        kind: "object" on black, or "full".
+        kind: "object" on black, or "full", with a static background.
+        background: of a full scene; the writer fills this in.
         producer: program and version that wrote the scene.
-        version: of the file format.
+        version: of the file format; the writer fills this in.
+
+    Raises:
+        ValueError: naming the field, when two of them contradict each other.
     """
 
     source_names: tuple[str, ...]
@@ -156,8 +178,9 @@ class SceneManifest:
     sh_base: float = 0.0
     near: float = 0.01
     kind: SceneKind = "object"
+    background: SceneBackground | None = None
     producer: str = "fourd"
-    version: int = FORMAT_VERSION
+    version: int = OBJECT_VERSION
 
     def __post_init__(self) -> None:
         if len(self.source_names) != len(self.source_cameras):
@@ -168,6 +191,8 @@ class SceneManifest:
             raise ValueError(f"source_names and other_names: expected no name twice, got {self.names}")
         if self.points and len(self.points) != self.frame_count:
             raise ValueError("points: expected as many as frame_numbers")
+        if self.kind == "object" and self.background is not None:
+            raise ValueError('background: expected none in a scene of kind "object"')
 
     @property
     def frame_count(self) -> int:
@@ -194,9 +219,17 @@ class SceneManifest:
             raise KeyError(name)
         return self.cameras[self.names.index(name)]
 
+    @property
+    def background_nbytes(self) -> int:
+        """Memory of the background's arrays in bytes; 0 without one."""
+        return 0 if self.background is None else self._nbytes(self.background.points)
+
     def frame_nbytes(self, frame: int) -> int:
-        """Bytes that a frame takes in the file (without the ZIP's headers)."""
-        return sum(attribute.nbytes(self.points[frame], self.view_count) for attribute in ATTRIBUTES)
+        """Memory of a frame's arrays in bytes, the background's points among them."""
+        return self._nbytes(self.points[frame]) + self.background_nbytes
+
+    def _nbytes(self, points: int) -> int:
+        return sum(attribute.nbytes(points, self.view_count) for attribute in ATTRIBUTES)
 
 
 def triple(values: Sequence[float] | NDArray[np.floating]) -> tuple[float, float, float]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -30,7 +31,8 @@ class Arguments:
     views: str | None = None
     """Names of cameras, with commas; the run's held-out ones when not given."""
     scene: Path | None = None
-    """Judge this exported .4dv of the run instead of the run's own rendering."""
+    """Judge this exported .4dv of the run instead of the run's own rendering; a full scene by the whole pictures, and
+    not by the object on black."""
     lpips_weights: Path | None = None
     """File or folder with the weights of VGG-16 and LPIPS; lpips is null without them."""
 
@@ -50,6 +52,7 @@ def run(arguments: Arguments) -> None:
         from fourd.baking import open_scene
 
         exported = open_scene(arguments.scene)
+    whole = exported is not None and exported.manifest.kind == "full"
     for frame in track(range(capture.frame_count), description="eval", console=console):
         points = trained.frames.get(frame)
         for index in indices:
@@ -60,7 +63,7 @@ def run(arguments: Arguments) -> None:
                 layers = trained.run.config.train.layers
                 rgb = trained.renderer.render(points, frame, camera, layers, exclude=index).rgb
             matte = capture.mask(index, frame)
-            truth = (capture.image(index, frame) * (matte[..., None] / 255**2)).astype(np.float32)
+            truth = _truth(capture.image(index, frame), None if whole else matte)
             image, box = judge(rgb, truth, matte, lpips)
             pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box))
     evaluation = summarise(pictures)
@@ -68,6 +71,12 @@ def run(arguments: Arguments) -> None:
     if arguments.json is not None:
         content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
         write_text_atomically(arguments.json, json.dumps(content, indent=1) + "\n")
+
+
+def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
+    """A picture (H, W, 3) in [0, 1]; with a matte (H, W), what that holds on black."""
+    share = 1.0 if matte is None else matte[..., None] / 255
+    return (picture * (share / 255)).astype(np.float32)
 
 
 def _judged(trained: TrainedRun, views: str | None) -> list[int]:

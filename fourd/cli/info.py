@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tyro
@@ -18,6 +18,9 @@ from rich.text import Text
 
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.errors import UserError
+
+if TYPE_CHECKING:
+    from fourd.baking.scene import SceneBackground
 
 Rows = list[tuple[str, str]]
 
@@ -102,7 +105,8 @@ def _scene(path: Path) -> Rows:
             f"{frames} at {manifest.fps:g} a second, {frames / manifest.fps:.2f} s; {_numbers(manifest.frame_numbers)}",
         ),
         ("points", f"{_span(points)} a frame, {sum(points):,} in all"),
-        ("size", f"{_bytes(size)}, {_bytes(size / max(frames, 1))} a frame"),
+        *_background(manifest.background),
+        ("size", f"{_bytes(size)}, {_bytes((size - manifest.background_nbytes) / max(frames, 1))} a frame"),
         ("source views", f"{manifest.view_count} ({manifest.neighbours} blended): {_names(manifest.source_names)}"),
         ("other views", _names(manifest.other_names) or "none"),
         ("image sizes", _sizes((camera.width, camera.height) for camera in manifest.cameras) or "none"),
@@ -110,6 +114,13 @@ def _scene(path: Path) -> Rows:
         ("bounds", f"{_vector(lower)} to {_vector(upper)}, in world units"),
         ("focus", _vector(manifest.focus)),
     ]
+
+
+def _background(background: SceneBackground | None) -> Rows:
+    if background is None:
+        return []
+    shadow = "with a shadow in every frame" if background.shadow else "without shadows"
+    return [("background", f"{background.points:,} points, stored once, {shadow}")]
 
 
 def _points(path: Path) -> Rows:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame, SceneManifest, SceneWriter
 from fourd.cameras import Camera, look_at
@@ -55,3 +57,46 @@ def write_scene(path: Path, views: int = 6, frames: int = 3, points: int = 200) 
         for index, frame in enumerate(content):
             writer.add_frame(index, frame)
     return content
+
+
+def full_manifest(views: int = 6, frames: int = 3) -> SceneManifest:
+    """As :func:`manifest`, of a scene with a background, whose points are for the writer to fill in."""
+    return replace(manifest(views, frames), kind="full")
+
+
+def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedFrame:
+    """The six walls of a room around the origin that hide what is outside: squares, in another colour on each wall.
+
+    Args:
+        half: half a wall's side, world units; what :func:`random_frame` makes measures about 1.
+    """
+    rng = np.random.default_rng(seed)
+    wall, along = rng.integers(0, 6, points), rng.uniform(-1, 1, (points, 3))
+    along[np.arange(points), wall % 3] = np.where(wall < 3, -1.0, 1.0)
+    across = np.stack([(wall % 3 + 1) % 3, (wall % 3 + 2) % 3], axis=1)
+    squares = np.floor(4 * np.take_along_axis(along, across, axis=1)).astype(int).sum(axis=1) % 2
+    colours = np.array([[200, 90, 80], [90, 200, 80], [80, 90, 200], [200, 200, 80], [80, 200, 200], [200, 80, 200]])
+    rgb = (colours[wall] * np.where(squares, 1.0, 0.5)[:, None]).astype(np.uint8)
+    return BakedFrame(
+        xyz=(half * along).astype(np.float32),
+        radius=np.full(points, 4.0 * half * (6 / max(points, 1)) ** 0.5, np.float16),
+        density=np.ones(points, np.float16),
+        sh=np.zeros((points, 3, 16), np.float16),
+        blend_weights=rng.exponential(10, (points, views)).astype(np.float16),
+        rgb=np.repeat(rgb[:, None], views, axis=1),
+    )
+
+
+def write_full_scene(
+    path: Path, views: int = 6, frames: int = 3, points: int = 200, behind: int = 300, shadow: bool = True
+) -> tuple[list[BakedFrame], BakedFrame, list[NDArray[np.uint8]]]:
+    """Write random frames in a room; returns the frames, the background, and what shadows there are."""
+    moving = [random_frame(points + index, views, seed=index) for index in range(frames)]
+    room = room_frame(behind, views, seed=100)
+    rng = np.random.default_rng(200)
+    shadows = [rng.integers(0, 256, behind, dtype=np.uint8) for _ in range(frames)] if shadow else []
+    with SceneWriter(path, full_manifest(views, frames)) as writer:
+        writer.add_background(room)
+        for index, frame in enumerate(moving):
+            writer.add_frame(index, frame, shadows[index] if shadow else None)
+    return moving, room, shadows

@@ -14,12 +14,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from fourd.baking import SceneReader, SceneWriter
+from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter
 from fourd.baking.scene import ATTRIBUTES
+from fourd.cameras import Camera
 from fourd.errors import UserError
 from tests.baking.scenes import manifest, random_frame, write_scene
 
+VERSION_1 = Path(__file__).with_name("data") / "version1.4dv"
 Rewrite = Callable[[dict[str, bytes]], None]
 
 
@@ -77,6 +80,61 @@ def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
     write_scene(tmp_path / "a.4dv")
     write_scene(tmp_path / "b.4dv")
     assert (tmp_path / "a.4dv").read_bytes() == (tmp_path / "b.4dv").read_bytes()
+
+
+def plain_frame(points: int, start: int) -> BakedFrame:
+    """Numbers that no version of NumPy makes otherwise."""
+
+    def counted(shape: tuple[int, ...], dtype: type, step: float) -> NDArray[Any]:
+        return (start + step * np.arange(np.prod(shape))).reshape(shape).astype(dtype)
+
+    return BakedFrame(
+        xyz=counted((points, 3), np.float32, 0.25),
+        radius=counted((points,), np.float16, 0.125),
+        density=np.linspace(0, 1, points).astype(np.float16),
+        sh=counted((points, 3, 16), np.float16, -0.5),
+        blend_weights=counted((points, 2), np.float16, 2),
+        rgb=counted((points, 2, 3), np.uint8, 7),
+    )
+
+
+def plain_manifest() -> SceneManifest:
+    """Of two frames, two source views and one other."""
+    intrinsics = np.array([[40.0, 0, 16], [0, 41, 12], [0, 0, 1]])
+    turned = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+    first, second, third = (
+        Camera(intrinsics, rotation, np.array([0.5, 0, 2]), 32, 24) for rotation in (np.eye(3), turned, np.eye(3))
+    )
+    return SceneManifest(
+        source_names=("a", "b"),
+        source_cameras=(first, second),
+        focus=(0.0, 0.5, 0.0),
+        bounds=((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)),
+        frame_numbers=(7, 9),
+        other_names=("c",),
+        other_cameras=(third,),
+        fps=25.0,
+        producer="tests",
+    )
+
+
+def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
+    """Catches a change of the format that scenes in the world, and older programs, do not know: one from then lies
+    beside this file."""
+    frames = [plain_frame(3, start=1), plain_frame(2, start=5)]
+    reader = SceneReader(VERSION_1)
+    assert (reader.manifest.version, reader.manifest.kind, reader.manifest.points) == (1, "object", (3, 2))
+    for index, frame in enumerate(frames):
+        for attribute in ATTRIBUTES:
+            np.testing.assert_array_equal(getattr(reader.read(index), attribute.name), getattr(frame, attribute.name))
+    with SceneWriter(tmp_path / "again.4dv", plain_manifest()) as writer:
+        for index, frame in enumerate(frames):
+            writer.add_frame(index, frame)
+    with zipfile.ZipFile(VERSION_1) as old, zipfile.ZipFile(tmp_path / "again.4dv") as new:
+        assert new.namelist() == old.namelist()
+        for name in old.namelist():
+            assert new.read(name) == old.read(name), name
+            assert new.getinfo(name).header_offset == old.getinfo(name).header_offset
 
 
 def test_members_lie_in_the_file_as_they_are(scene: Path) -> None:
@@ -203,8 +261,8 @@ def test_places_that_are_no_scene(tmp_path: Path) -> None:
 
 
 def test_a_newer_version_says_so(scene: Path) -> None:
-    path = with_manifest(scene, lambda content: content.update(version=2))
-    with pytest.raises(UserError, match="format version 1 or older, got 2; update fourd"):
+    path = with_manifest(scene, lambda content: content.update(version=3))
+    with pytest.raises(UserError, match="format version 2 or older, got 3; update fourd"):
         SceneReader(path)
 
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
+from fourd.baking import SceneReader
 from fourd.baking.gpu_player import GpuFrame, GpuPlayer
 from fourd.baking.shade import shade_reference
-from tests.baking.scenes import manifest, random_frame, ring
+from tests.baking.scenes import manifest, random_frame, ring, write_full_scene
 from tests.baking.test_player import expected
 
 
@@ -35,6 +38,19 @@ def test_colours_equal_the_reference(gpu: torch.device) -> None:
     for camera in ring(3):
         got = GpuPlayer(gpu).shade(GpuFrame.of(frame, gpu), camera, described).cpu().numpy()
         assert np.abs(got - shade_reference(frame, camera, described)).max() <= 1e-5
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_full_scene_of_a_file(gpu: torch.device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a background that is not drawn, and torch's warning of arrays that may not be written to."""
+    monkeypatch.delenv("FOURD_SIMD", raising=False)  # for the CPU's picture
+    write_full_scene(tmp_path / "full.4dv", frames=1, points=300, behind=400)
+    reader, camera = SceneReader(tmp_path / "full.4dv"), ring(2)[1]
+    frame = reader.read(0)
+    picture = GpuPlayer(gpu).draw(GpuFrame.of(frame, gpu), camera, reader.manifest).cpu().numpy()
+    truth = expected(frame, camera, reader.manifest, reader.manifest.layers, (0.0, 0.0, 0.0))
+    assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
+    assert (picture[..., 3] > 128).mean() > 0.9
 
 
 def test_a_wrong_canvas_is_named(gpu: torch.device) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -10,6 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from fourd.baking import BakedFrame, SceneReader, SceneWriter, open_scene
+from fourd.baking.scene import ATTRIBUTES
+from fourd.capture import open_capture
 from fourd.cli.main import main
 
 OVERLAY = """\
@@ -53,6 +57,25 @@ def test_eval_tells_the_same_of_run_and_scene(made: Path, tmp_path: Path) -> Non
     assert live["box"]["lpips"] is None
     assert live["box"]["psnr"] > 15
     assert baked["box"]["psnr"] > live["box"]["psnr"] - 0.1
+
+
+def test_eval_judges_a_full_scene_by_the_whole_picture(capture: Path, made: Path, tmp_path: Path) -> None:
+    """Catches a background that is held against the object on black."""
+    reader, views = SceneReader(made), open_capture(capture)
+    nothing = BakedFrame(*(getattr(reader.read(0), item.name)[:0] for item in ATTRIBUTES))
+    with SceneWriter(tmp_path / "full.4dv", replace(reader.manifest, kind="full")) as writer:
+        writer.add_background(nothing)
+        for frame in range(reader.manifest.frame_count):
+            writer.add_frame(frame, reader.read(frame))
+    words = ["eval", made.with_suffix(".work") / "run", "--scene", tmp_path / "full.4dv", "--views", "02"]
+    assert main([str(word) for word in [*words, "--json", tmp_path / "full.json"]]) == 0
+    index, expected = views.names.index("02"), []
+    with open_scene(tmp_path / "full.4dv") as scene:
+        for frame in range(views.frame_count):
+            rendered = scene.render(views.cameras[index], frame).rgb
+            expected.append(-10 * np.log10(np.square(rendered - views.image(index, frame) / 255.0).mean()))
+    told = json.loads((tmp_path / "full.json").read_text())
+    assert told["image"]["psnr"] == pytest.approx(np.mean(expected), abs=1e-3)
 
 
 def test_render_views_paths_and_video(made: Path, tmp_path: Path) -> None:

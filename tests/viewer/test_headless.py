@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from fourd.baking import SceneWriter, open_scene
+from fourd.baking.scene import FORMAT_VERSION
 from fourd.cli.main import main
 from fourd.viewer.flight import Flight, Stop
 from fourd.viewer.pose import pose_of
@@ -142,7 +143,7 @@ def test_scenes_that_cannot_be_shown(scene: Path, tmp_path: Path, capsys: pytest
     cut = tmp_path / "cut.4dv"
     cut.write_bytes(scene.read_bytes()[:5000])
     assert "cut.4dv: expected a whole .4dv scene" in complaint(capsys, cut, "--screenshot", out)
-    newer = rewritten(scene, tmp_path / "newer.4dv", lambda content: content.update(version=2))
+    newer = rewritten(scene, tmp_path / "newer.4dv", lambda content: content.update(version=FORMAT_VERSION + 1))
     assert "update fourd to open this newer scene" in complaint(capsys, newer, "--screenshot", out)
     lying = rewritten(scene, tmp_path / "lying.4dv", lambda content: content["frames"][1].update(points=801))
     assert "by the manifest, got" in complaint(capsys, lying, "--screenshot", out)

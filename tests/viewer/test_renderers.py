@@ -59,7 +59,7 @@ def reference(shot: Shot, layers: int | None = None) -> NDArray[np.float32]:
     colours = shade_reference(frame, shot.camera, shot.manifest)
     arrays = (frame.xyz, colours, frame.radius.astype(np.float32), frame.density.astype(np.float32))
     picture = render_points(
-        *(torch.from_numpy(array) for array in arrays),
+        *(torch.from_numpy(array.copy()) for array in arrays),
         shot.camera,
         layers=layers or look.layers,
         near=shot.manifest.near,

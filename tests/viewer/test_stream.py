@@ -8,12 +8,13 @@ import time
 import weakref
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader
+from fourd.baking import BakedFrame, SceneBackground, SceneManifest, SceneReader
 from fourd.baking.container import member_name
 from fourd.baking.scene import ATTRIBUTES
 from fourd.errors import UserError
@@ -206,6 +207,17 @@ def test_frames_of_different_sizes_fit_together() -> None:
     stream = FrameStream(source, ring_bytes=room)
     for index in range(60):
         assert_same(stream.get(index % 30, wait=True), source.frame(index % 30))
+    stream.close()
+
+
+def test_a_background_takes_room_too() -> None:
+    """Catches memory that is given to frames and is the background's already."""
+    source = CountedSource([10] * 12)
+    source.manifest = replace(source.manifest, kind="full", background=SceneBackground(30))
+    stream = FrameStream(source, ring_bytes=5 * frame_bytes(10) + frame_bytes(30) - 1)
+    stream.get(0, wait=True)
+    rest(source, 4)
+    assert (stream.ahead, len(source.kept)) == (3, 4)
     stream.close()
 
 
