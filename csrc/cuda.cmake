@@ -1,6 +1,7 @@
 # The CUDA kernels: as a module where nvcc is found, and emulated on the CPU for tests.
 set(FOURD_CUDA_ROOT ${CMAKE_CURRENT_LIST_DIR})
 set(FOURD_CUDA_SOURCES
+  hashgrid/cuda/encode
   planes/cuda/sample
   play/cuda/draw
   points/cuda/render
@@ -8,6 +9,7 @@ set(FOURD_CUDA_SOURCES
 )
 set(FOURD_CUDA_BINDINGS
   binding/cuda/bind.cpp
+  binding/cuda/hashgrid.cpp
   binding/cuda/planes.cpp
   binding/cuda/play.cpp
   binding/cuda/points.cpp

@@ -5,6 +5,7 @@ add_library(fourd_kernels STATIC
   ${FOURD_KERNELS}/blend/cpu/runs_baseline.cpp
   ${FOURD_KERNELS}/common/simd.cpp
   ${FOURD_KERNELS}/common/team.cpp
+  ${FOURD_KERNELS}/hashgrid/cpu/encode.cpp
   ${FOURD_KERNELS}/planes/cpu/sample.cpp
   ${FOURD_KERNELS}/play/player.cpp
   ${FOURD_KERNELS}/points/cpu/bins.cpp
@@ -17,7 +18,7 @@ add_library(fourd_kernels STATIC
 )
 # Their promise is a tolerance: sums may be fused, and choices between numbers made without branches.
 set(FOURD_TOLERANT -ffp-contract=fast -fno-trapping-math -fno-math-errno)
-set_source_files_properties(${FOURD_KERNELS}/planes/cpu/sample.cpp
+set_source_files_properties(${FOURD_KERNELS}/hashgrid/cpu/encode.cpp ${FOURD_KERNELS}/planes/cpu/sample.cpp
   ${FOURD_KERNELS}/similarity/cpu/similarity.cpp ${FOURD_KERNELS}/sources/cpu/sample.cpp
   PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
 set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_baseline.cpp

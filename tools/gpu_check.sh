@@ -34,7 +34,7 @@ if not has_gpu():
     sys.exit("gpu_check: expected a CUDA device and its kernels, found none")
 PYTHON
 tests=(tests/raster/test_gpu.py tests/model/test_plane_lookup.py tests/model/test_source_sampling.py
-  tests/baking/test_gpu_player.py)
+  tests/seeding/test_hash_grid.py tests/baking/test_gpu_player.py)
 if [ "${1:-}" = sanitize ]; then
   # One process under the tool at a time: torch's own allocations are pooled, so that only ours are judged by place.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 \

@@ -33,6 +33,7 @@ NB_MODULE(_native, module) {
     fourd::cuda::bind(emulated);
 #endif
     fourd::bind_blend(module);
+    fourd::bind_hashgrid(module);
     fourd::bind_planes(module);
     fourd::bind_play(module);
     fourd::bind_points(module);

@@ -6,6 +6,7 @@
 namespace fourd {
 
 void bind_blend(nanobind::module_& module);
+void bind_hashgrid(nanobind::module_& module);
 void bind_planes(nanobind::module_& module);
 void bind_play(nanobind::module_& module);
 void bind_points(nanobind::module_& module);

@@ -11,6 +11,7 @@
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
 #include "similarity/similarity.h"
+#include "tests/hashgrid_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
 
@@ -83,6 +84,15 @@ void run_planes(unsigned seed, const char* simd) {
     fourd::planes::sample_backward(query, out.data(), targets.data(), whole(random, 0, 2) ? to_coordinates.data() : nullptr);
     for (const Floats& gradient : gradients) expect_finite(gradient, "gradient of planes", seed);
     expect_finite(to_coordinates, "gradient of coordinates", seed);
+}
+
+void run_hashgrid(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::HashGridInputs inputs(random, whole(random, 0, 700), seed % 2 ? 0.2f : 0.0f);
+    inputs.query.simd = fourd::simd_named(simd);
+    fourd::hashgrid::encode(inputs.query, inputs.out.data());
+    fourd::hashgrid::encode_backward(inputs.query, inputs.out.data(), inputs.grad_table(), inputs.grad_coordinates());
+    inputs.expect_sound(seed);
 }
 
 void run_blend(unsigned seed, const char* simd) {
@@ -188,12 +198,14 @@ int main(int count, char** words) {
         for (unsigned seed = 0; seed < runs; ++seed) {
             run_points(seed, simd);
             run_planes(seed, simd);
+            run_hashgrid(seed, simd);
             run_blend(seed, simd);
             run_play(seed, simd);
             run_shade(seed, simd);
             run_similarity(seed, simd);
             run_sources(seed, simd);
         }
-        std::printf("points, planes, blend, play, shade, similarity and sources, %s: %u inputs each\n", simd, runs);
+        const char* const what = "points, planes, hash grid, blend, play, shade, similarity and sources";
+        std::printf("%s, %s: %u inputs each\n", what, simd, runs);
     }
 }

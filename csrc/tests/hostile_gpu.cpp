@@ -5,10 +5,12 @@
 #include <cstdlib>
 #include <vector>
 
+#include "hashgrid/cuda/encode.h"
 #include "planes/cuda/sample.h"
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
 #include "sources/cuda/sample.h"
+#include "tests/hashgrid_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
 
@@ -108,6 +110,15 @@ void run_planes(unsigned seed) {
     expect_finite(to_coordinates, "gradient of coordinates", seed);
 }
 
+void run_hashgrid(unsigned seed) {
+    Random random(seed);
+    fourd::tests::HashGridInputs inputs(random, whole(random, 0, 200), seed % 2 ? 0.2f : 0.0f);
+    fourd::hashgrid::cuda::encode(inputs.query, inputs.out.data(), nullptr);
+    fourd::hashgrid::cuda::encode_backward(inputs.query, inputs.out.data(), inputs.grad_table(),
+                                           inputs.grad_coordinates(), nullptr);
+    inputs.expect_sound(seed);
+}
+
 void run_sources(unsigned seed) {
     Random random(seed);
     fourd::tests::SourceInputs inputs(random, seed % 2 ? 0.2f : 0.0f);
@@ -124,7 +135,8 @@ int main(int count, char** words) {
         run_points(seed);
         run_play(seed);
         run_planes(seed);
+        run_hashgrid(seed);
         run_sources(seed);
     }
-    std::printf("points, play, planes and sources, emulated GPU: %u inputs each\n", runs);
+    std::printf("points, play, planes, hash grid and sources, emulated GPU: %u inputs each\n", runs);
 }

@@ -1,6 +1,7 @@
 // Runs one kernel on a synthetic figure, for profilers and for counting instructions:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
-// KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward or similarity. Prints the milliseconds of a repeat.
+// KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity, hashgrid or
+// hashgrid_backward (where LAYERS is the logarithm of a level's most entries). Prints the milliseconds of a repeat.
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -12,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "hashgrid/hashgrid.h"
 #include "planes/planes.h"
 #include "play/play.h"
 #include "points/points.h"
@@ -149,6 +151,42 @@ std::function<void()> looking_up(const Size& size, bool backward) {
     };
 }
 
+// Points along random lines, as samples of rays are, in 16 levels of 2 features from 16 to 2048 cells a side,
+// each of up to 2^layers entries.
+std::function<void()> encoding(const Size& size, bool backward) {
+    constexpr std::size_t kPerLine = 128;
+    constexpr int kLevels = 16, kFeatures = 2;
+    std::mt19937 random(7);
+    std::uniform_real_distribution<float> uniform;
+    Floats coordinates(3 * size.points);
+    float from[3], to[3];
+    for (std::size_t i = 0; i < size.points; ++i) {
+        for (int axis = 0; axis < 3 && i % kPerLine == 0; ++axis) {
+            from[axis] = uniform(random);
+            to[axis] = uniform(random);
+        }
+        const float share = (static_cast<float>(i % kPerLine) + uniform(random)) / kPerLine;
+        for (int axis = 0; axis < 3; ++axis) coordinates[3 * i + axis] = from[axis] + share * (to[axis] - from[axis]);
+    }
+    std::vector<fourd::hashgrid::Level> levels;
+    std::size_t entries = 0;
+    for (int l = 0; l < kLevels; ++l) {
+        const int resolution = static_cast<int>(16.0 * std::pow(128.0, l / 15.0) + 1e-6);
+        levels.push_back(fourd::hashgrid::level_of(resolution, size.layers, entries));
+        entries = levels.back().first + levels.back().entries;
+    }
+    return [=, table = Floats(entries * kFeatures, 0.1f), gradient = Floats(entries * kFeatures),
+            out = Floats(size.points * kLevels * kFeatures, 0.5f)]() mutable {
+        const fourd::hashgrid::Query query{table.data(),       entries,     levels.data(), kLevels,  kFeatures,
+                                           coordinates.data(), size.points, size.threads,  size.simd};
+        if (backward) {
+            fourd::hashgrid::encode_backward(query, out.data(), gradient.data(), nullptr);
+        } else {
+            fourd::hashgrid::encode(query, out.data());
+        }
+    };
+}
+
 // In four views beside one another, with 16 features at half the pictures' resolution.
 std::function<void()> sampling(const Size& size, bool backward) {
     constexpr int kViews = 4, kChannels = 16;
@@ -207,6 +245,8 @@ int main(int count, char** words) {
     if (kernel == "play") work = playing(size);
     if (kernel == "planes") work = looking_up(size, false);
     if (kernel == "planes_backward") work = looking_up(size, true);
+    if (kernel == "hashgrid") work = encoding(size, false);
+    if (kernel == "hashgrid_backward") work = encoding(size, true);
     if (kernel == "sources") work = sampling(size, false);
     if (kernel == "sources_backward") work = sampling(size, true);
     if (kernel == "similarity") work = comparing(size);

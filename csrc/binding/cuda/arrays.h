@@ -21,6 +21,7 @@ using Workspace = Array<std::uint8_t, nanobind::ndim<1>>;
 
 inline void* stream_of(std::uintptr_t handle) { return reinterpret_cast<void*>(handle); }
 
+void bind_hashgrid(nanobind::module_& module);
 void bind_planes(nanobind::module_& module);
 void bind_play(nanobind::module_& module);
 void bind_points(nanobind::module_& module);
