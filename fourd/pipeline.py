@@ -24,10 +24,11 @@ from fourd.matting.making import make_all
 from fourd.matting.selection import Selection
 from fourd.matting.stage import SHEET, MatteSettings
 from fourd.progress import Track, Tracker
+from fourd.training.background_seed import BACKGROUND, POINTS
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.lpips import LPIPS
-from fourd.training.run import CONFIG_NAME, carve_run, create_run, load_run, open_run
+from fourd.training.run import CONFIG_NAME, carve_run, create_run, load_run, open_run, seed_run
 
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
 SOURCE_PATTERNS = ("*", "*/*", "*/*/*")
@@ -131,12 +132,20 @@ def make_scene(
         run / "hull",
         lambda: _remove(run),
     )
+    if train.scene == "full":
+        stages.run(
+            "background",
+            _key(carve_key, train.background.points, train.background.seeds),
+            lambda: seed_run(capture, run, train, settings.workers, track, told_by(console)),
+            run / BACKGROUND / POINTS,
+            lambda: _remove(run / BACKGROUND),
+        )
     stages.run(
         "train",
         train_key,
         lambda: _train(capture, run, train, lpips, console),
         run / "checkpoints",
-        lambda: _remove(run, keep="hull"),
+        lambda: _remove(run, keep=("hull", BACKGROUND)),
     )
     stages.run("export", train_key, lambda: bake_run(load_run(run), out, console), out, lambda: None)
 
@@ -160,10 +169,7 @@ def _is_usable(capture: Path) -> bool:
 def _bring_in(source: Path, capture: Path, console: Console) -> None:
     way = pick_format(None, source)
     console.print(f"{source}: {way.name}, {way.summary}", soft_wrap=True)
-
-    def told(line: str) -> None:
-        console.print(line, soft_wrap=True, markup=False)
-
+    told = told_by(console)
     import_source(
         way,
         source,
@@ -173,6 +179,15 @@ def _bring_in(source: Path, capture: Path, console: Console) -> None:
         warn=lambda line: told(f"warning: {line}"),
         track=Tracker(console).track,
     )
+
+
+def told_by(console: Console) -> Callable[[str], None]:
+    """Prints lines as they are."""
+
+    def told(line: str) -> None:
+        console.print(line, soft_wrap=True, markup=False)
+
+    return told
 
 
 def _check(capture: Path, track: Track) -> None:
@@ -188,11 +203,11 @@ def _train(capture: Path, run: Path, train: TrainConfig, lpips: LPIPS | None, co
     Trainer(opened, lpips, console, replace(opened.config.train)).train()
 
 
-def _remove(folder: Path, keep: str | None = None) -> None:
+def _remove(folder: Path, keep: tuple[str, ...] = ()) -> None:
     if not folder.exists():
         return
     for entry in folder.iterdir():
-        if entry.name == keep:
+        if entry.name in keep:
             continue
         if entry.is_dir():
             shutil.rmtree(entry)

@@ -29,7 +29,7 @@ def write_ball_capture(folder: Path, *, cameras: int = 8, frames: int = 2, size:
     views = ring_cameras(cameras, size)
     names = [f"{index:02d}" for index in range(cameras)]
     write_calibration(folder, names, views)
-    directions = _sphere(6000)
+    directions = sphere(6000)
     stripes = 0.5 + 0.4 * np.sin(9 * directions @ np.array([[1.0, 0.3, 0], [0, 1, 0.4], [0.2, 0, 1]]))
     for frame in range(frames):
         centre = np.array([0.12 * np.sin(frame), 0.1 * np.cos(frame), 0.0])
@@ -51,7 +51,7 @@ def _write_view(
         assert cv2.imwrite(str(path), (picture.clip(0, 1) * 255 + 0.5).astype(np.uint8))
 
 
-def _sphere(count: int) -> NDArray[np.float64]:
+def sphere(count: int) -> NDArray[np.float64]:
     """Even unit vectors: a Fibonacci lattice."""
     index = np.arange(count) + 0.5
     z, angle = 1 - 2 * index / count, np.pi * (1 + 5**0.5) * index

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader
+from fourd.baking import BakedFrame, SceneManifest, SceneReader, joined
 from fourd.errors import UserError
 from fourd.viewer.stream import FrameSource
 
@@ -28,6 +28,8 @@ class RunSource:
         _yield_to_training()
         self._folder = folder
         self._trained: TrainedRun | None = None
+        self._background: BakedFrame | None = None
+        self._trained_step = -1  # of the checkpoint that the background is of
         trained = self._newest()
         require_bakeable(trained.run)
         self.manifest: SceneManifest = manifest_of(trained)
@@ -51,11 +53,17 @@ class RunSource:
     def _baked(self, index: int) -> BakedFrame:
         import torch
 
-        from fourd.baking.bake import bake_frame, baked_sources
+        from fourd.baking.bake import bake_background, bake_frame, baked_sources
 
-        trained = self._newest()
+        trained, last = self._newest(), self._trained_step
+        sources = baked_sources(trained.run)
         with torch.no_grad():
-            frame = bake_frame(trained, index, baked_sources(trained.run))
+            frame = bake_frame(trained, index, sources)
+            if trained.step != last:
+                self._background = bake_background(trained, sources)
+                self._trained_step = trained.step
+        if self._background is not None:
+            frame = joined(frame, self._background)
         bad = frame.first_bad()
         if bad is not None:
             raise UserError(

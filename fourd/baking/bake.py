@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +13,19 @@ from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
-from fourd.baking.scene import BakedFrame, SceneManifest, triple
+from fourd.baking.scene import BakedFrame, SceneBackground, SceneManifest, triple
 from fourd.errors import UserError
+from fourd.model import PointModel
 from fourd.model.appearance import LEAST_TRUST
 from fourd.model.point_model import PointFeatures
-from fourd.model.sources import sample_sources
+from fourd.model.sources import SourceViews, sample_sources
 from fourd.training.frames import FramePoints
+from fourd.training.parts import NEAR
 from fourd.training.run import Run, TrainedRun
-from fourd.training.step import NEAR, with_depth
+from fourd.training.step import with_depth
+
+SeenFrom = Callable[[int, FramePoints], SourceViews]
+"""A source view (camera index) of evaluated points, with what hides them."""
 
 BAKED_LAYERS = 12
 LARGEST_WEIGHT = 1024.0
@@ -35,6 +41,9 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
     require_bakeable(run)
     sources = baked_sources(run)
     with SceneWriter(out, manifest_of(trained, layers, fps)) as writer, torch.no_grad():
+        background = bake_background(trained, sources)
+        if background is not None:
+            writer.add_background(background)
         for frame in track(range(run.capture.frame_count), description="export", console=console):
             writer.add_frame(frame, bake_frame(trained, frame, sources))
 
@@ -55,7 +64,7 @@ def baked_sources(run: Run) -> list[int]:
 
 def manifest_of(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
     """What holds for all frames of a run; the numbers of points are for the writer to fill in."""
-    run = trained.run
+    run, background = trained.run, trained.renderer.background
     sources = baked_sources(run)
     others = [index for index in range(len(run.capture.names)) if index not in sources]
     return SceneManifest(
@@ -72,20 +81,43 @@ def manifest_of(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30
         sh_range=trained.model.sh_range,
         sh_base=trained.model.sh_base,
         near=NEAR,
+        kind=run.config.train.scene,
+        background=None if background is None else SceneBackground(background.points.xyz.shape[0]),
         producer=f"fourd {__version__}",
     )
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate everything of one frame but what depends on the viewer; ``sources`` are camera indices."""
-    model, points = trained.model, trained.frames.get(frame)
-    time = trained.run.capture.time(frame)
+    """Evaluate everything of one frame's own points but what depends on the viewer; ``sources`` are camera indices."""
+    views = trained.renderer.views
+    occlusion = trained.model.config.occlusion
+
+    def seen_from(index: int, seen: FramePoints) -> SourceViews:
+        return with_depth(views.sources([index], frame), seen, occlusion)
+
+    points, time = trained.frames.get(frame), trained.run.capture.time(frame)
+    return _baked(trained.model, points, time, sources, seen_from)
+
+
+def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:
+    """The same of the points that all frames share, seen in the clean plates; None of an object scene."""
+    background = trained.renderer.background
+    if background is None:
+        return None
+    plates = background
+    return _baked(
+        background.model, background.points, 0.0, sources, lambda index, seen: plates.sources([index], points=seen)
+    )
+
+
+def _baked(model: PointModel, points: FramePoints, time: float, sources: list[int], seen_from: SeenFrom) -> BakedFrame:
     features = model.point_features(points.xyz, time)
-    radius, density = model.geometry(features)
+    radius, density = model.geometry(features, points.spacing)
     displacement = model.displacement(points.xyz, time)
     xyz = points.xyz if displacement is None else points.xyz + displacement
     sh = model.harmonics(features, points.free.get("sh"))
-    weights, rgb = _blend_data(trained, points, radius, density, xyz, features, frame, sources)
+    seen = FramePoints(points.spacing, radius, density, {"xyz": xyz}, {}, points.steps)
+    weights, rgb = _blend_data(model, features, seen, points.free.get("rgb"), sources, seen_from)
     count = xyz.shape[0]
     return BakedFrame(
         xyz=xyz.numpy(),
@@ -98,26 +130,25 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
 
 
 def _blend_data(
-    trained: TrainedRun,
-    points: FramePoints,
-    radius: Tensor,
-    density: Tensor,
-    xyz: Tensor,
+    model: PointModel,
     features: PointFeatures,
-    frame: int,
+    seen: FramePoints,
+    base: Tensor | None,
     sources: list[int],
+    seen_from: SeenFrom,
 ) -> tuple[Tensor, Tensor]:
     """Weights (N, V), scaled to each point's largest, and colours (N, V, 3); a view at a time."""
-    model, views = trained.model, trained.renderer.views
-    weights = torch.zeros(xyz.shape[0], len(sources))
-    rgb = torch.zeros(xyz.shape[0], len(sources), 3)
-    seen = FramePoints(radius, density, {"xyz": xyz}, {}, points.steps)
+    count = seen.xyz.shape[0]
+    weights = torch.zeros(count, len(sources))
+    rgb = torch.zeros(count, len(sources), 3)
     for column, index in enumerate(sources):
-        view = with_depth(views.sources([index], frame), seen, model.config.occlusion)
-        samples = sample_sources(xyz, view, model.encode_images(view.images), 2 * model.spacing)
-        logits = model.blend_logits(features, samples, xyz, view, None)
+        view = seen_from(index, seen)
+        encoded = model.encode_images(view.images) if view.encoded is None else view.encoded
+        samples = sample_sources(seen.xyz, view, encoded, 2 * model.spacing)
+        logits = model.blend_logits(features, samples, seen.xyz, view, None)
         weights[:, column] = (torch.exp(logits) * (samples.trust + LEAST_TRUST))[0]
-        rgb[:, column] = samples.colours[0]
+        colours = samples.colours[0]
+        rgb[:, column] = colours if base is None else base.lerp(colours, samples.trust[0][:, None])
     if sources:
         weights = weights * (LARGEST_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
     return weights, rgb

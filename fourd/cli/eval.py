@@ -13,10 +13,12 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from fourd.capture.decoding import decode_rgb
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.training.evaluate import Evaluation, ViewScores, judge, summarise
 from fourd.training.lpips import load_lpips
+from fourd.training.metrics import psnr
 from fourd.training.run import TrainedRun, load_run
 
 
@@ -31,8 +33,9 @@ class Arguments:
     views: str | None = None
     """Names of cameras, with commas; the run's held-out ones when not given."""
     scene: Path | None = None
-    """Judge this exported .4dv of the run instead of the run's own rendering; a full scene by the whole pictures, and
-    not by the object on black."""
+    """Judge this exported .4dv of the run instead of the run's own rendering."""
+    plates: Path | None = None
+    """Folder of pictures CAM.png of the empty stage, to judge a full scene's background alone by."""
     lpips_weights: Path | None = None
     """File or folder with the weights of VGG-16 and LPIPS; lpips is null without them."""
 
@@ -52,7 +55,7 @@ def run(arguments: Arguments) -> None:
         from fourd.baking import open_scene
 
         exported = open_scene(arguments.scene)
-    whole = exported is not None and exported.manifest.kind == "full"
+    whole = (trained.run.config.train.scene if exported is None else exported.manifest.kind) == "full"
     for frame in track(range(capture.frame_count), description="eval", console=console):
         points = trained.frames.get(frame)
         for index in indices:
@@ -67,9 +70,12 @@ def run(arguments: Arguments) -> None:
             image, box = judge(rgb, truth, matte, lpips)
             pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box))
     evaluation = summarise(pictures)
-    _print(evaluation, trained)
+    backgrounds = {} if arguments.plates is None else _backgrounds(trained, indices, arguments.plates)
+    _print(evaluation, trained, backgrounds)
     if arguments.json is not None:
         content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
+        if backgrounds:
+            content["background"] = backgrounds
         write_text_atomically(arguments.json, json.dumps(content, indent=1) + "\n")
 
 
@@ -77,6 +83,25 @@ def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArr
     """A picture (H, W, 3) in [0, 1]; with a matte (H, W), what that holds on black."""
     share = 1.0 if matte is None else matte[..., None] / 255
     return (picture * (share / 255)).astype(np.float32)
+
+
+def _backgrounds(trained: TrainedRun, indices: list[int], folder: Path) -> dict[str, float]:
+    """PSNR in dB of the background alone, by camera."""
+    if trained.renderer.background is None:
+        raise UserError(f"--plates: expected a run of a full scene, got an object; leave {folder} out")
+    layers = trained.run.config.train.layers
+    scores = {}
+    for index in indices:
+        name, camera = trained.run.capture.names[index], trained.run.capture.cameras[index]
+        truth = decode_rgb(folder / f"{name}.png")
+        if truth.shape[:2] != (camera.height, camera.width):
+            raise UserError(
+                f"{folder / f'{name}.png'}: expected {camera.width} x {camera.height} pixels, "
+                f"got {truth.shape[1]} x {truth.shape[0]}; scale it"
+            )
+        rgb = trained.renderer.render_background(camera, layers, exclude=index).rgb
+        scores[name] = float(psnr(rgb, _truth(truth, None)))
+    return scores
 
 
 def _judged(trained: TrainedRun, views: str | None) -> list[int]:
@@ -95,13 +120,15 @@ def _judged(trained: TrainedRun, views: str | None) -> list[int]:
     return [names.index(name) for name in wanted]
 
 
-def _print(evaluation: Evaluation, trained: TrainedRun) -> None:
+def _print(evaluation: Evaluation, trained: TrainedRun, backgrounds: dict[str, float]) -> None:
     table = Table(title=f"{trained.run.folder} at step {trained.step}: {len(evaluation.pictures)} pictures")
     for column in ("", "PSNR dB", "SSIM", "LPIPS"):
         table.add_column(column, justify="right" if column else "left")
     for label, scores in (("whole image", evaluation.image), ("matte's box", evaluation.box)):
         if scores is not None:
             table.add_row(label, f"{scores.psnr:.2f}", _shown(scores.ssim), _shown(scores.lpips))
+    if backgrounds:
+        table.add_row("background alone", f"{np.mean(list(backgrounds.values())):.2f}", "", "")
     Console().print(table)
 
 

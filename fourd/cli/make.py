@@ -26,8 +26,8 @@ class Arguments:
     """A capture, or anything that fourd import reads, such as a folder of videos and their calibration."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The scene file to write; its stages' results lie beside it in OUT.work/."""
-    scene: Literal["object"] | None = None
-    """object: what the mattes hold, on black."""
+    scene: Literal["object", "full"] | None = None
+    """object: what the mattes hold, on black; full: everything, with a static background beside it."""
     config: Path | None = None
     """YAML file laid over the defaults."""
     test_views: str | None = None
@@ -40,6 +40,10 @@ class Arguments:
     """Scale of the images; 0.5 halves both sides."""
     points: int | None = None
     """Points of each frame."""
+    background: Path | None = None
+    """A PLY with your own points of a full scene's background, in world units, in place of those found in plates."""
+    background_points: int | None = None
+    """Points of a full scene's background."""
     max_seconds: float | None = None
     """Seconds of training; 1800 when neither this, --max-steps nor the config file says."""
     max_steps: int | None = None

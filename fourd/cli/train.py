@@ -28,8 +28,8 @@ class Arguments:
     """Folder with images/, masks/, intri.yml and extri.yml."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The run's folder: made new, or gone on with by --resume."""
-    scene: Literal["object"] | None = None
-    """object: what the mattes hold, on black."""
+    scene: Literal["object", "full"] | None = None
+    """object: what the mattes hold, on black; full: everything, with a static background beside it."""
     config: Path | None = None
     """YAML file laid over the defaults; docs/configuration.md lists its keys."""
     test_views: str | None = None
@@ -42,6 +42,10 @@ class Arguments:
     """Scale of the images; 0.5 halves both sides."""
     points: int | None = None
     """Points of each frame."""
+    background: Path | None = None
+    """A PLY with your own points of a full scene's background, in world units, in place of those found in plates."""
+    background_points: int | None = None
+    """Points of a full scene's background."""
     points_from: Path | None = None
     """Folder with your own FRAME.ply (six digits) of each frame, in world units, in place of carving."""
     max_seconds: float | None = None
@@ -64,8 +68,12 @@ def run(arguments: Arguments) -> None:
         opened = open_run(arguments.out)
     else:
         track = Tracker(console).track
+
+        def say(line: str) -> None:
+            console.print(line, soft_wrap=True, markup=False)
+
         opened = create_run(
-            arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track, cores()
+            arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track, cores(), say
         )
     if lpips is None:
         note = "LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)"
@@ -96,8 +104,10 @@ def overlaid(arguments: Arguments, seconds: float | None = None) -> TrainConfig:
         "max_steps": arguments.max_steps,
         "seed": arguments.seed,
     }
+    background: dict[str, Any] = {"seeds": arguments.background, "points": arguments.background_points}
     try:
-        config = replace(config, **{name: value for name, value in given.items() if value is not None})
+        part = replace(config.background, **{name: value for name, value in background.items() if value is not None})
+        config = replace(config, background=part, **{name: value for name, value in given.items() if value is not None})
     except ValueError as error:
         raise UserError(f"{arguments.config}: {error}" if arguments.config else str(error)) from error
     if config.max_steps is None and config.max_seconds is None and seconds is not None:

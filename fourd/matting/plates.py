@@ -81,15 +81,17 @@ class _Running:
         return np.sqrt(self.squares.mean(axis=-1) / np.maximum(self.weight, 1e-6))
 
 
-def make_plates(selection: Selection, key: str, workers: int, track: Track) -> int:
-    """Make each camera's plate into ``.fourd/plates/CAM.png``, RGBA with alpha 0 in holes, of undistorted pictures.
+def make_plates(selection: Selection, key: str, workers: int, track: Track, folder: Path | None = None) -> int:
+    """Make each camera's plate into ``folder/CAM.png``, RGBA with alpha 0 in holes, of undistorted pictures.
+
+    Without a folder they go to the capture's ``.fourd/plates``.
 
     Plates that an earlier call with the same ``key`` made of the same mattes are kept; the others are spread over
     ``workers`` processes, a camera each. Returns how many were made now. Raises UserError where the capture has
     no mattes.
     """
     capture = selection.open()
-    folder = capture.path / FOLDER
+    folder = folder or capture.path / FOLDER
     remove_unfinished(folder)
     state = folder.parent / STATE
     try:

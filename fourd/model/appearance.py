@@ -90,17 +90,20 @@ def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: 
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
-def blend(logits: Tensor, trust: Tensor, colours: Tensor) -> Tensor:
+def blend(logits: Tensor, trust: Tensor, colours: Tensor, base: Tensor | None = None) -> Tensor:
     """Image-based colour: a softmax over views, scaled by how far each view can be trusted.
 
     Args:
         logits: (V, N).
         trust: (V, N) in [0, 1], 0 where a view does not see the point.
         colours: (V, N, 3).
+        base: (N, 3) colours of the points, in place of those of views that are not trusted.
 
     Returns:
-        (N, 3). Where no view is trusted, the plain softmax decides.
+        (N, 3). Where no view is trusted, the plain softmax decides, or ``base``.
     """
+    if base is not None:
+        colours = base.lerp(colours, trust[..., None])
     weights = torch.softmax(logits, dim=0) * (trust + LEAST_TRUST)
     return (weights[..., None] * colours).sum(0) / weights.sum(0)[:, None]
 

@@ -16,17 +16,16 @@ class GeometryHead(nn.Module):
     """An MLP with two hidden layers gives radius and density (4K4D, eq. 1 and supplement).
 
     ``radius = low + (high - low) * sigmoid(a + offset)`` with the offset that makes ``a = 0`` the
-    configured starting radius, and ``density = sigmoid(b + 5)``. Radii are world units.
+    configured starting radius, and ``density = sigmoid(b + 5)``. Radii are multiples of the points' spacing.
     """
 
-    def __init__(self, in_features: int, config: ModelConfig, spacing: float) -> None:
-        """``spacing`` is the mean distance between neighbouring points in world units."""
+    def __init__(self, in_features: int, config: ModelConfig) -> None:
         super().__init__()
         low, high = config.radius_range
         start = (config.radius_start - low) / (high - low)
         self.radius_offset = math.log(start / (1 - start))
-        self.radius_low = low * spacing
-        self.radius_high = high * spacing
+        self.radius_low = low
+        self.radius_high = high
         self.first = nn.Linear(in_features, config.hidden)
         self.layers = nn.Sequential(
             nn.ReLU(),
@@ -40,7 +39,7 @@ class GeometryHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """What ``first`` made of the features (N, H) -> radius (N,) in world units, density (N,) in (0, 1)."""
+        """What ``first`` made of the features (N, H) -> radius (N,) in spacings, density (N,) in (0, 1)."""
         raw_radius, raw_density = self.layers(hidden).unbind(-1)
         share = torch.sigmoid(raw_radius + self.radius_offset)
         radius = self.radius_low + (self.radius_high - self.radius_low) * share

@@ -15,6 +15,7 @@ from fourd.model.geometry import GeometryHead
 from fourd.model.kplanes import KPlanes
 from fourd.model.shared_linear import shared_linear
 from fourd.model.sources import SourceSamples, SourceViews, sample_sources
+from fourd.seeding.contraction import LIMIT, Contraction
 
 RGB = 3
 
@@ -50,6 +51,7 @@ class PointModel(nn.Module):
         upper: np.ndarray,
         spacing: float,
         frame_count: int,
+        contraction: Contraction | None = None,
     ) -> None:
         """Make an untrained model.
 
@@ -58,17 +60,21 @@ class PointModel(nn.Module):
             lower, upper: (3,) corners of the scene's bounds in world units.
             spacing: mean distance between neighbouring points in world units: radii scale with it.
             frame_count: frames of the whole capture: rows of the time planes.
+            contraction: lets the planes hold all of space; without one they end at the bounds.
         """
         super().__init__()
         self.config = config
         self.spacing = spacing
+        self.contraction = contraction
         self.register_buffer("lower", torch.tensor(lower, dtype=torch.float32))
         self.register_buffer("upper", torch.tensor(upper, dtype=torch.float32))
-        sides = tuple(float(side) for side in np.asarray(upper) - np.asarray(lower))
-        assert len(sides) == 3
+        sides = (1.0, 1.0, 1.0)
+        if contraction is None:
+            x, y, z = (float(side) for side in np.asarray(upper) - np.asarray(lower))
+            sides = (x, y, z)
         self.planes = KPlanes(config.planes, sides, frame_count)
         features = self.planes.out_features
-        self.geometry_head = GeometryHead(features, config, spacing)
+        self.geometry_head = GeometryHead(features, config)
         self.image_encoder: ImageEncoder | None = None
         self.blend_head: BlendHead | None = None
         self.harmonics_head: HarmonicsHead | None = None
@@ -93,7 +99,10 @@ class PointModel(nn.Module):
 
     def coordinates(self, xyz: Tensor, time: float) -> Tensor:
         """World points (N, 3) and time in [0, 1] -> (N, 4) in [-1, 1] for the planes."""
-        space = 2 * (xyz - self.lower) / (self.upper - self.lower) - 1
+        if self.contraction is None:
+            space = 2 * (xyz - self.lower) / (self.upper - self.lower) - 1
+        else:
+            space = self.contraction(xyz) / LIMIT
         return torch.cat([space, torch.full_like(space[:, :1], 2 * time - 1)], dim=1)
 
     def displacement(self, xyz: Tensor, time: float) -> Tensor | None:
@@ -110,9 +119,10 @@ class PointModel(nn.Module):
         blend = hidden[1].contiguous() if self.blend_head is not None else None
         return PointFeatures(hidden[0], blend, hidden[-1] if self.harmonics_head is not None else None)
 
-    def geometry(self, features: PointFeatures) -> tuple[Tensor, Tensor]:
-        """Radius (N,) in world units, density (N,) in (0, 1)."""
-        return self.geometry_head(features.geometry)
+    def geometry(self, features: PointFeatures, spacing: Tensor) -> tuple[Tensor, Tensor]:
+        """Radius (N,) in the units of ``spacing`` (N,), distances between neighbours; density (N,) in (0, 1)."""
+        radius, density = self.geometry_head(features.geometry)
+        return radius * spacing, density
 
     def encode_images(self, images: Tensor) -> Tensor | None:
         """(V, 3, H, W) -> (V, image_features, H / stride, W / stride), or None without an image-based part."""
@@ -153,21 +163,27 @@ class PointModel(nn.Module):
         sources: SourceViews | None,
         explicit: Tensor | None = None,
         *,
+        base: Tensor | None = None,
         train_encoder: bool = True,
     ) -> Tensor:
         """RGB of points seen from ``viewer``, (N, 3), not clamped (4K4D, eq. 2).
 
-        ``sources`` are the N' views nearest to the viewer; None when colour is SH alone. Without
-        ``train_encoder`` the image CNN gets no gradient, which is a third of a step's time.
+        Args:
+            sources: the N' views nearest to the viewer; None when colour is SH alone.
+            base: (N, 3) what a source view that does not see a point takes for its colour; None leaves the
+                view's own.
+            train_encoder: without it the image CNN gets no gradient, which is a third of a step's time.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:
             assert sources is not None, "image-based colour needs source views"
-            with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
-                encoded = self.encode_images(sources.images)
+            encoded = sources.encoded
+            if encoded is None:
+                with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
+                    encoded = self.encode_images(sources.images)
             samples = sample_sources(xyz, sources, encoded, 2 * self.spacing)
             logits = self.blend_logits(features, samples, xyz, sources, viewer)
-            colour = blend(logits, samples.trust, samples.colours)
+            colour = blend(logits, samples.trust, samples.colours, base)
         sh = self.harmonics(features, explicit)
         if sh is not None:
             part = harmonics_colour(sh, unit_directions(xyz, viewer), self.sh_range, self.sh_base)

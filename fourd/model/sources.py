@@ -25,12 +25,14 @@ class SourceViews:
         depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there
             is none; None when occlusion is not tested.
         cameras: the V cameras of the crops.
+        encoded: (V, C, h, w) what the image CNN makes of the images, where that is known; else it is asked.
     """
 
     images: Tensor
     mattes: Tensor
     depth: Tensor | None
     cameras: tuple[Camera, ...]
+    encoded: Tensor | None = None
 
 
 @dataclass(frozen=True)

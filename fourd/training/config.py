@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
-from fourd.model.config import ModelConfig, require
+from fourd.model.config import ModelConfig, PlanesConfig, require
 
 
 @dataclass(frozen=True)
@@ -55,14 +56,46 @@ class RateConfig:
 
 
 @dataclass(frozen=True)
+class BackgroundConfig:
+    """The static part of a full scene."""
+
+    points: int = 100_000
+    """Points of the background, at most."""
+    seeds: Path | None = None
+    """A PLY with your own points of the background, in world units, in place of those found in the plates."""
+    planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
+    """Its K-Planes, over contracted space."""
+    share: float = 0.35
+    """Share of the steps that look at a plate, and not at a frame."""
+    window_px: int = 256
+    """Side of the part of a plate that such a step looks at."""
+    margin_px: int = 64
+    """Up to so much around the matte is looked at in a frame's step."""
+    xyz_rate: float = 0.02
+    """Learning rate of the background's points, times their spacing."""
+    encoder_every: int = 8
+    """The background's image CNN learns in every n-th step that looks at a plate."""
+
+    def __post_init__(self) -> None:
+        require(self.points >= 1, f"points: expected at least 1, got {self.points}")
+        require(0 <= self.share <= 1, f"share: expected 0 to 1, got {self.share}")
+        require(self.window_px >= 16, f"window_px: expected at least 16, got {self.window_px}")
+        require(self.margin_px >= 0, f"margin_px: expected 0 or more, got {self.margin_px}")
+        require(self.xyz_rate >= 0, f"xyz_rate: expected 0 or more, got {self.xyz_rate}")
+        require(self.encoder_every >= 1, f"encoder_every: expected at least 1, got {self.encoder_every}")
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """Everything that decides what a run computes, saved as the run's config.yaml."""
 
     model: ModelConfig = field(default_factory=ModelConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
-    scene: Literal["object"] = "object"
-    """object: what the mattes hold, on black."""
+    scene: Literal["object", "full"] = "object"
+    """object: what the mattes hold, on black; full: everything, with a static background."""
+    background: BackgroundConfig = field(default_factory=BackgroundConfig)
+    """Of a full scene."""
     points: int = 40_000
     """Points of each frame."""
     layers: int = 15

@@ -60,13 +60,22 @@ class ViewStore:
         if key in self._kept:
             self._kept.move_to_end(key)
             return self._kept[key]
-        view = self._decoded(camera, frame)
+        view = self._decoded(camera, frame, None)
         self._kept[key] = view
         self._used += view.rgb.nbytes + view.matte.nbytes
         while self._used > self._budget and len(self._kept) > 1:
             _, dropped = self._kept.popitem(last=False)
             self._used -= dropped.rgb.nbytes + dropped.matte.nbytes
         return view
+
+    def around(self, camera: int, frame: int, margin: int) -> View:
+        """A view with up to ``margin`` pixels more on each side, in steps; decoded anew."""
+        view, whole = self.view(camera, frame), self.capture.cameras[camera]
+        margin -= margin % (STEP_PX // 2)
+        height, width = view.matte.shape
+        left, top = max(0, view.left - margin), max(0, view.top - margin)
+        right, bottom = min(whole.width, view.left + width + margin), min(whole.height, view.top + height + margin)
+        return self._decoded(camera, frame, (left, top, right - left, bottom - top))
 
     def sources(self, cameras: list[int], frame: int) -> SourceViews:
         """The views of several cameras, padded to a common size that is a multiple of 8."""
@@ -82,12 +91,13 @@ class ViewStore:
         padded = tuple(view.camera.cropped(0, 0, width, height) for view in views)
         return SourceViews(images, mattes, None, padded)
 
-    def _decoded(self, camera: int, frame: int) -> View:
+    def _decoded(self, camera: int, frame: int, window: tuple[int, int, int, int] | None) -> View:
+        """The part (left, top, width, height) of a picture; by default that of the matte, or all of it."""
         rgb, matte = self.capture.image(camera, frame), self.capture.mask(camera, frame)
         whole = self.capture.cameras[camera]
-        left, top, width, height = 0, 0, whole.width, whole.height
-        if self.crop:
-            left, top, width, height = _matte_window(matte)
+        if window is None:
+            window = _matte_window(matte) if self.crop else (0, 0, whole.width, whole.height)
+        left, top, width, height = window
         rows, columns = slice(top, top + height), slice(left, left + width)
         part = whole.cropped(left, top, width, height)
         return View(in_own_pages(rgb[rows, columns]), in_own_pages(matte[rows, columns]), part, left, top)

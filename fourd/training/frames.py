@@ -21,17 +21,19 @@ EPSILON = 1e-15
 
 @dataclass
 class FramePoints:
-    """What belongs to one frame; N points, all float32.
+    """What belongs to one frame, or to the background; N points, all float32.
 
     Attributes:
         xyz: (N, 3) world units.
+        spacing: (N,) distance to neighbouring points in world units: radii scale with it.
         radius: (N,) world units, as last evaluated; tells what hides what.
         density: (N,) in (0, 1), likewise.
-        free: name -> the optimised tensors: "xyz" and, when explicit, "sh" (N, 48).
+        free: name -> the optimised tensors: "xyz", when explicit "sh" (N, 48), and of the background "rgb" (N, 3).
         moments: name -> (2, N, C) Adam moments of the tensor of that name.
         steps: (N,) Adam steps that each point has had.
     """
 
+    spacing: Tensor
     radius: Tensor
     density: Tensor
     free: dict[str, Tensor]
@@ -43,24 +45,29 @@ class FramePoints:
         return self.free["xyz"]
 
     @classmethod
-    def fresh(cls, xyz: Tensor, radius: float, explicit_sh: bool) -> FramePoints:
-        """Points as carved, not yet trained."""
+    def fresh(
+        cls, xyz: Tensor, spacing: Tensor, start: float, *, explicit_sh: bool, rgb: Tensor | None = None
+    ) -> FramePoints:
+        """Points not yet trained, of radius ``start`` in their spacings (N,); ``rgb`` (N, 3) of the background."""
         count = xyz.shape[0]
         free = {"xyz": xyz.clone()}
         if explicit_sh:
             free["sh"] = torch.zeros(count, 48)
+        if rgb is not None:
+            free["rgb"] = rgb.clone()
         return cls(
-            radius=torch.full((count,), radius),
+            spacing=spacing.clone(),
+            radius=start * spacing,
             density=torch.full((count,), 0.99),
             free=free,
             moments={name: torch.zeros(2, *value.shape) for name, value in free.items()},
             steps=torch.zeros(count),
         )
 
-    def update(self, rows: Tensor, gradients: dict[str, Tensor], rates: dict[str, float]) -> None:
+    def update(self, rows: Tensor, gradients: dict[str, Tensor], rates: dict[str, float | Tensor]) -> None:
         """Adam on ``rows`` (M,) alone (Kingma and Ba 2015): points out of sight keep their state.
 
-        ``gradients`` maps names to (M, C); ``rates`` to learning rates in the tensor's units.
+        ``gradients`` maps names to (M, C); ``rates`` to learning rates in the tensor's units, one or (M, 1).
         """
         self.steps[rows] += 1
         steps = self.steps[rows][:, None]
@@ -74,7 +81,7 @@ class FramePoints:
 
     def tensors(self) -> dict[str, Tensor]:
         """Everything under flat names, for a file."""
-        named = {"radius": self.radius, "density": self.density, "steps": self.steps}
+        named = {"spacing": self.spacing, "radius": self.radius, "density": self.density, "steps": self.steps}
         named.update({f"free.{name}": value for name, value in self.free.items()})
         named.update({f"moments.{name}": value for name, value in self.moments.items()})
         return named
@@ -83,6 +90,7 @@ class FramePoints:
     def from_tensors(cls, named: dict[str, Tensor]) -> FramePoints:
         """The inverse of :meth:`tensors`."""
         return cls(
+            spacing=named["spacing"],
             radius=named["radius"],
             density=named["density"],
             free=_below("free.", named),
@@ -160,7 +168,12 @@ class FrameStore:
 
     def _loaded(self, frame: int) -> FramePoints:
         file = self._file(frame)
-        return self._make(frame) if file is None else FramePoints.from_tensors(load_file(file))
+        if file is None:
+            return self._make(frame)
+        named = load_file(file)
+        if "spacing" not in named:  # written before points had spacings of their own
+            named["spacing"] = self._make(frame).spacing
+        return FramePoints.from_tensors(named)
 
     def _file(self, frame: int) -> Path | None:
         """Where a frame's points were last written, if ever."""

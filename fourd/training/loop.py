@@ -10,12 +10,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from safetensors import SafetensorError
+from safetensors.torch import save_file
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.training.background_seed import BACKGROUND
 from fourd.training.checkpoints import (
     checkpoint_path,
     latest_checkpoint,
@@ -62,7 +65,8 @@ class Trainer:
         self.console = console
         self.model = run.new_model()
         self.views = run.view_store()
-        self.stepper = Stepper(self.model, budget, ImageLoss(budget.loss, lpips), self.views)
+        self.background = run.background(_newest_points(run))
+        self.stepper = Stepper(self.model, budget, ImageLoss(budget.loss, lpips), self.views, self.background)
         self.sampler = Sampler(budget, run.capture.cameras, run.training, run.capture.frame_count, run.focus)
         self.done = 0
         self.seconds = 0.0
@@ -70,7 +74,7 @@ class Trainer:
         saved = self._restore()
         drop_stale_points(run.checkpoints)
         self.frames = run.frame_store(saved, "trainer")
-        self.renderer = Renderer(self.model, self.views, run.training, run.focus)
+        self.renderer = Renderer(self.model, self.views, run.training, run.focus, self.background)
         self._saved_step = self.done if saved is not None else -1
 
     def train(self) -> TrainSummary:
@@ -138,7 +142,9 @@ class Trainer:
         for judged in (self.run.test or self.run.training)[:VALIDATED]:
             view = self.views.view(judged, frame)
             picture = self.renderer.render(points, frame, view.camera, self.config.layers, exclude=judged)
-            truth = view.target()[0].numpy()
+            truth: NDArray[np.float32] = view.target()[0].numpy()
+            if self.background is not None:
+                truth = (view.rgb / np.float32(255)).astype(np.float32)
             image, box = judge(picture.rgb, truth, view.matte, None)
             values.append((box or image).psnr)
             pair = (np.concatenate([truth, picture.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
@@ -155,15 +161,22 @@ class Trainer:
         target = checkpoint_path(self.run.checkpoints, self.done)
         self._save_points(points_folder(target))
         tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
+        if self.background is not None:
+            tensors.update({f"background.{name}": value for name, value in self.background.model.state_dict().items()})
         tensors.update(pack_optimizer(self.stepper.optimizer, "optimizer."))
         state = {"seconds": self.seconds, "psnr": self.psnr}
         save_checkpoint(self.run.checkpoints, self.done, tensors, state)
         drop_stale_points(self.run.checkpoints)
+        if self.background is not None:
+            self.background.forget()
         self._saved_step = self.done
 
     def _save_points(self, folder: Path) -> None:
         try:
             self.frames.save(folder)
+            if self.background is not None:
+                with atomic_path(folder / f"{BACKGROUND}.safetensors") as temporary:
+                    save_file(self.background.points.tensors(), temporary)
         except (OSError, SafetensorError) as error:
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(
@@ -179,6 +192,8 @@ class Trainer:
             return None
         self.done, tensors, state = load_checkpoint(found)
         restore(self.model, tensors, "model.", found)
+        if self.background is not None:
+            restore(self.background.model, tensors, "background.", found)
         unpack_optimizer(self.stepper.optimizer, tensors, "optimizer.", found)
         self.seconds = float(state["seconds"])
         self.psnr = float(state["psnr"])
@@ -201,3 +216,8 @@ class Trainer:
             TimeRemainingColumn(),
             console=self.console,
         )
+
+
+def _newest_points(run: Run) -> Path | None:
+    found, _ = latest_checkpoint(run.checkpoints)
+    return None if found is None else points_folder(found)

@@ -11,7 +11,7 @@ from fourd.training.similarity import similarity
 
 
 class ImageLoss:
-    """Compares a rendered object with the truth on a common background."""
+    """Compares a rendered picture with the truth."""
 
     def __init__(self, config: LossConfig, lpips: LPIPS | None) -> None:
         """``lpips`` is the published network, or None to use the stand-in 1 - SSIM."""
@@ -19,26 +19,21 @@ class ImageLoss:
         self.lpips = lpips
 
     def terms(
-        self, colour: Tensor, alpha: Tensor, target: Tensor, matte: Tensor, background: Tensor
+        self, predicted: Tensor, truth: Tensor, coverage: Tensor | None, matte: Tensor | None
     ) -> dict[str, Tensor]:
         """Weighted terms by name, each a scalar.
 
         Args:
-            colour: (H, W, 3) rendered, premultiplied by alpha.
-            alpha: (H, W) rendered coverage.
-            target: (H, W, 3) truth, premultiplied by the matte.
-            matte: (H, W) in [0, 1].
-            background: (3,) colour that both are put on.
+            predicted, truth: (H, W, 3) whole pictures, on the same colour where they have nothing of their own.
+            coverage, matte: (H, W) in [0, 1], what moves as rendered and in truth; None where nothing is known of it.
         """
-        predicted = colour + (1 - alpha)[..., None] * background
-        truth = target + (1 - matte)[..., None] * background
         terms = {"image": self._image(predicted, truth)}
         if self.lpips is not None and self.config.perceptual > 0:
             terms["lpips"] = self.config.perceptual * self.lpips(predicted, truth)
-        elif self.lpips is None and self.config.stand_in > 0 and min(matte.shape) >= 11:
+        elif self.lpips is None and self.config.stand_in > 0 and min(truth.shape[:2]) >= 11:
             terms["ssim"] = self.config.stand_in * (1 - similarity(predicted, truth))
-        if self.config.mask > 0:
-            terms["mask"] = self.config.mask * functional.mse_loss(alpha, matte)
+        if self.config.mask > 0 and coverage is not None and matte is not None:
+            terms["mask"] = self.config.mask * functional.mse_loss(coverage, matte)
         return terms
 
     def _image(self, predicted: Tensor, truth: Tensor) -> Tensor:

@@ -10,29 +10,45 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera, nearest_views
 from fourd.model import PointModel
-from fourd.raster.arrays import render_points_numpy
+from fourd.training.background import Background
 from fourd.training.data import ViewStore
 from fourd.training.frames import FramePoints
-from fourd.training.step import NEAR, with_depth
+from fourd.training.parts import Part, composite, evaluate
+from fourd.training.step import with_depth
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A rendered view: rgb (H, W, 3) on black, alpha (H, W) and depth (H, W), all float32."""
+    """A rendered view, all float32.
+
+    Attributes:
+        rgb: (H, W, 3) on black.
+        alpha, depth: (H, W).
+        moving: (H, W) how much of the light is from what moves: alpha, where there is no background.
+    """
 
     rgb: NDArray[np.float32]
     alpha: NDArray[np.float32]
     depth: NDArray[np.float32]
+    moving: NDArray[np.float32]
 
 
 class Renderer:
     """Renders frames of a model; source views are the nearest of ``training`` cameras."""
 
-    def __init__(self, model: PointModel, views: ViewStore, training: list[int], focus: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        model: PointModel,
+        views: ViewStore,
+        training: list[int],
+        focus: NDArray[np.float64],
+        background: Background | None = None,
+    ) -> None:
         self.model = model
         self.views = views
         self.training = training
         self.focus = focus
+        self.background = background
 
     def render(
         self, points: FramePoints, frame: int, camera: Camera, layers: int, exclude: int | None = None
@@ -43,26 +59,41 @@ class Renderer:
         judged without copying from itself.
         """
         with torch.no_grad():
-            time = self.views.capture.time(frame)
-            xyz, radius, density, colour = self._shaded(points, frame, time, camera, exclude)
-            rgb, alpha, depth = render_points_numpy(
-                xyz.numpy(), colour.numpy(), radius.numpy(), density.numpy(), camera, layers=layers, near=NEAR
-            )
-        return Picture(np.clip(rgb, 0, 1), alpha, depth)
+            parts = [self._moving(points, frame, camera, exclude)]
+            if self.background is not None:
+                parts.append(self._static(self.background, camera, exclude))
+            return _picture(parts, camera, layers)
 
-    def _shaded(
-        self, points: FramePoints, frame: int, time: float, camera: Camera, exclude: int | None
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> Picture:
+        """The background alone, of which a full scene has one."""
+        assert self.background is not None, "an object scene has no background"
+        with torch.no_grad():
+            return _picture([self._static(self.background, camera, exclude)], camera, layers)
+
+    def _moving(self, points: FramePoints, frame: int, camera: Camera, exclude: int | None) -> Part:
+        time = self.views.capture.time(frame)
         features = self.model.point_features(points.xyz, time)
-        radius, density = self.model.geometry(features)
-        displacement = self.model.displacement(points.xyz, time)
-        xyz = points.xyz if displacement is None else points.xyz + displacement
+        radius, density = self.model.geometry(features, points.spacing)
         sources = None
         if self.model.config.appearance != "sh":
-            candidates = [index for index in self.training if index != exclude]
-            cameras = [self.views.capture.cameras[index] for index in candidates]
-            nearest = nearest_views(camera, cameras, self.model.config.neighbours, self.focus)
-            chosen = self.views.sources([candidates[i] for i in nearest], frame)
+            chosen = self.views.sources(self._nearest(camera, exclude), frame)
             sources = with_depth(chosen, replace(points, radius=radius, density=density), self.model.config.occlusion)
-        colour = self.model.colour(xyz, features, camera, sources, points.free.get("sh"))
-        return xyz, radius, density, colour
+        return evaluate(self.model, points, None, time, camera, sources)
+
+    def _static(self, background: Background, camera: Camera, exclude: int | None) -> Part:
+        plates = None
+        if background.model.config.appearance != "sh":
+            plates = background.sources(self._nearest(camera, exclude))
+        return evaluate(background.model, background.points, None, 0.0, camera, plates)
+
+    def _nearest(self, camera: Camera, exclude: int | None) -> list[int]:
+        candidates = [index for index in self.training if index != exclude]
+        cameras = [self.views.capture.cameras[index] for index in candidates]
+        nearest = nearest_views(camera, cameras, self.model.config.neighbours, self.focus)
+        return [candidates[i] for i in nearest]
+
+
+def _picture(parts: list[Part], camera: Camera, layers: int) -> Picture:
+    render = composite(parts, camera, layers)
+    rgb, moving = render.features[..., :3].clamp(0, 1), render.features[..., 3]
+    return Picture(rgb.numpy(), render.alpha.numpy(), render.depth.numpy(), moving.numpy())

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors.torch import load_file
 from scipy.spatial import cKDTree
 
 from fourd.capture import Capture, open_capture
@@ -22,7 +23,10 @@ from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.progress import Track, untold
 from fourd.seeding import Bounds, carve_capture, read_ply, write_ply
+from fourd.seeding.contraction import Contraction, around_cameras
 from fourd.seeding.order import morton_order
+from fourd.training.background import Background, new_background
+from fourd.training.background_seed import BACKGROUND, POINTS, Say, run_plates, seed_background
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
 from fourd.training.data import ViewStore
@@ -46,6 +50,8 @@ class SceneConfig:
     """Mean distance between neighbouring points."""
     frame_count: int = 1
     """Frames of the whole capture."""
+    reach: float = 1.0
+    """Distance from the middle of the bounds to the farthest camera: a background keeps its shape so far."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +102,23 @@ class Run:
             scene.frame_count,
         )
 
+    def contraction(self) -> Contraction:
+        """The space that a background lies in."""
+        x, y, z = (float(value) for value in self.focus)
+        return Contraction((x, y, z), self.config.scene.reach)
+
+    def background(self, saved: Path | None) -> Background | None:
+        """A full scene's background, from the points ``saved`` by a checkpoint or else as seeded; None of an object."""
+        if self.config.train.scene != "full":
+            return None
+        seeded = read_ply(self.folder / BACKGROUND / POINTS)
+        plates = dict(zip(self.training, run_plates(self.capture, self.training, self.folder), strict=True))
+        torch.manual_seed(self.config.train.seed + 1)
+        fresh = new_background(seeded, plates, self.config.train, self.contraction())
+        if saved is not None:
+            fresh.points = FramePoints.from_tensors(load_file(saved / f"{BACKGROUND}.safetensors"))
+        return fresh
+
     def view_store(self) -> ViewStore:
         """Training pictures by the config's crop and memory bound."""
         train = self.config.train
@@ -111,9 +134,10 @@ class Run:
         train = self.config.train
         number = self.capture.frame_numbers[frame]
         xyz = read_ply(self.folder / "hull" / f"{number:06d}.ply").xyz[: train.points]
-        radius = train.model.radius_start * self.config.scene.spacing
+        spacing = torch.full((len(xyz),), self.config.scene.spacing)
         explicit = train.model.sh == "explicit" and train.model.appearance != "ibr"
-        return FramePoints.fresh(torch.from_numpy(xyz[morton_order(xyz)]), radius, explicit)
+        placed = torch.from_numpy(xyz[morton_order(xyz)])
+        return FramePoints.fresh(placed, spacing, train.model.radius_start, explicit_sh=explicit)
 
 
 @dataclass(frozen=True)
@@ -145,6 +169,12 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track
     return carve_capture(seeing, folder / "hull", points=train.points, track=track, workers=workers)
 
 
+def seed_run(capture_path: Path, folder: Path, train: TrainConfig, workers: int, track: Track, say: Say) -> None:
+    """Find the points of a full scene's background in ``folder/background``; goes on where an earlier call stopped."""
+    capture, training, _ = _open_views(capture_path, train)
+    seed_background(capture, training, folder, train, workers, track, say)
+
+
 def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
     """Take the user's own FRAME.ply of each selected frame from ``source`` into ``folder/hull``.
 
@@ -171,28 +201,36 @@ def create_run(
     points_from: Path | None = None,
     track: Track = untold,
     workers: int = 1,
+    say: Say = lambda line: None,
 ) -> Run:
     """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
 
     With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved; else ``workers``
-    processes carve. A folder that holds a hull alone is taken over, as an interrupted call leaves one. Raises
+    processes carve. A full scene's background is seeded too. A folder that holds these alone is taken over, as an
+    interrupted call leaves one. ``say`` is told what was found. Raises
     UserError when ``folder`` exists and is not a run, or is a run already.
     """
     if (folder / CONFIG_NAME).exists():
         raise UserError(f"{folder}: expected a new folder, got a run; add --resume to go on with it, or name another")
-    if folder.exists() and (not folder.is_dir() or any(entry.name != "hull" for entry in folder.iterdir())):
+    if folder.exists() and (
+        not folder.is_dir() or any(entry.name not in ("hull", BACKGROUND) for entry in folder.iterdir())
+    ):
         raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
     if points_from is None:
         bounds = carve_run(capture_path, folder, train, track, workers)
     else:
         bounds = adopt_points(points_from, capture_path, folder, train)
+    if train.scene == "full":
+        seed_run(capture_path, folder, train, workers, track, say)
     capture, _, _ = _open_views(capture_path, train)
     first = read_ply(folder / "hull" / f"{capture.frame_numbers[0]:06d}.ply").xyz
+    reach = around_cameras(capture.cameras, bounds.centre).radius
     scene = SceneConfig(
         lower=_triple(bounds.lower),
         upper=_triple(bounds.upper),
         spacing=mean_spacing(first[: train.points]),
         frame_count=max(capture.total_frames, 1),
+        reach=reach,
     )
     save_config(RunConfig(capture_path.resolve(), scene, train), folder / CONFIG_NAME)
     return open_run(folder)
@@ -220,8 +258,13 @@ def load_run(folder: Path) -> TrainedRun:
     model = run.new_model()
     restore(model, tensors, "model.", found)
     model.requires_grad_(False)
+    background = run.background(points_folder(found))
+    if background is not None:
+        restore(background.model, tensors, "background.", found)
+        background.model.requires_grad_(False)
     frames = run.frame_store(points_folder(found), "reader")
-    return TrainedRun(run, step, model, frames, Renderer(model, run.view_store(), run.training, run.focus))
+    renderer = Renderer(model, run.view_store(), run.training, run.focus, background)
+    return TrainedRun(run, step, model, frames, renderer)
 
 
 def points_folder(checkpoint: Path) -> Path:

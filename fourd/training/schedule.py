@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,13 +12,20 @@ from fourd.training.config import RateConfig, TrainConfig
 
 @dataclass(frozen=True)
 class Choice:
-    """What one step renders: indices of a frame, the target camera and its source cameras; K; the colour behind."""
+    """What one step renders: indices of a frame, the target camera and its source cameras; K; the colour behind.
+
+    Attributes:
+        plate: whether the target is the camera's plate, and not its picture of the frame.
+        place: three numbers in [0, 1) that say which part of the target is looked at in a full scene.
+    """
 
     frame: int
     target: int
     sources: list[int]
     background: np.ndarray
     layers: int
+    plate: bool = False
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Sampler:
@@ -50,7 +57,12 @@ class Sampler:
         sources = sorted(draw.choice(len(pool), size=count, replace=False).tolist())
         background = draw.random(3) if self._config.random_background else np.zeros(3)
         layers = int(draw.integers(min(self._config.least_layers, self._config.layers), self._config.layers + 1))
-        return Choice(frame, target, [pool[i] for i in sources], background.astype(np.float32), layers)
+        chosen = [pool[i] for i in sources]
+        choice = Choice(frame, target, chosen, background.astype(np.float32), layers)
+        if self._config.scene == "object":
+            return choice
+        plate = bool(draw.random() < self._config.background.share)
+        return replace(choice, plate=plate, place=(draw.random(), draw.random(), draw.random()))
 
 
 def source_pool(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -14,16 +13,13 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews, project_points
-from fourd.raster import point_visibility, render_points
-from fourd.raster.arrays import render_points_numpy
+from fourd.training.background import Background, surface_depth
 from fourd.training.config import TrainConfig
-from fourd.training.data import View, ViewStore
+from fourd.training.data import ViewStore
 from fourd.training.frames import FramePoints
 from fourd.training.losses import ImageLoss
+from fourd.training.parts import Part, composite, evaluate, rows_in_sight
 from fourd.training.schedule import Choice
-
-NEAR = 0.01
-ROWS = 1024
 
 
 @dataclass(frozen=True)
@@ -34,16 +30,43 @@ class StepResult:
     psnr: float
 
 
-class Stepper:
-    """Holds the model and its optimiser; :meth:`step` trains on one view of one frame."""
+@dataclass(frozen=True)
+class _Target:
+    """What a step is to show.
 
-    def __init__(self, model: PointModel, config: TrainConfig, loss: ImageLoss, views: ViewStore) -> None:
+    Attributes:
+        camera: the camera of the part of the picture that is looked at.
+        rgb: (H, W, 3) in [0, 1]; of an object premultiplied by its matte.
+        matte: (H, W) what moves; None where the target is a plate.
+        filled: (H, W) where rgb is known: an object's matte, all of a picture, the part of a plate that was seen.
+    """
+
+    camera: Camera
+    rgb: Tensor
+    matte: Tensor | None
+    filled: Tensor
+
+
+class Stepper:
+    """Holds the model and its optimiser; :meth:`step` trains on one view of one frame, or on one plate."""
+
+    def __init__(
+        self,
+        model: PointModel,
+        config: TrainConfig,
+        loss: ImageLoss,
+        views: ViewStore,
+        background: Background | None = None,
+    ) -> None:
         self.model = model
         self.config = config
         self.loss = loss
         self.views = views
-        planes = [p for name, p in model.named_parameters() if "planes" in name]
-        others = [p for name, p in model.named_parameters() if "planes" not in name]
+        self.background = background
+        models = [model] if background is None else [model, background.model]
+        named = [pair for each in models for pair in each.named_parameters()]
+        planes = [p for name, p in named if "planes" in name]
+        others = [p for name, p in named if "planes" not in name]
         self.optimizer = torch.optim.Adam(
             [
                 {"params": planes, "lr": config.rates.planes, "base": config.rates.planes},
@@ -61,62 +84,94 @@ class Stepper:
         Raises UserError naming the step and the loss's term when a value is not finite; nothing
         is changed then.
         """
-        view = self.views.view(choice.target, choice.frame)
-        target, matte = view.target()
-        rows = self._rows_in_sight(points, view.camera)
-        sources = self._sources(points, choice)
-        free = {name: value[rows].requires_grad_() for name, value in points.free.items()}
-        xyz = free["xyz"]
-        features = self.model.point_features(xyz, time)
-        radius, density = self.model.geometry(features)
-        displacement = self.model.displacement(xyz, time)
-        placed = xyz if displacement is None else xyz + displacement
-        train_encoder = number % self.config.encoder_every == 0
-        colour = self.model.colour(placed, features, view.camera, sources, free.get("sh"), train_encoder=train_encoder)
-        render = render_points(placed, colour, radius, density, view.camera, layers=choice.layers, near=NEAR)
-        background = torch.from_numpy(choice.background)
-        terms = self.loss.terms(render.features, render.alpha, target, matte, background)
-        if displacement is not None:
-            spacing = self.model.spacing
-            terms["residual"] = self.config.loss.residual * (displacement / spacing).square().mean()
+        target = self._target(choice)
+        parts = self._parts(points, time, choice, target.camera, number)
+        render = composite(parts, target.camera, choice.layers)
+        colour, coverage = render.features[..., :3], render.features[..., 3]
+        behind = torch.from_numpy(choice.background)
+        predicted = colour + (1 - render.alpha)[..., None] * behind
+        truth = target.rgb + (1 - target.filled)[..., None] * behind
+        if self.background is not None:
+            # What no plate has seen is not judged.
+            predicted = torch.where(target.filled[..., None] > 0, predicted, truth)
+        terms = self.loss.terms(predicted, truth, coverage, target.matte)
+        if parts[0].displacement is not None:
+            displacement = parts[0].displacement / self.model.spacing
+            terms["residual"] = self.config.loss.residual * displacement.square().mean()
         _require_finite(terms, number)
-        self._apply(points, rows, free, terms, factor)
+        before = parts[0].free["xyz"].detach()
+        self._apply(parts, terms, factor)
         with torch.no_grad():
-            if self.config.keep_in_hull:
-                keep_in_hull(points, rows, xyz.detach(), self._seen_by(view, sources))
-            points.radius[rows], points.density[rows] = radius, density
-            error = float((render.features.clamp(0, 1) - target).square().mean())
+            if self.config.keep_in_hull and not choice.plate:
+                keep_in_hull(points, parts[0].rows, before, _seen_by(target, parts[0].sources))
+            for part in parts:
+                part.points.radius[part.rows], part.points.density[part.rows] = part.radius, part.density
+            shown = colour.clamp(0, 1) if self.background is None else predicted.clamp(0, 1)
+            error = float((shown - (target.rgb if self.background is None else truth)).square().mean())
         psnr = -10 * math.log10(max(error, 1e-10))
         return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
 
-    def _apply(
-        self, points: FramePoints, rows: Tensor, free: dict[str, Tensor], terms: dict[str, Tensor], factor: float
-    ) -> None:
+    def _target(self, choice: Choice) -> _Target:
+        if self.background is None:
+            view = self.views.view(choice.target, choice.frame)
+            rgb, matte = view.target()
+            return _Target(view.camera, rgb, matte, matte)
+        if choice.plate:
+            plate = self.background.plates[choice.target]
+            side = self.config.background.window_px
+            window = placed_window(plate.camera, (side, side), choice.place)
+            part = plate.camera.cropped(*window)
+            rows, columns = slice(window[1], window[1] + window[3]), slice(window[0], window[0] + window[2])
+            rgb = torch.tensor(plate.rgb[rows, columns]).float() / 255
+            seen = torch.tensor(plate.seen[rows, columns]).float()
+            return _Target(part, rgb * seen[..., None], None, seen)
+        margin = int(choice.place[0] * (self.config.background.margin_px + 1))
+        wide = self.views.around(choice.target, choice.frame, margin)
+        rgb = torch.tensor(wide.rgb).float() / 255
+        matte = torch.tensor(wide.matte).float() / 255
+        return _Target(wide.camera, rgb, matte, torch.ones_like(matte))
+
+    def _parts(self, points: FramePoints, time: float, choice: Choice, camera: Camera, number: int) -> list[Part]:
+        """What moves, unless the target is a plate, and then the background, where there is one."""
+        background = self.background
+        clouds = [] if choice.plate else [points]
+        clouds += [] if background is None else [background.points]
+        rows = rows_in_sight(clouds, camera, self.config.layers, self.config.hidden_weight)
+        parts = []
+        if not choice.plate:
+            learns = number % self.config.encoder_every == 0
+            sources = self._sources(points, choice)
+            parts.append(evaluate(self.model, points, rows[0], time, camera, sources, train_encoder=learns))
+        if background is not None:
+            learns = choice.plate and number % self.config.background.encoder_every == 0
+            plates = None
+            if self.config.model.appearance != "sh":
+                plates = background.sources(choice.sources, fresh=learns)
+            parts.append(evaluate(background.model, background.points, rows[-1], 0.0, camera, plates))
+        return parts
+
+    def _apply(self, parts: list[Part], terms: dict[str, Tensor], factor: float) -> None:
         torch.stack(list(terms.values())).sum().backward()
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * factor
         self.optimizer.step()
         # At once, not before the next: what lives from step to step among what does not splits the heap.
         self.optimizer.zero_grad(set_to_none=True)
+        for part in parts:
+            gradients = {
+                name: torch.nan_to_num(value.grad) for name, value in part.free.items() if value.grad is not None
+            }
+            with torch.no_grad():
+                part.points.update(part.rows, gradients, self._rates(part, factor))
+        if self.background is not None:
+            self.background.advance()
+
+    def _rates(self, part: Part, factor: float) -> dict[str, float | Tensor]:
         rates = self.config.rates
-        gradients = {name: torch.nan_to_num(value.grad) for name, value in free.items() if value.grad is not None}
-        with torch.no_grad():
-            points.update(rows, gradients, {"xyz": rates.xyz * self.scene_size * factor, "sh": rates.sh * factor})
-
-    def _rows_in_sight(self, points: FramePoints, camera: Camera) -> Tensor:
-        if self.config.hidden_weight == 0:
-            return torch.arange(points.xyz.shape[0])
-        weight = point_visibility(
-            points.xyz, points.radius, points.density, camera, layers=self.config.layers, near=NEAR
-        )
-        return heaviest_rows(weight, self.config.hidden_weight)
-
-    def _seen_by(self, view: View, sources: SourceViews | None) -> list[tuple[Camera, Tensor]]:
-        """The step's target and source views with their mattes."""
-        seen = [(view.camera, torch.from_numpy(view.matte).float() / 255)]
-        if sources is not None:
-            seen += list(zip(sources.cameras, sources.mattes, strict=True))
-        return seen
+        moved: float | Tensor = rates.xyz * self.scene_size * factor
+        if self.background is not None and part.points is self.background.points:
+            moved = self.config.background.xyz_rate * factor * part.points.spacing[part.rows][:, None]
+        return {"xyz": moved, "sh": rates.sh * factor, "rgb": rates.sh * factor}
 
     def _sources(self, points: FramePoints, choice: Choice) -> SourceViews | None:
         if self.config.model.appearance == "sh":
@@ -124,14 +179,23 @@ class Stepper:
         return with_depth(self.views.sources(choice.sources, choice.frame), points, self.config.model.occlusion)
 
 
-def heaviest_rows(weight: Tensor, least: float) -> Tensor:
-    """Ascending indices of the weights (N,) above ``least``, and of the next lower ones up to whole ROWS.
+def _seen_by(target: _Target, sources: SourceViews | None) -> list[tuple[Camera, Tensor]]:
+    """The step's target and source views with their mattes."""
+    assert target.matte is not None
+    seen = [(target.camera, target.matte)]
+    if sources is not None:
+        seen += list(zip(sources.cameras, sources.mattes, strict=True))
+    return seen
 
-    Tensors of a step then come in few sizes, and fit into the memory that the steps before it freed.
-    """
-    count = int((weight > least).sum())
-    rounded = min(weight.shape[0], -(-count // ROWS) * ROWS)
-    return weight.topk(rounded, sorted=False).indices.sort().values
+
+def placed_window(
+    camera: Camera, size: tuple[int, int], place: tuple[float, float, float]
+) -> tuple[int, int, int, int]:
+    """(left, top, width, height) of a part of ``size`` (width, height), where that fits; ``place`` in [0, 1)."""
+    width, height = min(size[0], camera.width), min(size[1], camera.height)
+    left = round(place[1] * (camera.width - width))
+    top = round(place[2] * (camera.height - height))
+    return left, top, width, height
 
 
 def keep_in_hull(points: FramePoints, rows: Tensor, before: Tensor, views: list[tuple[Camera, Tensor]]) -> None:
@@ -163,15 +227,6 @@ def with_depth(sources: SourceViews, points: FramePoints, occlusion: bool) -> So
         return sources
     depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]
     return SourceViews(sources.images, sources.mattes, torch.stack(depths), sources.cameras)
-
-
-def surface_depth(points: FramePoints, camera: Camera) -> np.ndarray:
-    """(H, W) depth of the points as last evaluated, infinite where nothing covers half a pixel."""
-    ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
-    _, alpha, depth = render_points_numpy(
-        points.xyz.numpy(), ones, points.radius.numpy(), points.density.numpy(), camera, layers=4, near=NEAR
-    )
-    return np.where(alpha > 0.5, depth, np.float32(np.inf)).astype(np.float32)
 
 
 def _require_finite(terms: dict[str, Tensor], number: int) -> None:

@@ -12,13 +12,14 @@ import pytest
 from fourd.baking import open_scene
 from fourd.baking.bake import bake_run
 from fourd.training.run import TrainedRun, load_run
-from tests.training.small import SMALL, quiet, trained_run, with_steps
+from tests.training.small import SMALL, full_config, quiet, trained_run, with_steps
 
 
-@pytest.fixture(scope="module")
-def trained(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainedRun:
-    folder = tmp_path_factory.mktemp("runs") / "run"
-    return load_run(trained_run(ball_capture, folder, with_steps(SMALL, 12)).folder)
+@pytest.fixture(scope="module", params=["object", "full"])
+def trained(request: pytest.FixtureRequest, ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainedRun:
+    folder = tmp_path_factory.mktemp("runs")
+    config = SMALL if request.param == "object" else full_config(folder / "shell.ply")
+    return load_run(trained_run(ball_capture, folder / "run", with_steps(config, 12)).folder)
 
 
 @pytest.fixture(scope="module")

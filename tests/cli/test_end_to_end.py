@@ -15,6 +15,8 @@ from fourd.baking import BakedFrame, SceneReader, SceneWriter, open_scene
 from fourd.baking.scene import ATTRIBUTES
 from fourd.capture import open_capture
 from fourd.cli.main import main
+from fourd.seeding import write_ply
+from tests.captures import sphere
 
 OVERLAY = """\
 points: 3000
@@ -76,6 +78,25 @@ def test_eval_judges_a_full_scene_by_the_whole_picture(capture: Path, made: Path
             expected.append(-10 * np.log10(np.square(rendered - views.image(index, frame) / 255.0).mean()))
     told = json.loads((tmp_path / "full.json").read_text())
     assert told["image"]["psnr"] == pytest.approx(np.mean(expected), abs=1e-3)
+
+
+def test_a_full_scene_in_one_command(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a background that a stage drops, and one that is worse once it is exported."""
+    scene, overlay, shell = tmp_path / "full.4dv", tmp_path / "small.yaml", tmp_path / "shell.ply"
+    xyz = 4 * sphere(2500)
+    write_ply(shell, xyz, np.full(xyz.shape, 128, np.uint8))
+    overlay.write_text(OVERLAY + "background: {planes: {levels: 2, features: 4, time: false}, window_px: 48}\n")
+    words = ["make", capture, "-o", scene, "--config", overlay, "--test-views", "02,05", "--max-steps", "40"]
+    assert main([str(word) for word in [*words, "--scene", "full", "--background", shell]]) == 0
+    assert main(["info", str(scene)]) == 0
+    assert "2,500 points, stored once" in capsys.readouterr().out
+    run, truth = scene.with_suffix(".work") / "run", capture / "truth" / "bgs"
+    assert main(["eval", str(run), "--plates", str(truth), "--json", str(tmp_path / "run.json")]) == 0
+    assert main(["eval", str(run), "--scene", str(scene), "--json", str(tmp_path / "scene.json")]) == 0
+    live, baked = (json.loads((tmp_path / f"{name}.json").read_text()) for name in ("run", "scene"))
+    assert sorted(live["background"]) == ["02", "05"]
+    assert live["image"]["psnr"] == pytest.approx(baked["image"]["psnr"], abs=0.3)
+    assert live["image"]["psnr"] > 15
 
 
 def test_render_views_paths_and_video(made: Path, tmp_path: Path) -> None:

@@ -129,7 +129,7 @@ def test_features_of_another_resolution_are_those_of_the_same_place(rng: np.rand
 
 def test_radius_and_density_start_where_the_config_says() -> None:
     made = model(SMALL)
-    radius, density = made.geometry(made.point_features(points(), 0.5))
+    radius, density = made.geometry(made.point_features(points(), 0.5), torch.full((20,), 0.02))
     torch.testing.assert_close(radius, torch.full((20,), 1.3 * 0.02), atol=1e-4, rtol=0)
     assert density.min() > 0.98
     assert density.max() < 1
@@ -164,7 +164,7 @@ def test_every_switch_gives_a_model_whose_parameters_all_learn(config: ModelConf
     placed = xyz if displacement is None else xyz + displacement
     sources = None if config.appearance == "sh" else views()
     colour = made.colour(placed, features, ring(7)[1], sources, explicit)
-    radius, density = made.geometry(features)
+    radius, density = made.geometry(features, torch.full((20,), 0.02))
     assert colour.shape == (20, 3)
     (colour.square().sum() + radius.sum() + density.sum()).backward()
     silent = [n for n, p in made.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]

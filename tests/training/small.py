@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rich.console import Console
 
 from fourd.model.config import ModelConfig, PlanesConfig
-from fourd.training.config import TrainConfig
+from fourd.seeding import write_ply
+from fourd.training.config import BackgroundConfig, TrainConfig
 from fourd.training.loop import Trainer, TrainSummary
 from fourd.training.run import Run, create_run
+from tests.captures import sphere
 
 SMALL = TrainConfig(
     model=ModelConfig(planes=PlanesConfig(levels=2, features=4, base_resolution=16), hidden=16),
@@ -22,6 +25,15 @@ SMALL = TrainConfig(
     checkpoint_steps=3,
     encoder_every=2,
 )
+
+
+def full_config(seeds: Path, points: int = 1200) -> TrainConfig:
+    """The same of a full scene, with a shell of grey points around it, which are written to ``seeds``."""
+    xyz = 5 * sphere(points)
+    write_ply(seeds, xyz, np.full((points, 3), 89, np.uint8))
+    planes = PlanesConfig(levels=2, features=4, base_resolution=16, time=False)
+    background = BackgroundConfig(points=points, seeds=seeds, planes=planes, window_px=32, margin_px=8, encoder_every=2)
+    return replace(SMALL, scene="full", background=background)
 
 
 def quiet() -> Console:

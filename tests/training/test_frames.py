@@ -9,11 +9,16 @@ import torch
 
 from fourd.cameras import Camera
 from fourd.training.frames import FramePoints, FrameStore
-from fourd.training.step import ROWS, heaviest_rows, keep_in_hull
+from fourd.training.parts import ROWS, heaviest_rows
+from fourd.training.step import keep_in_hull
+
+
+def fresh_points(xyz: torch.Tensor, spacing: float, explicit_sh: bool = False) -> FramePoints:
+    return FramePoints.fresh(xyz, torch.full((len(xyz),), spacing), 1.0, explicit_sh=explicit_sh)
 
 
 def fresh(count: int = 6, seed: int = 0) -> FramePoints:
-    return FramePoints.fresh(torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)), 0.01, False)
+    return fresh_points(torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)), 0.01)
 
 
 def test_adam_on_rows_is_torch_adam_on_those_rows() -> None:
@@ -34,7 +39,7 @@ def test_adam_on_rows_is_torch_adam_on_those_rows() -> None:
 
 
 def test_tensors_round_trip() -> None:
-    points = FramePoints.fresh(torch.rand(4, 3), 0.01, explicit_sh=True)
+    points = fresh_points(torch.rand(4, 3), 0.01, explicit_sh=True)
     again = FramePoints.from_tensors(points.tensors())
     assert set(again.free) == {"xyz", "sh"}
     assert torch.equal(again.moments["sh"], points.moments["sh"])
@@ -91,7 +96,7 @@ def test_points_may_not_leave_a_silhouette() -> None:
     matte[5:15, 5:15] = 1
     before = torch.tensor([[0.0, 0, 1], [0.0, 0, 1], [-0.45, 0, 1], [0.2, 0, 1], [0.0, 0, 1]])
     moved = torch.tensor([[0.1, 0, 1], [0.4, 0, 1], [-0.4, 0, 1], [5.0, 0, 1], [0.0, 0, -1]])
-    points = FramePoints.fresh(torch.zeros(9, 3), 0.1, False)
+    points = fresh_points(torch.zeros(9, 3), 0.1)
     rows = torch.tensor([1, 3, 4, 6, 8])
     points.free["xyz"][rows] = moved
     keep_in_hull(points, rows, before, [(camera, matte)])

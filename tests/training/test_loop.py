@@ -23,7 +23,7 @@ from fourd.training.loop import Trainer
 from fourd.training.losses import ImageLoss
 from fourd.training.run import create_run, load_run, open_run
 from fourd.training.step import StepResult
-from tests.training.small import SMALL, quiet, train, trained_run, with_steps
+from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
 
 
 def contents(run: Path, step: int) -> dict[str, torch.Tensor]:
@@ -35,11 +35,12 @@ def contents(run: Path, step: int) -> dict[str, torch.Tensor]:
     return tensors
 
 
+@pytest.mark.parametrize("scene", ["object", "full"])
 def test_a_resumed_run_is_bit_for_bit_the_unbroken_one(
-    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches state that a checkpoint forgets: Adam's moments, per-point steps, cached radii, random draws."""
-    config = replace(SMALL, max_steps=9)
+    config = replace(SMALL if scene == "object" else full_config(tmp_path / "shell.ply"), max_steps=9)
     whole = create_run(ball_capture, tmp_path / "whole", config)
     train(whole, config)
     broken = create_run(ball_capture, tmp_path / "broken", config)

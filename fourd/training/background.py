@@ -1,0 +1,158 @@
+"""The static part of a full scene while it is trained or rendered: its model, its points, and the plates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.model import PointModel
+from fourd.model.sources import SourceViews
+from fourd.raster.arrays import render_points_numpy
+from fourd.seeding.contraction import Contraction
+from fourd.seeding.order import morton_order
+from fourd.seeding.plates import PlateView
+from fourd.seeding.ply import CarvedPoints
+from fourd.training.config import TrainConfig
+from fourd.training.frames import FramePoints
+from fourd.training.parts import NEAR
+
+STEP_PX = 32
+KEPT_STEPS = 100
+"""Depths and features of a plate are used so long: both change slowly."""
+SURFACE_LAYERS = 4
+
+
+NEIGHBOURS = 4
+
+
+def new_background(
+    seeded: CarvedPoints, plates: Mapping[int, PlateView], config: TrainConfig, contraction: Contraction
+) -> Background:
+    """An untrained background of seeded points, which keep their colours where no source view sees them."""
+    order = morton_order(seeded.xyz)
+    xyz, rgb = torch.from_numpy(seeded.xyz[order]), torch.from_numpy(seeded.rgb[order]).float() / 255
+    spacing = torch.from_numpy(spacings(seeded.xyz[order]))
+    centre = np.asarray(contraction.centre)
+    model = PointModel(
+        replace(config.model, planes=config.background.planes, residual=False, sh="mlp", continuous=False),
+        centre - contraction.radius,
+        centre + contraction.radius,
+        float(spacing.median()),
+        1,
+        contraction,
+    )
+    points = FramePoints.fresh(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
+    return Background(model, points, plates)
+
+
+def spacings(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N,) of an even sheet, from the distances to each point's nearest neighbours."""
+    if len(xyz) <= NEIGHBOURS:
+        return np.full(len(xyz), 0.01, np.float32)
+    distances, _ = cKDTree(xyz).query(xyz, k=NEIGHBOURS + 1, workers=-1)
+    return np.maximum(distances[:, 1:].mean(axis=1) / 1.2, 1e-6).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What is known of a plate since a step: its points' depth (H, W), and the image CNN's features (C, h, w)."""
+
+    since: int
+    depth: Tensor | None
+    encoded: Tensor | None
+
+
+@dataclass(eq=False)
+class Background:
+    """A static cloud and its model. Source views are plates, whose depths and features are kept for a while.
+
+    Attributes:
+        model: without time planes, in contracted space.
+        points: the cloud.
+        plates: by the camera's index in the capture, those trained on alone.
+    """
+
+    model: PointModel
+    points: FramePoints
+    plates: Mapping[int, PlateView]
+    _step: int = 0
+    _known: dict[int, _Seen] = field(default_factory=dict)
+
+    def advance(self) -> None:
+        """A step has changed the points or the model."""
+        self._step += 1
+
+    def forget(self) -> None:
+        """Drop what is kept for a while, as a run that goes on from a checkpoint has to."""
+        self._known.clear()
+
+    def sources(self, cameras: Sequence[int], *, fresh: bool = False, points: FramePoints | None = None) -> SourceViews:
+        """Plates (indices of cameras) with what hides points in them.
+
+        Args:
+            fresh: leave the features to be learnt.
+            points: the cloud as evaluated now, in place of what was kept of it for a while.
+        """
+        plates = [self.plates[index] for index in cameras]
+        # One size for all: what is kept of a plate goes with any others.
+        height = max(_rounded_up(plate.camera.height) for plate in self.plates.values())
+        width = max(_rounded_up(plate.camera.width) for plate in self.plates.values())
+        images = torch.zeros(len(plates), 3, height, width)
+        mattes = torch.zeros(len(plates), height, width)
+        for k, plate in enumerate(plates):
+            rows, columns = plate.seen.shape
+            images[k, :, :rows, :columns] = torch.tensor(plate.rgb).permute(2, 0, 1) / 255
+            mattes[k, :rows, :columns] = torch.tensor(plate.seen).float()
+        padded = tuple(plate.camera.cropped(0, 0, width, height) for plate in plates)
+        if points is not None:
+            known = [self._look(points, image, camera) for image, camera in zip(images, padded, strict=True)]
+        else:
+            known = [self._kept(*each) for each in zip(cameras, images, padded, strict=True)]
+        depths = [seen.depth for seen in known if seen.depth is not None]
+        encoded = [seen.encoded for seen in known if seen.encoded is not None]
+        return SourceViews(
+            images,
+            mattes,
+            torch.stack(depths) if depths else None,
+            padded,
+            torch.stack(encoded) if encoded and not fresh else None,
+        )
+
+    def _kept(self, index: int, image: Tensor, camera: Camera) -> _Seen:
+        known = self._known.get(index)
+        if known is None or self._step - known.since >= KEPT_STEPS:
+            known = self._look(self.points, image, camera)
+            self._known[index] = known
+        return known
+
+    def _look(self, points: FramePoints, image: Tensor, camera: Camera) -> _Seen:
+        with torch.no_grad():
+            encoded = self.model.encode_images(image[None])
+        depth = torch.from_numpy(surface_depth(points, camera)) if self.model.config.occlusion else None
+        return _Seen(self._step, depth, None if encoded is None else encoded[0])
+
+
+def surface_depth(points: FramePoints, camera: Camera) -> np.ndarray:
+    """(H, W) depth of the points as last evaluated, infinite where nothing covers half a pixel."""
+    ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
+    _, alpha, depth = render_points_numpy(
+        points.xyz.numpy(),
+        ones,
+        points.radius.numpy(),
+        points.density.numpy(),
+        camera,
+        layers=SURFACE_LAYERS,
+        near=NEAR,
+    )
+    return np.where(alpha > 0.5, depth, np.float32(np.inf)).astype(np.float32)
+
+
+def _rounded_up(size: int) -> int:
+    return -(-size // STEP_PX) * STEP_PX

@@ -1,0 +1,63 @@
+"""The first points of a full scene's background: clean plates of the training views, and what they agree on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fourd.capture import Capture
+from fourd.errors import UserError
+from fourd.matting.plates import FOLDER, make_plates
+from fourd.matting.selection import Selection
+from fourd.progress import Track
+from fourd.seeding import CarvedPoints, read_ply, write_ply
+from fourd.seeding.plates import PlateView, has_plate, read_plates
+from fourd.seeding.triangulation import triangulated
+from fourd.training.config import TrainConfig
+
+BACKGROUND = "background"
+POINTS = "points.ply"
+PLATES = "plates"
+Say = Callable[[str], None]
+
+
+def seed_background(
+    capture: Capture, training: list[int], folder: Path, train: TrainConfig, workers: int, track: Track, say: Say
+) -> None:
+    """Write ``folder/background/points.ply`` from the training views' plates, which are made where there are none.
+
+    Held-out views give neither plates nor points: they must not shape what they judge. What an interrupted call
+    left is kept.
+    """
+    target = folder / BACKGROUND / POINTS
+    names = tuple(capture.names[index] for index in training)
+    if not all(has_plate(capture.path, name) for name in names):
+        make_plates(Selection(capture.path, names, train.frames), "run", workers, track, folder / BACKGROUND / PLATES)
+    if target.exists():
+        return
+    wanted = train.background.points
+    if train.background.seeds is not None:
+        points = _brought(train.background.seeds, wanted, train.seed)
+    else:
+        plates = run_plates(capture, training, folder, say)
+        points = triangulated(plates, wanted, seed=train.seed, workers=workers, say=say, track=track)
+    write_ply(target, points.xyz, points.rgb)
+
+
+def run_plates(
+    capture: Capture, training: list[int], folder: Path, say: Say = lambda line: None
+) -> tuple[PlateView, ...]:
+    """The plates of a run's training views: the run's own where it had to make them, else the capture's."""
+    made = folder / BACKGROUND / PLATES
+    return read_plates(capture, training, say, made=made if made.exists() else capture.path / FOLDER)
+
+
+def _brought(path: Path, wanted: int, seed: int) -> CarvedPoints:
+    """The user's own points; an even draw where there are more than wanted."""
+    xyz, rgb = read_ply(path)
+    if len(xyz) == 0:
+        raise UserError(f"{path}: expected points of the background, got none; bring another PLY")
+    kept = np.random.default_rng(seed).permutation(len(xyz))[:wanted]
+    return CarvedPoints(xyz[kept], rgb[kept])

@@ -1,0 +1,146 @@
+"""The static part of a full scene: what moves and what does not in one picture, and what a plate does not see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from fourd.errors import UserError
+from fourd.model.appearance import blend
+from fourd.training.background import KEPT_STEPS, surface_depth
+from fourd.training.frames import FramePoints
+from fourd.training.parts import Part, composite, rows_in_sight
+from fourd.training.run import Run, create_run, load_run
+from tests.captures import ring_cameras
+from tests.training.small import full_config, trained_run
+
+EMPTY_PLY = """ply
+format ascii 1.0
+element vertex 0
+property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+end_header
+"""
+
+
+@pytest.fixture(scope="module")
+def run(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("full")
+    return trained_run(ball_capture, folder / "run", replace(full_config(folder / "shell.ply"), max_steps=30))
+
+
+def _sheet(distance: float, colour: tuple[float, float, float], side: float) -> Part:
+    """A dense square sheet across the x axis, seen by the first camera of a ring."""
+    steps = torch.linspace(-side, side, 41)
+    y, z = torch.meshgrid(steps, steps, indexing="ij")
+    xyz = torch.stack([torch.full_like(y, distance), y, z], -1).reshape(-1, 3)
+    count = len(xyz)
+    spacing = torch.full((count,), 2 * side / 40)
+    points = FramePoints.fresh(xyz, spacing, 1.5, explicit_sh=False)
+    colours = torch.tensor(colour).expand(count, 3)
+    return Part(points, torch.arange(count), points.free, xyz, points.radius, points.density, colours, None, None)
+
+
+def test_parts_hide_each_other_whichever_is_first() -> None:
+    """Catches parts drawn one over the other: a thing of the background before the subject must hide it."""
+    viewer = ring_cameras(8, 64)[0]
+    near, far = _sheet(0.5, (1.0, 0.0, 0.0), 0.2), _sheet(-1.0, (0.0, 0.0, 1.0), 3.0)
+    for parts, first in (([near, far], 1.0), ([far, near], 0.0)):
+        picture = composite(parts, viewer, 15).features
+        assert picture[32, 32, :3].tolist() == pytest.approx([1, 0, 0], abs=0.05)
+        assert picture[4, 4, :3].tolist() == pytest.approx([0, 0, 1], abs=0.05)
+        assert float(picture[32, 32, 3]) == pytest.approx(first, abs=0.05)
+        assert float(picture[4, 4, 3]) == pytest.approx(1 - first, abs=0.05)
+
+
+def test_rows_in_sight_leave_out_what_the_other_cloud_hides() -> None:
+    """Catches clouds that are looked at apart, so that what the subject hides is trained on."""
+    viewer = ring_cameras(8, 64)[0]
+    near, far = _sheet(0.5, (1.0, 0.0, 0.0), 1.2).points, _sheet(-1.0, (0.0, 0.0, 1.0), 0.3).points
+    assert len(rows_in_sight([far], viewer, 15, 0.05)[0]) > 0
+    both = rows_in_sight([near, far], viewer, 15, 0.05)
+    assert [len(rows) > 0 for rows in both] == [True, False]
+
+
+def test_a_view_that_does_not_see_a_point_takes_its_own_colour() -> None:
+    """Catches black or foreign colours where none of the blended plates sees a point."""
+    colours = torch.tensor([[[0.0, 0.0, 0.0]], [[0.9, 0.1, 0.1]]])
+    base = torch.tensor([[0.2, 0.5, 0.4]])
+    unseen = blend(torch.zeros(2, 1), torch.zeros(2, 1), colours, base)
+    torch.testing.assert_close(unseen, base)
+    half_seen = blend(torch.zeros(2, 1), torch.tensor([[0.0], [1.0]]), colours, base)
+    torch.testing.assert_close(half_seen, colours[1], atol=1e-3, rtol=0)
+
+
+def test_a_full_run_shows_what_is_around_the_subject(run: Run) -> None:
+    """Catches a background that is left out of pictures, of the loss or of the checkpoint."""
+    trained = load_run(run.folder)
+    camera = run.capture.cameras[run.test[0]]
+    picture = trained.renderer.render(trained.frames.get(1), 1, camera, 15)
+    truth = run.capture.image(run.test[0], 1) / 255
+    matte = run.capture.mask(run.test[0], 1) / 255
+    assert np.abs(picture.rgb[:8, :8] - truth[:8, :8]).max() < 0.15
+    assert np.abs(picture.moving - matte).mean() < 0.15
+    assert picture.alpha.mean() > 0.9
+    alone = trained.renderer.render_background(camera, 15)
+    assert np.abs(alone.rgb - 0.35).mean() < 0.1
+
+
+def test_what_is_kept_of_plates_is_renewed(run: Run) -> None:
+    """Catches depths and features of long ago, and ones that are found anew in every step."""
+    background = load_run(run.folder).renderer.background
+    assert background is not None
+    indices = list(background.plates)[:2]
+    first = background.sources(indices)
+    background.points.free["xyz"] *= 0.5
+    background.advance()
+    kept = background.sources(indices)
+    assert first.depth is not None
+    assert kept.depth is not None
+    assert torch.equal(first.depth, kept.depth)
+    for _ in range(KEPT_STEPS):
+        background.advance()
+    renewed = background.sources(indices)
+    assert renewed.depth is not None
+    torch.testing.assert_close(renewed.depth[0], torch.from_numpy(surface_depth(background.points, renewed.cameras[0])))
+    assert not torch.equal(renewed.depth, first.depth)
+    assert background.sources(indices, fresh=True).encoded is None
+
+
+def test_held_out_views_give_no_plate(run: Run) -> None:
+    """Catches a held-out view's plate, which would shape what it judges."""
+    made = sorted(path.stem for path in (run.folder / "background" / "plates").glob("*.png"))
+    assert made == [run.capture.names[index] for index in run.training]
+
+
+def test_plates_of_the_capture_are_used_where_it_has_them(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches plates made anew beside those that a person brought."""
+    capture = tmp_path / "capture"
+    capture.mkdir()
+    for name in ("images", "masks", "intri.yml", "extri.yml"):
+        (capture / name).symlink_to(ball_capture / name)
+    (capture / "bgs").mkdir()
+    for index in range(8):
+        assert cv2.imwrite(str(capture / "bgs" / f"{index:02d}.png"), np.full((64, 64, 3), 89, np.uint8))
+    made = create_run(capture, tmp_path / "run", full_config(tmp_path / "shell.ply"))
+    assert not (made.folder / "background" / "plates").exists()
+    background = made.background(None)
+    assert background is not None
+    assert all(plate.seen.all() for plate in background.plates.values())
+
+
+def test_brought_points_that_are_none_are_refused(ball_capture: Path, tmp_path: Path) -> None:
+    (tmp_path / "none.ply").write_text(EMPTY_PLY)
+    config = full_config(tmp_path / "shell.ply")
+    config = replace(config, background=replace(config.background, seeds=tmp_path / "none.ply"))
+    with pytest.raises(UserError, match=r"none.ply: expected points of the background, got none; bring another PLY"):
+        create_run(ball_capture, tmp_path / "run", config)
