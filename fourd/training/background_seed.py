@@ -14,6 +14,7 @@ from fourd.matting.selection import Selection
 from fourd.progress import Track
 from fourd.seeding import CarvedPoints, read_ply, write_ply
 from fourd.seeding.plates import PlateView, has_plate, read_plates
+from fourd.seeding.surroundings import gaze_centre, surroundings
 from fourd.seeding.triangulation import triangulated
 from fourd.training.config import TrainConfig
 
@@ -43,6 +44,10 @@ def seed_background(
     else:
         plates = run_plates(capture, training, folder, say)
         points = triangulated(plates, wanted, seed=train.seed, workers=workers, say=say, track=track)
+        cameras = [plate.camera for plate in plates]
+        shell = surroundings(points, cameras, gaze_centre(cameras))
+        say(f"surroundings: {len(shell.xyz)} points where no plate looks, their colours continued from around")
+        points = CarvedPoints(np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb]))
     write_ply(target, points.xyz, points.rgb)
 
 

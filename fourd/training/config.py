@@ -60,7 +60,7 @@ class BackgroundConfig:
     """The static part of a full scene."""
 
     points: int = 100_000
-    """Points of the background, at most."""
+    """Points of the background, at most; a coarse shell where no plate looks comes on top."""
     seeds: Path | None = None
     """A PLY with your own points of the background, in world units, in place of those found in the plates."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))

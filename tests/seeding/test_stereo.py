@@ -213,3 +213,4 @@ def test_sources_see_the_same_and_stand_apart() -> None:
     assert set(chosen[:2]) == {3, 4}
     assert 0 not in chosen
     assert 2 not in chosen
+    assert best_sources([cameras[0], away], 0, 1.0, 4.0) == []

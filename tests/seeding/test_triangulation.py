@@ -9,8 +9,10 @@ import pytest
 
 from fourd.cameras import look_at
 from fourd.errors import UserError
+from fourd.progress import untold
 from fourd.seeding.plates import PlateView
 from fourd.seeding.ply import CarvedPoints
+from fourd.seeding.stereo.sparse import sparse_points
 from fourd.seeding.triangulation import triangulated
 from tests.capture.rooms import HALF_WIDTH, HEIGHT, Room, room_cameras
 
@@ -70,6 +72,16 @@ def test_points_lie_on_the_walls(stage: Stage) -> None:
     assert np.median(apart) < 0.003
     assert np.percentile(apart, 95) < 0.03
     assert apart.max() < 0.2
+
+
+def test_features_lie_on_the_walls(stage: Stage) -> None:
+    """Catches poses that COLMAP adjusted or counts otherwise, and wrong matches that three plates share."""
+    features = sparse_points(stage.plates, 0, untold)
+    apart = to_walls(features.xyz)[features.sure]
+    assert len(apart) > 100
+    assert np.median(apart) < 0.005
+    assert np.percentile(apart, 95) < 0.03
+    assert not in_hole(features.xyz[to_walls(features.xyz) < 0.05]).any()
 
 
 def test_points_have_the_walls_colours(stage: Stage) -> None:
