@@ -101,7 +101,7 @@ def triangulated(
 def _too_few(least: str, got: str) -> UserError:
     return UserError(
         f"plates: expected at least {least} to be found in two of them alike, got {got}; walls without texture and "
-        "cameras far apart cannot be triangulated: use --background ngp, or --background ply with points of your own"
+        "cameras far apart cannot be triangulated: bring points of your own: --background FILE.ply"
     )
 
 
