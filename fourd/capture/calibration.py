@@ -186,7 +186,8 @@ class _Storage:
             )
         try:
             self._storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-            opened = self._storage.isOpened()
+            # A file that ends within its first key opens as a text, in which nothing can be looked up.
+            opened = self._storage.isOpened() and (self._storage.root().isMap() or self._storage.root().empty())
         except (cv2.error, SystemError):
             opened = False
         if not opened:

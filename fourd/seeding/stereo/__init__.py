@@ -1,0 +1,1 @@
+"""Depth maps of pictures from known cameras, and what they agree on."""

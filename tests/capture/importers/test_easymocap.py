@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from pathlib import Path
 
@@ -9,7 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from fourd.capture import read_calibration
 from fourd.capture.importers.easymocap import read
+from fourd.errors import UserError
 from tests.capture.importers.sources import (
     BARREL,
     HEIGHT,
@@ -111,6 +114,21 @@ def test_numbers_that_are_none_are_told(source: Path) -> None:
 
 def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
     assert_damage_is_told(read, source, source / "extri.yml", rng, flips=False)
+
+
+def test_a_calibration_that_ends_anywhere_is_told(source: Path) -> None:
+    """Catches OpenCV's own error: a file that ends within its first key opens as a text."""
+    for name in ("intri.yml", "extri.yml"):
+        whole = (source / name).read_bytes()
+        for size in range(0, len(whole), 1 if len(whole) < 600 else 3):
+            (source / name).write_bytes(whole[:size])
+            with contextlib.suppress(UserError):
+                read_calibration(source)
+        for size in range(40):
+            (source / name).write_bytes(whole[:size])
+            with pytest.raises(UserError, match=name):
+                read_calibration(source)
+        (source / name).write_bytes(whole)
 
 
 def test_no_pictures_are_told(source: Path) -> None:
