@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.ndimage import distance_transform_edt, maximum_filter1d
+from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter1d
 from scipy.sparse.linalg import spsolve
 
 from fourd.cameras import Camera
@@ -23,6 +23,8 @@ ACROSS = 6.0
 """How much more alike rooms are along the horizon than up and down: floors, walls and skies are level."""
 SMALL_GAP_DEG = 1.5
 """Of a gap that is none: points lie apart."""
+BEHIND = 0.985
+"""Of the inverse distance of what is known, for the shell's rim."""
 NEAR_GAP_DEG = 15.0
 """Farther than this from all that is known, one cell in sixteen gets a point."""
 HIDING = 0.9
@@ -82,6 +84,8 @@ def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array)
         return CarvedPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = _harmonic(sphere, known, np.column_stack([inverse, rgb]))
     chosen = _chosen(sphere, known)
+    # A rim lies behind what is known: seen from elsewhere than the middle, no slit opens between it and the shell.
+    filled[known, 0] *= BEHIND
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
     # What is nearer than the cameras stands between them and is seen by some; there points merely lie widely apart.
@@ -147,20 +151,25 @@ def _harmonic(sphere: _Sphere, known: NDArray[np.bool_], values: Array) -> Array
 
 
 def _chosen(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Unknown cells to put a point in: as many as the sphere's area asks for, and few far from all that is known."""
+    """Unknown cells to put a point in, and a rim of known ones: as many as the sphere's area asks for, and few far
+    from all that is known."""
     known = _widened(sphere, known)
     # Three turns side by side: what is done to neighbours runs on over the seam.
     turns = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
     middle = (slice(sphere.rows, 2 * sphere.rows), slice(sphere.columns, 2 * sphere.columns))
     near = distance_transform_edt(~turns) * CELL_DEG <= SMALL_GAP_DEG
-    grid = (turns | (distance_transform_edt(near) * CELL_DEG > SMALL_GAP_DEG))[middle]
+    closed = turns | (distance_transform_edt(near) * CELL_DEG > SMALL_GAP_DEG)
+    grid = closed[middle]
+    wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
+    wider[[0, -1]] = True
+    rim = (wider & binary_dilation(~wider, np.ones((3, 3))))[1:-1, 1:-1]
     away = distance_transform_edt(~turns)[middle] * CELL_DEG
     row, column = np.indices(grid.shape)
     elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
     step = np.where(away > NEAR_GAP_DEG, 4 * step, step)
     level = np.where(away > NEAR_GAP_DEG, row % 4 == 0, True)
-    return np.flatnonzero(((~grid) & (column % step == 0) & level).ravel())
+    return np.flatnonzero(((~grid | rim) & (column % step == 0) & level).ravel())
 
 
 def _widened(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.bool_]:

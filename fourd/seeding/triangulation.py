@@ -21,7 +21,7 @@ from fourd.seeding.stereo.guesses import as_seen, large_planes, triangles
 from fourd.seeding.stereo.patches import Floats, GreyView, Grid
 from fourd.seeding.stereo.sources import best_sources
 from fourd.seeding.stereo.sparse import SparsePoints, sparse_points
-from fourd.seeding.stereo.thinning import Samples, samples, thinned
+from fourd.seeding.stereo.thinning import Samples, thinned
 from fourd.spreading import spread
 
 Array = NDArray[np.float64]
@@ -85,14 +85,10 @@ def triangulated(
     if share < LEAST_SHARE:
         raise _too_few(f"{LEAST_SHARE:.0%} of what they show", f"{share:.1%} ({measured} points)")
     if fill:
-        surfaces = filled(surfaces, [small.grey() for small in smalls])
-    candidates = [
-        _on_plate(found, small, plate)
-        for found, small, plate in zip(samples(surfaces, points), smalls, plates, strict=True)
-    ]
-    chosen = thinned(surfaces, candidates, points)
-    found = _coloured(plates, surfaces, candidates, chosen)
-    guessed = sum(int((mine.support[rows] == 0).sum()) for mine, rows in zip(candidates, chosen, strict=True))
+        surfaces = filled(surfaces, [small.grey() for small in smalls], seed)
+    chosen = thinned(surfaces, [small.seen for small in smalls], points)
+    found = _coloured(plates, surfaces, chosen)
+    guessed = sum(int((places.support == 0).sum()) for places in chosen)
     say(f"points: {len(found.xyz)}, {guessed} of them of what no two plates show alike, continued from around it")
     order = np.random.default_rng(seed).permutation(len(found.xyz))
     return CarvedPoints(found.xyz[order], found.rgb[order])
@@ -185,13 +181,6 @@ def _map(job: _Job) -> Iterator[tuple[int, DepthMap]]:
     )
 
 
-def _on_plate(found: Samples, small: _Small, plate: PlateView) -> Samples:
-    """The samples on pixels that the plate has."""
-    rows, columns = _pixels(found.xy + 0.5, small.camera, plate)
-    seen = plate.seen[rows, columns]
-    return Samples(found.xy[seen], found.xyz[seen], found.support[seen])
-
-
 def _pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns (M,) of the plate's pixels at places (M, 2) of its smaller picture."""
     height, width = plate.seen.shape
@@ -200,19 +189,14 @@ def _pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.int
     return rows, columns
 
 
-def _coloured(
-    plates: Sequence[PlateView],
-    surfaces: Sequence[Surface],
-    candidates: Sequence[Samples],
-    chosen: Sequence[NDArray[np.intp]],
-) -> CarvedPoints:
-    """The chosen points, moved to the mean of the surfaces that agree on them, with the mean of their colours.
+def _coloured(plates: Sequence[PlateView], surfaces: Sequence[Surface], chosen: Sequence[Samples]) -> CarvedPoints:
+    """The chosen places as points, moved to the mean of the surfaces that agree on them, of the mean of their colours.
 
     What is near is measured more finely: weights are one by the depth's square.
     """
-    xyz = np.concatenate([mine.xyz[rows] for mine, rows in zip(candidates, chosen, strict=True)])
-    support = np.concatenate([mine.support[rows] for mine, rows in zip(candidates, chosen, strict=True)])
-    origin = np.repeat(np.arange(len(plates)), [len(rows) for rows in chosen])
+    xyz = np.concatenate([places.xyz for places in chosen])
+    support = np.concatenate([places.support for places in chosen])
+    origin = np.repeat(np.arange(len(plates)), [len(places.xyz) for places in chosen])
     rgb, nearness = np.zeros((len(xyz), 3)), np.zeros(len(xyz))
     for index, plate in enumerate(plates):
         mine = origin == index

@@ -48,6 +48,10 @@ def new_background(
         1,
         contraction,
     )
+    if config.background.planes.reduction != "product":
+        # Where no plate looks nothing is learnt, and random features would stay as noise.
+        for plane in model.planes.planes:
+            torch.nn.init.zeros_(plane)
     points = FramePoints.fresh(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
     return Background(model, points, plates)
 

@@ -7,15 +7,17 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from fourd.cameras import Camera, look_at
 from fourd.seeding.stereo.depth import DepthMap
+from fourd.seeding.stereo.enclosing import EnclosingPlanes
 from fourd.seeding.stereo.filling import filled
 from fourd.seeding.stereo.fusing import Surface, agreed
 from fourd.seeding.stereo.guesses import as_seen, large_planes, triangles
 from fourd.seeding.stereo.patches import GreyView, Grid, Likeness, index_intrinsics
 from fourd.seeding.stereo.sources import best_sources
-from fourd.seeding.stereo.thinning import samples, thinned
+from fourd.seeding.stereo.thinning import thinned
 
 WIDTH, HEIGHT = 96, 72
 FLOOR = np.array([0.0, 0.0, 1.0, 0.0])
@@ -28,6 +30,7 @@ def camera(x: float, y: float = 0.0, z: float = 2.0) -> Camera:
 
 
 CAMERAS = [camera(-0.5), camera(0.0), camera(0.5)]
+WHOLE = [np.ones((HEIGHT, WIDTH), bool)]
 
 
 def floor_map(view: Camera) -> DepthMap:
@@ -142,7 +145,7 @@ def test_a_gap_in_a_floor_is_floor() -> None:
         surface.depths.planes[gap] = 0
     grey = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
     views = [GreyView.of(surface.camera, grey, np.ones((HEIGHT, WIDTH), bool)) for surface in surfaces]
-    found = filled(surfaces, views)
+    found = filled(surfaces, views, 0)
     assert found[0].known.all()
     assert (found[0].support[gap] == 0).all()
     assert np.abs(found[0].points(np.flatnonzero(gap))[:, 2]).max() < 0.01
@@ -155,31 +158,87 @@ def test_little_known_is_not_stretched_over_a_picture() -> None:
     surfaces = [surface_of(view, corner) for view in CAMERAS[:2]]
     grey = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
     views = [GreyView.of(surface.camera, grey, np.ones((HEIGHT, WIDTH), bool)) for surface in surfaces]
-    assert [int(surface.known.sum()) for surface in filled(surfaces, views)] == [int(corner.sum())] * 2
+    assert [int(surface.known.sum()) for surface in filled(surfaces, views, 0)] == [int(corner.sum())] * 2
+
+
+def corner_room(view: Camera, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Planes (N, 3) of the floor z = 0 and the wall y = 4 as a picture has them, and which cells are wall."""
+    floor, wall = (as_seen(plane, view, grid) for plane in (FLOOR, np.array([0.0, 1.0, 0.0, 4.0])))
+    inverse = [(planes * grid.pixels).sum(axis=1) for planes in (floor, wall)]
+    on_wall = inverse[1] > inverse[0]
+    return np.where(on_wall[:, None], wall, floor).astype(np.float32), on_wall
+
+
+def test_a_wall_stands_where_the_floor_meets_it() -> None:
+    """Catches walls hung on the last bit of floor that is known, which bend towards the cameras."""
+    target, up = np.array([0, 3.0, 0.8]), np.array([0, 0, 1.0])
+    views = [look_at(np.array([x, -3.0, 1.0]), target, up, INTRINSICS, WIDTH, HEIGHT) for x in (-0.5, 0.5)]
+    grid = Grid.over(WIDTH, HEIGHT, 2)
+    surfaces = []
+    for view in views:
+        planes, on_wall = corner_room(view, grid)
+        inverse = (planes * grid.pixels).sum(axis=1)
+        # Of the floor what is near, and of the wall a corner: between them, and beside, all is to be guessed.
+        known = np.where(on_wall, (grid.pixels[:, 0] < 16) & (grid.pixels[:, 1] < 16), inverse > 0.25)
+        depths = DepthMap(grid, np.where(known[:, None], planes, 0), known.astype(np.float32))
+        surfaces.append(Surface(view, depths, known, known.astype(np.intp)))
+    grey = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
+    found = filled(surfaces, [GreyView.of(view, grey, np.ones((HEIGHT, WIDTH), bool)) for view in views], 0)
+    for view, surface in zip(views, found, strict=True):
+        planes, _ = corner_room(view, grid)
+        truth = (planes * grid.pixels).sum(axis=1)
+        assert surface.known.mean() > 0.95
+        np.testing.assert_allclose(surface.depths.inverse_depth[surface.known], truth[surface.known], rtol=0.05)
+
+
+def test_a_table_encloses_nothing(rng: np.random.Generator) -> None:
+    """Catches a table's top continued through the room: there is floor behind it."""
+    table = np.column_stack([rng.uniform(-0.5, 0.5, (900, 2)), np.full(900, 0.7)])
+    floor = np.column_stack([rng.uniform(-3, 3, (900, 2)), np.zeros(900)])
+    found = EnclosingPlanes.of(np.vstack([table, floor]), [camera(0.0, -3.0), camera(1.0, -3.0)], rng)
+    assert len(found.planes) == 1
+    assert abs(found.planes[0, 3]) < 0.01
+    assert found.on(floor).all()
+    assert not found.on(table).any()
 
 
 @pytest.mark.parametrize("points", [50, 500, 3000])
 def test_never_more_points_than_wanted_and_nearly_as_many(points: int) -> None:
     """Catches a search that stops on its wrong side."""
     surfaces = [surface_of(view, np.ones(48 * 36, bool)) for view in CAMERAS]
-    chosen = thinned(surfaces, samples(surfaces, points), points)
-    assert 0.75 * points <= sum(map(len, chosen)) <= points
+    chosen = thinned(surfaces, WHOLE * 3, points)
+    assert 0.75 * points <= sum(len(places.xyz) for places in chosen) <= points
 
 
 def test_what_all_see_gets_no_more_points() -> None:
     """Catches a cloud three times as dense where three pictures show one floor."""
     surfaces = [surface_of(camera(x), np.ones(48 * 36, bool)) for x in (0.0, 0.01, 0.02)]
-    chosen = thinned(surfaces, samples(surfaces, 400), 400)
-    assert len(chosen[0]) > 0.7 * sum(map(len, chosen))
+    counts = [len(places.xyz) for places in thinned(surfaces, WHOLE * 3, 400)]
+    assert counts[0] > 0.7 * sum(counts)
 
 
-def test_best_supported_first() -> None:
-    """Catches guesses taken where the same square has a measured place."""
-    surface = surface_of(CAMERAS[1], np.ones(48 * 36, bool))
-    surface.support[::2] = 0
-    candidates = samples([surface], 100)
-    chosen = thinned([surface], candidates, 100)[0]
-    assert (candidates[0].support[chosen] == 1).all()
+def test_points_lie_evenly() -> None:
+    """Catches rows left out where squares and cells beat: they show as seams on a wall."""
+    places = thinned([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], WHOLE, 700)[0]
+    distances, _ = KDTree(places.xy).query(places.xy, k=2)
+    assert distances[:, 1].max() < 1.6 * distances[:, 1].min()
+
+
+def test_what_is_confirmed_comes_first() -> None:
+    """Catches guesses of one picture that keep out what another has measured."""
+    surfaces = [surface_of(camera(x), np.ones(48 * 36, bool)) for x in (0.0, 0.02)]
+    surfaces[0].support[:] = 0
+    guessed, measured = thinned(surfaces, WHOLE * 2, 400)
+    assert len(measured.xyz) > 0.8 * (len(guessed.xyz) + len(measured.xyz))
+
+
+def test_no_points_in_holes() -> None:
+    """Catches points with the colours that a plate's hole was filled with."""
+    seen = np.ones((HEIGHT, WIDTH), bool)
+    seen[20:50, 30:60] = False
+    places = thinned([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], [seen], 500)[0]
+    columns, rows = np.rint(places.xy).astype(int).T
+    assert seen[rows, columns].all()
 
 
 def test_large_planes_among_chance_points(rng: np.random.Generator) -> None:

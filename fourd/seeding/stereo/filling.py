@@ -1,4 +1,8 @@
-"""Depths of what no two pictures show alike: continued from what is known, as a membrane is spanned by a frame."""
+"""Depths of what no two pictures show alike: continued from what is known.
+
+Floors and walls that enclose the scene go on as planes until they meet what stands on them; the rest is continued as
+a membrane is spanned by a frame.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +15,7 @@ from scipy.sparse import coo_array, diags_array
 from scipy.sparse.linalg import spsolve
 
 from fourd.seeding.stereo.depth import DepthMap
+from fourd.seeding.stereo.enclosing import EnclosingPlanes
 from fourd.seeding.stereo.fusing import Surface
 from fourd.seeding.stereo.patches import Floats, GreyView
 
@@ -19,40 +24,87 @@ Array = NDArray[np.float64]
 MARGIN = 0.25
 """Of the picture's sides: how far beyond them what other pictures know is taken in."""
 LEAST_KNOWN = 0.25
-"""Of a picture's cells: a membrane that hangs on fewer shows nothing of the scene."""
+"""Of a picture's cells: guesses that are continued from fewer show nothing of the scene."""
+LEAST_FRAME = 0.003
+"""Of a picture's cells and the margin's, for a membrane to hang on."""
+LEAST_REST = 0.005
+"""Of the known points, off the enclosing planes; of fewer no membrane is hung where a plane is met."""
+FARTHEST = 4.0
+"""Of the farthest that a picture knows: a plane is not continued beyond."""
 EDGE = 0.1
 """Step of grey in [0, 1] over which the membrane holds half as well."""
 
 
-def filled(surfaces: Sequence[Surface], views: Sequence[GreyView]) -> list[Surface]:
-    """The surfaces with all cells known, of which those that were not have support 0.
+def filled(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
+    """The surfaces with the cells known that can be guessed; those that were not known have support 0.
 
-    Inverse depth is harmonic between the known cells, which a plane's is; what other pictures know lies around and
-    between. Cells that would hide what another picture knows are left unknown, and so are all of a picture of which
-    less than a quarter is known.
+    A guess is the nearer of the planes that enclose the scene (``seed`` is of the search for them) and of a membrane:
+    inverse depth that is harmonic between the known cells off these planes, as a plane's is. What other pictures know,
+    or have guessed before, lies around and between. Cells that would hide what another picture knows are left unknown,
+    and so are all of a picture of which less than a quarter is known.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
-    guessed = [_filled(surface, view, xyz) for surface, view in zip(surfaces, views, strict=True)]
+    planes = EnclosingPlanes.of(xyz, [surface.camera for surface in surfaces], np.random.default_rng(seed))
+    rest = xyz[~planes.on(xyz)]
+    lacking = len(rest) < LEAST_REST * len(xyz)
+    if lacking:
+        rest = xyz
+    sizes = [np.count_nonzero(_off_planes(surface, planes)) for surface in surfaces]
+    enough = [_enough(surface, xyz) for surface in surfaces]
+    guessed = list(surfaces)
+    # Those that know most first: the others continue what these have guessed, and pieces of one wall join.
+    for index in np.argsort(sizes, kind="stable")[::-1]:
+        if not enough[index]:
+            continue
+        surface = surfaces[index]
+        guessed[index], hung = _filled(surface, views[index], planes, rest, lacking)
+        rest = np.concatenate([rest, guessed[index].points(np.flatnonzero(hung))])
     return [_free(index, guessed, surfaces) for index in range(len(surfaces))]
 
 
-def _filled(surface: Surface, view: GreyView, xyz: Array) -> Surface:
+def _enough(surface: Surface, xyz: Array) -> bool:
+    """Whether a picture or the others know enough of what it shows."""
+    known = surface.known | (_others(surface, xyz, 0).ravel() > 0)
+    return bool(np.count_nonzero(known) >= LEAST_KNOWN * len(known))
+
+
+def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
+    """(N,) the known cells that belong to no plane."""
+    cells = np.flatnonzero(surface.known)
+    off = np.zeros_like(surface.known)
+    off[cells] = ~planes.on(surface.points(cells))
+    return off
+
+
+def _filled(
+    surface: Surface, view: GreyView, planes: EnclosingPlanes, rest: Array, lacking: bool
+) -> tuple[Surface, NDArray[np.bool_]]:
+    """A picture's surface with guesses, and which cells (N,) the membrane has given.
+
+    Where known points off the planes are ``lacking``, ``rest`` are all, and the membrane only takes what no plane does.
+    """
     grid = surface.depths.grid
     (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape))
     inside = (slice(pad, pad + rows), slice(pad, pad + columns))
-    known = _others(surface, xyz, pad)
-    mine = np.where(surface.known, surface.depths.inverse_depth, 0).reshape(grid.shape)
-    known[inside] = np.where(mine > 0, mine, known[inside])
-    if np.count_nonzero(known[inside]) < LEAST_KNOWN * len(surface.known):
-        return surface
-    grey = np.nan_to_num(view.greys[1])[grid.indices].reshape(grid.shape)
-    whole = _membrane(known, np.pad(grey, pad, mode="edge"))[inside]
+    frame = _others(surface, rest, pad)
+    off = np.where(_off_planes(surface, planes), surface.depths.inverse_depth, 0).reshape(grid.shape)
+    frame[inside] = np.where(off > 0, off, frame[inside])
+    flat = planes.inverse_depth(surface.camera, grid).reshape(grid.shape)
+    flat[flat < surface.depths.inverse_depth[surface.known].min(initial=np.inf) / FARTHEST] = 0
+    hung = np.zeros(grid.shape)
+    if np.count_nonzero(frame) > LEAST_FRAME * frame.size:
+        grey = np.nan_to_num(view.greys[1])[grid.indices].reshape(grid.shape)
+        hung = _membrane(frame, np.pad(grey, pad, mode="edge"))[inside]
+    known = surface.known.reshape(grid.shape)
+    hung = np.where((flat > 0) & lacking, 0, hung)
+    whole = np.where(known, surface.depths.inverse_depth.reshape(grid.shape), np.maximum(flat, hung))
     down, across = (_slope(whole, axis) / grid.stride for axis in (0, 1))
     middle = whole.ravel() - across * grid.pixels[:, 0] - down * grid.pixels[:, 1]
-    planes = np.where(surface.known[:, None], surface.depths.planes, np.stack([across, down, middle], axis=1))
+    slanted = np.where(surface.known[:, None], surface.depths.planes, np.stack([across, down, middle], axis=1))
     scores = np.where(surface.known, surface.depths.scores, 0)
-    depths = DepthMap(grid, planes.astype(np.float32), scores.astype(np.float32))
-    return replace(surface, depths=depths, known=np.ones_like(surface.known), support=surface.support * surface.known)
+    depths = DepthMap(grid, slanted.astype(np.float32), scores.astype(np.float32))
+    made = replace(surface, depths=depths, known=whole.ravel() > 0, support=surface.support * surface.known)
+    return made, (~known & (hung > flat)).ravel()
 
 
 def _slope(values: Array, axis: int) -> Array:
@@ -87,7 +139,9 @@ def _membrane(known: Array, grey: Floats) -> Array:
     values = known.ravel().copy()
     free = values == 0
     if free.any():
-        values[free] = spsolve(balance[free][:, free].tocsc(), -(balance[free][:, ~free] @ values[~free]))
+        values[free] = spsolve(
+            balance[free][:, free].tocsc(), -(balance[free][:, ~free] @ values[~free]), permc_spec="MMD_AT_PLUS_A"
+        )
     return np.asarray(values.reshape(known.shape), np.float64)
 
 

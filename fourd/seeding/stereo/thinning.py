@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 from fourd.seeding.stereo.fusing import Surface
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
 """Of the depth: points so near to a surface cover it."""
-CHOICE = 4
-"""Candidates for a point, at least: cells are divided until there are so many."""
-HALVINGS = 12
+HALVINGS = 8
 FINEST_PX = 1.0
 """Side of the smallest squares."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Places on a picture's surface, best supported first.
+    """Places on a picture's surface.
 
     Attributes:
         xy: (M, 2) indices of pixels.
@@ -35,48 +34,27 @@ class Samples:
     xyz: Array
     support: NDArray[np.intp]
 
-
-def samples(surfaces: Sequence[Surface], points: int) -> list[Samples]:
-    """Places all over the surfaces: some for each wanted point, and one a pixel at most."""
-    cells = sum(int(surface.known.sum()) for surface in surfaces)
-    parts = max(1, int(np.ceil(np.sqrt(CHOICE * points / max(cells, 1)))))
-    return [_samples(surface, min(parts, surface.depths.grid.stride)) for surface in surfaces]
+    def only(self, rows: Bools) -> Samples:
+        return Samples(self.xy[rows], self.xyz[rows], self.support[rows])
 
 
-def _samples(surface: Surface, parts: int) -> Samples:
-    """``parts`` by ``parts`` places of each known cell."""
-    depths = surface.depths
-    cells = np.flatnonzero(surface.known)
-    cells = cells[np.lexsort((-depths.scores[cells], -surface.support[cells]))]
-    offsets = ((np.arange(parts) + 0.5) / parts - 0.5) * depths.grid.stride
-    x, y = (axis.ravel() for axis in np.meshgrid(offsets, offsets))
-    xy = depths.grid.pixels[cells, None, :2] + np.stack([x, y], axis=1)
-    planes = depths.planes[cells, None]
-    inverse = (planes[..., :2] * xy).sum(axis=2) + planes[..., 2]
-    # A plane that is seen nearly edge on may reach infinity within its cell.
-    sound = (inverse > 0.5 * depths.inverse_depth[cells, None]).ravel()
-    flat = xy.reshape(-1, 2).astype(np.float64)
-    size = (surface.camera.width, surface.camera.height)
-    sound &= (flat >= -0.5).all(axis=1) & (flat < np.subtract(size, 0.5)).all(axis=1)
-    flat = flat[sound]
-    xyz = surface.world(flat, inverse.ravel()[sound].astype(np.float64))
-    return Samples(flat, xyz, np.repeat(surface.support[cells], parts * parts)[sound])
+def thinned(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> list[Samples]:
+    """Places on each picture's surface: at most ``points`` in all, by the smallest squares that give no more.
 
-
-def thinned(surfaces: Sequence[Surface], candidates: Sequence[Samples], points: int) -> list[NDArray[np.intp]]:
-    """Which of each picture's samples to take: at most ``points`` in all, by the smallest cells that give no more.
-
-    In every picture each square of so many pixels gets a point, unless one of another picture's lies on the surface
-    there; so near things get more points, and what many pictures see gets no more than what one sees.
+    Every picture is laid out in squares of so many pixels. The middle of each is taken, where the picture (H, W) is
+    ``seen`` and no place taken before lies on the surface in that square; so near things get more points, and what many
+    pictures see gets no more than what one sees. What other pictures confirm is taken before what is guessed.
     """
-    most = 2.0 * max(max(surface.camera.width, surface.camera.height) for surface in surfaces)
-    chosen = _chosen(surfaces, candidates, FINEST_PX)
+    chosen = _chosen(surfaces, seen, FINEST_PX, points)
     if _count(chosen) <= points:
         return chosen
-    low, high = np.log(FINEST_PX), np.log(most)
+    pixels = sum(surface.camera.width * surface.camera.height for surface in surfaces)
+    low, high = np.log(FINEST_PX), np.log(max(np.sqrt(pixels / points), 2 * FINEST_PX))
+    while _count(chosen := _chosen(surfaces, seen, float(np.exp(high)), points)) > points:
+        low, high = high, high + np.log(2)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        found = _chosen(surfaces, candidates, float(np.exp(middle)))
+        found = _chosen(surfaces, seen, float(np.exp(middle)), points)
         if _count(found) > points:
             low = middle
         else:
@@ -84,25 +62,45 @@ def thinned(surfaces: Sequence[Surface], candidates: Sequence[Samples], points: 
     return chosen
 
 
-def _count(chosen: Sequence[NDArray[np.intp]]) -> int:
-    return sum(len(rows) for rows in chosen)
+def _count(chosen: Sequence[Samples]) -> int:
+    return sum(len(places.xyz) for places in chosen)
 
 
-def _chosen(surfaces: Sequence[Surface], candidates: Sequence[Samples], side: float) -> list[NDArray[np.intp]]:
-    """Samples to take for squares of ``side`` pixels."""
-    chosen: list[NDArray[np.intp]] = []
-    for index, (surface, mine) in enumerate(zip(surfaces, candidates, strict=True)):
-        squares = _Squares(side, int(surface.camera.width / side) + 1, int(surface.camera.height / side) + 1)
-        covered = np.zeros(squares.rows * squares.columns, bool)
-        for other, rows in zip(candidates[:index], chosen, strict=True):
-            look = surface.look(other.xyz[rows])
-            on_it = np.abs(look.ratio - 1) < SAME_SURFACE
-            covered[squares.at(look.xy[on_it])] = True
-        places = squares.at(mine.xy)
-        free = np.flatnonzero(~covered[places])
-        _, first = np.unique(places[free], return_index=True)
-        chosen.append(free[first])
-    return chosen
+def _chosen(surfaces: Sequence[Surface], seen: Sequence[Bools], side: float, most: int) -> list[Samples]:
+    """Places to take for squares of ``side`` pixels; some of them, once there are more than ``most``."""
+    candidates = [_middles(surface, allowed, side) for surface, allowed in zip(surfaces, seen, strict=True)]
+    taken = [np.zeros(len(places.xyz), bool) for places in candidates]
+    for confirmed in (True, False):
+        for index, (surface, mine) in enumerate(zip(surfaces, candidates, strict=True)):
+            covered = np.zeros(_Squares.of(surface, side).count, bool)
+            for other, rows in zip(candidates, taken, strict=True):
+                look = surface.look(other.xyz[rows])
+                covered[_Squares.of(surface, side).at(look.xy[np.abs(look.ratio - 1) < SAME_SURFACE])] = True
+            free = ~covered[_Squares.of(surface, side).at(mine.xy)]
+            taken[index] |= free & ((mine.support > 0) == confirmed)
+            if sum(int(rows.sum()) for rows in taken) > most:
+                return [places.only(rows) for places, rows in zip(candidates, taken, strict=True)]
+    return [places.only(rows) for places, rows in zip(candidates, taken, strict=True)]
+
+
+def _middles(surface: Surface, seen: Bools, side: float) -> Samples:
+    """The middles of the squares on known cells."""
+    squares = _Squares.of(surface, side)
+    columns, rows = (axis.ravel() for axis in np.meshgrid(np.arange(squares.columns), np.arange(squares.rows)))
+    last = (surface.camera.width - 1, surface.camera.height - 1)
+    # The last square of a row reaches over the border; its middle is that of the part inside.
+    ends = np.minimum((np.stack([columns, rows], axis=1) + 1) * side, np.add(last, 1))
+    xy = (np.stack([columns, rows], axis=1) * side + ends) / 2 - 0.5
+    cells = surface.depths.grid.cells_at(xy)
+    on = (cells >= 0) & surface.known[cells]
+    at_column, at_row = np.clip(np.rint(xy), 0, last).astype(np.intp).T
+    on &= seen[at_row, at_column]
+    xy, cells = xy[on], cells[on]
+    inverse = (surface.depths.planes[cells] * np.column_stack([xy, np.ones(len(xy))])).sum(axis=1)
+    # A plane that is seen nearly edge on may reach infinity within its cell.
+    sound = inverse > 0.5 * surface.depths.inverse_depth[cells]
+    xy, cells = xy[sound], cells[sound]
+    return Samples(xy, surface.world(xy, inverse[sound]), surface.support[cells])
 
 
 @dataclass(frozen=True)
@@ -112,6 +110,14 @@ class _Squares:
     side: float
     columns: int
     rows: int
+
+    @staticmethod
+    def of(surface: Surface, side: float) -> _Squares:
+        return _Squares(side, int(np.ceil(surface.camera.width / side)), int(np.ceil(surface.camera.height / side)))
+
+    @property
+    def count(self) -> int:
+        return self.rows * self.columns
 
     def at(self, xy: Array) -> NDArray[np.intp]:
         """(M,) numbers of the squares of indices (M, 2); what a border cell has outside goes to the border's."""
