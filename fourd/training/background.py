@@ -30,6 +30,8 @@ SURFACE_LAYERS = 4
 
 
 NEIGHBOURS = 4
+LEAST_RADIUS = 1.0
+"""In spacings."""
 
 
 def new_background(
@@ -40,8 +42,17 @@ def new_background(
     xyz, rgb = torch.from_numpy(seeded.xyz[order]), torch.from_numpy(seeded.rgb[order]).float() / 255
     spacing = torch.from_numpy(spacings(seeded.xyz[order]))
     centre = np.asarray(contraction.centre)
+    _, largest = config.model.radius_range
     model = PointModel(
-        replace(config.model, planes=config.background.planes, residual=False, sh="mlp", continuous=False),
+        replace(
+            config.model,
+            planes=config.background.planes,
+            # Cameras see most of a room from afar, where no hole shows between points that are too small.
+            radius_range=(min(LEAST_RADIUS, 0.9 * config.model.radius_start), largest),
+            residual=False,
+            sh="mlp",
+            continuous=False,
+        ),
         centre - contraction.radius,
         centre + contraction.radius,
         float(spacing.median()),

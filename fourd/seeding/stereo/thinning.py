@@ -85,15 +85,12 @@ def _chosen(surfaces: Sequence[Surface], seen: Sequence[Bools], side: float, mos
 
 def _middles(surface: Surface, seen: Bools, side: float) -> Samples:
     """The middles of the squares on known cells."""
-    squares = _Squares.of(surface, side)
-    columns, rows = (axis.ravel() for axis in np.meshgrid(np.arange(squares.columns), np.arange(squares.rows)))
+    xy = _Squares.of(surface, side).middles()
     last = (surface.camera.width - 1, surface.camera.height - 1)
-    # The last square of a row reaches over the border; its middle is that of the part inside.
-    ends = np.minimum((np.stack([columns, rows], axis=1) + 1) * side, np.add(last, 1))
-    xy = (np.stack([columns, rows], axis=1) * side + ends) / 2 - 0.5
     cells = surface.depths.grid.cells_at(xy)
     on = (cells >= 0) & surface.known[cells]
     at_column, at_row = np.clip(np.rint(xy), 0, last).astype(np.intp).T
+    on &= (xy > -0.5).all(axis=1) & (xy < np.add(last, 0.5)).all(axis=1)
     on &= seen[at_row, at_column]
     xy, cells = xy[on], cells[on]
     inverse = (surface.depths.planes[cells] * np.column_stack([xy, np.ones(len(xy))])).sum(axis=1)
@@ -105,21 +102,45 @@ def _middles(surface: Surface, seen: Bools, side: float) -> Samples:
 
 @dataclass(frozen=True)
 class _Squares:
-    """A picture in squares of so many pixels."""
+    """A picture in squares of so many pixels, every other row half a square to the left: so points cover best.
+
+    Attributes:
+        side: of a square, pixels.
+        width, height: of the picture.
+    """
 
     side: float
-    columns: int
-    rows: int
+    width: int
+    height: int
 
     @staticmethod
     def of(surface: Surface, side: float) -> _Squares:
-        return _Squares(side, int(np.ceil(surface.camera.width / side)), int(np.ceil(surface.camera.height / side)))
+        return _Squares(side, surface.camera.width, surface.camera.height)
+
+    @property
+    def columns(self) -> int:
+        return int(np.ceil(self.width / self.side)) + 1
+
+    @property
+    def rows(self) -> int:
+        return int(np.ceil(self.height / self.side))
 
     @property
     def count(self) -> int:
         return self.rows * self.columns
 
+    def middles(self) -> Array:
+        """(count, 2) indices, of a square on the border in the part inside."""
+        column, row = (axis.ravel() for axis in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
+        begins = np.stack([column * self.side - self._shift(row), row * self.side], axis=1)
+        size = (self.width, self.height)
+        return np.asarray((np.clip(begins, 0, size) + np.clip(begins + self.side, 0, size)) / 2 - 0.5)
+
     def at(self, xy: Array) -> NDArray[np.intp]:
         """(M,) numbers of the squares of indices (M, 2); what a border cell has outside goes to the border's."""
-        places = np.clip((xy + 0.5) / self.side, 0, (self.columns - 1, self.rows - 1)).astype(np.intp)
-        return np.asarray(places[:, 1] * self.columns + places[:, 0], np.intp)
+        row = np.clip((xy[:, 1] + 0.5) / self.side, 0, self.rows - 1).astype(np.intp)
+        column = np.clip((xy[:, 0] + 0.5 + self._shift(row)) / self.side, 0, self.columns - 1).astype(np.intp)
+        return np.asarray(row * self.columns + column, np.intp)
+
+    def _shift(self, row: NDArray[np.intp]) -> Array:
+        return np.asarray(row % 2 * (self.side / 2))
