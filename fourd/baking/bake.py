@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +117,7 @@ def _baked(model: PointModel, points: FramePoints, time: float, sources: list[in
     displacement = model.displacement(points.xyz, time)
     xyz = points.xyz if displacement is None else points.xyz + displacement
     sh = model.harmonics(features, points.free.get("sh"))
-    seen = FramePoints(points.spacing, radius, density, {"xyz": xyz}, {}, points.steps)
+    seen = replace(points, radius=radius, density=density, free={"xyz": xyz})
     weights, rgb = _blend_data(model, features, seen, points.free.get("rgb"), sources, seen_from)
     count = xyz.shape[0]
     return BakedFrame(

@@ -7,13 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from fourd.cameras import Camera
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews
+from fourd.raster import point_visibility
 from fourd.raster.arrays import render_points_numpy
 from fourd.seeding.contraction import Contraction
 from fourd.seeding.order import morton_order
@@ -22,14 +21,16 @@ from fourd.seeding.ply import CarvedPoints
 from fourd.training.config import TrainConfig
 from fourd.training.frames import FramePoints
 from fourd.training.parts import NEAR
+from fourd.training.spacing import spacings
 
 STEP_PX = 32
 KEPT_STEPS = 100
 """Depths and features of a plate are used so long: both change slowly."""
 SURFACE_LAYERS = 4
+LEAST_WEIGHT = 1e-3
+"""Of the light of a pixel: what gives less anywhere does not show."""
 
 
-NEIGHBOURS = 4
 LEAST_RADIUS = 1.0
 """In spacings."""
 
@@ -64,15 +65,17 @@ def new_background(
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     points = FramePoints.fresh(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
+    points.lasting = out_of_sight(xyz, [plate.camera for plate in plates.values()])
     return Background(model, points, plates)
 
 
-def spacings(xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(N,) of an even sheet, from the distances to each point's nearest neighbours."""
-    if len(xyz) <= NEIGHBOURS:
-        return np.full(len(xyz), 0.01, np.float32)
-    distances, _ = cKDTree(xyz).query(xyz, k=NEIGHBOURS + 1, workers=-1)
-    return np.maximum(distances[:, 1:].mean(axis=1) / 1.2, 1e-6).astype(np.float32)
+def out_of_sight(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
+    """(N,) bool, which points (N, 3) lie in no camera's picture: what is guessed there shows in no step, and stays."""
+    outside = np.ones(xyz.shape[0], np.bool_)
+    for camera in cameras:
+        pixels, depth = camera.project(xyz.double().numpy())
+        outside &= (depth <= 0) | (pixels < 0).any(axis=1) | (pixels > (camera.width, camera.height)).any(axis=1)
+    return torch.from_numpy(outside)
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,15 @@ class Background:
     def forget(self) -> None:
         """Drop what is kept for a while, as a run that goes on from a checkpoint has to."""
         self._known.clear()
+
+    def hidden(self, layers: int) -> Tensor:
+        """(N,) bool, which points show in no plate, though they may lie within the picture."""
+        weight = torch.zeros(self.points.xyz.shape[0])
+        for plate in self.plates.values():
+            points = self.points
+            seen = point_visibility(points.xyz, points.radius, points.density, plate.camera, layers=layers, near=NEAR)
+            weight = torch.maximum(weight, seen)
+        return weight < LEAST_WEIGHT
 
     def sources(self, cameras: Sequence[int], *, fresh: bool = False, points: FramePoints | None = None) -> SourceViews:
         """Plates (indices of cameras) with what hides points in them.

@@ -86,6 +86,31 @@ class BackgroundConfig:
 
 
 @dataclass(frozen=True)
+class DensifyConfig:
+    """More points where the error is, in full scenes."""
+
+    on: bool = True
+    """Whether points come and go while training."""
+    frame_every: int = 40
+    """Steps of a frame between two rounds for its points; one that shows in none of them goes."""
+    background_every: int = 250
+    """Steps between two rounds for the background's points; one that shows in no plate, though in its picture, goes."""
+    share: float = 0.1
+    """Of the points that a round halves, at most."""
+    growth: float = 1.25
+    """Most points, times what there were first."""
+    until: float = 0.6
+    """Share of the budget after which points stay."""
+
+    def __post_init__(self) -> None:
+        require(self.frame_every >= 1, f"frame_every: expected at least 1, got {self.frame_every}")
+        require(self.background_every >= 1, f"background_every: expected at least 1, got {self.background_every}")
+        require(0 <= self.share <= 1, f"share: expected 0 to 1, got {self.share}")
+        require(self.growth >= 1, f"growth: expected at least 1, got {self.growth}")
+        require(0 <= self.until <= 1, f"until: expected 0 to 1, got {self.until}")
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """Everything that decides what a run computes, saved as the run's config.yaml."""
 
@@ -95,6 +120,8 @@ class TrainConfig:
     scene: Literal["object", "full"] = "object"
     """object: what the mattes hold, on black; full: everything, with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
+    """Of a full scene."""
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
     """Of a full scene."""
     points: int = 40_000
     """Points of each frame."""

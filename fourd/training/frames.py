@@ -17,6 +17,7 @@ from fourd.training.memory import in_own_pages
 
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
+HISTORY = ("error", "shown", "born", "lasting", "age", "first")
 
 
 @dataclass
@@ -31,6 +32,11 @@ class FramePoints:
         free: name -> the optimised tensors: "xyz", when explicit "sh" (N, 48), and of the background "rgb" (N, 3).
         moments: name -> (2, N, C) Adam moments of the tensor of that name.
         steps: (N,) Adam steps that each point has had.
+        error, shown: (N,) sum of how hard a point pulled, and in how many steps it showed.
+        born: (N,) the age at which it came.
+        lasting: (N,) bool, points that stay though they never show.
+        age: () steps that the cloud has had.
+        first: () how many points it began with.
     """
 
     spacing: Tensor
@@ -39,6 +45,12 @@ class FramePoints:
     free: dict[str, Tensor]
     moments: dict[str, Tensor]
     steps: Tensor
+    error: Tensor
+    shown: Tensor
+    born: Tensor
+    lasting: Tensor
+    age: Tensor
+    first: Tensor
 
     @property
     def xyz(self) -> Tensor:
@@ -62,7 +74,28 @@ class FramePoints:
             free=free,
             moments={name: torch.zeros(2, *value.shape) for name, value in free.items()},
             steps=torch.zeros(count),
+            **_no_history(count),
         )
+
+    def take(self, kept: Tensor, parents: Tensor | None = None, partners: Tensor | None = None) -> None:
+        """Keep points (K,) alone, and add new ones between ``parents`` (P,) and ``partners`` (P,) of them, in place.
+
+        New points are after the others, of the parents' spacing, radius and density and the means of the rest.
+        """
+        new = kept[:0] if parents is None else parents
+        other = new if partners is None else partners
+        empty = torch.zeros(len(new))
+        for name, value in self.free.items():
+            self.free[name] = _in_own_pages(torch.cat([value[kept], (value[new] + value[other]) / 2]))
+            moments = self.moments[name]
+            self.moments[name] = _in_own_pages(torch.cat([moments[:, kept], torch.zeros_like(moments[:, new])], dim=1))
+        for name in ("spacing", "radius", "density"):
+            value = getattr(self, name)
+            setattr(self, name, _in_own_pages(torch.cat([value[kept], value[new]])))
+        for name in ("steps", "error", "shown"):
+            setattr(self, name, _in_own_pages(torch.cat([getattr(self, name)[kept], empty])))
+        self.born = torch.cat([self.born[kept], empty + self.age])
+        self.lasting = torch.cat([self.lasting[kept], self.lasting[new]])
 
     def update(self, rows: Tensor, gradients: dict[str, Tensor], rates: dict[str, float | Tensor]) -> None:
         """Adam on ``rows`` (M,) alone (Kingma and Ba 2015): points out of sight keep their state.
@@ -81,7 +114,7 @@ class FramePoints:
 
     def tensors(self) -> dict[str, Tensor]:
         """Everything under flat names, for a file."""
-        named = {"spacing": self.spacing, "radius": self.radius, "density": self.density, "steps": self.steps}
+        named = {name: getattr(self, name) for name in ("spacing", "radius", "density", "steps", *HISTORY)}
         named.update({f"free.{name}": value for name, value in self.free.items()})
         named.update({f"moments.{name}": value for name, value in self.moments.items()})
         return named
@@ -89,6 +122,8 @@ class FramePoints:
     @classmethod
     def from_tensors(cls, named: dict[str, Tensor]) -> FramePoints:
         """The inverse of :meth:`tensors`."""
+        history = _no_history(named["steps"].shape[0])  # files of before points had one
+        history.update({name: named[name] for name in HISTORY if name in named})
         return cls(
             spacing=named["spacing"],
             radius=named["radius"],
@@ -96,6 +131,7 @@ class FramePoints:
             free=_below("free.", named),
             moments=_below("moments.", named),
             steps=named["steps"],
+            **history,
         )
 
     def in_own_pages(self) -> FramePoints:
@@ -179,6 +215,13 @@ class FrameStore:
         """Where a frame's points were last written, if ever."""
         folder = self._scratch if frame in self._spilled else self._saved
         return None if folder is None else folder / _file_name(frame)
+
+
+def _no_history(count: int) -> dict[str, Tensor]:
+    """Of points that have done nothing yet."""
+    history = {name: torch.zeros(count) for name in ("error", "shown", "born")}
+    lasting = torch.zeros(count, dtype=torch.bool)
+    return {**history, "lasting": lasting, "age": torch.zeros(()), "first": torch.tensor(float(count))}
 
 
 def _file_name(frame: int) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -16,10 +17,14 @@ from fourd.model.sources import SourceViews, project_points
 from fourd.training.background import Background, surface_depth
 from fourd.training.config import TrainConfig
 from fourd.training.data import ViewStore
+from fourd.training.densify import densify, never_showed, note_gradients
 from fourd.training.frames import FramePoints
 from fourd.training.losses import ImageLoss
 from fourd.training.parts import Part, composite, evaluate, rows_in_sight
 from fourd.training.schedule import Choice
+
+BACKGROUND_SEED = 2**31
+"""No frame has this number."""
 
 
 @dataclass(frozen=True)
@@ -163,8 +168,24 @@ class Stepper:
             }
             with torch.no_grad():
                 part.points.update(part.rows, gradients, self._rates(part, factor))
+                note_gradients(part.points, part.rows, gradients["xyz"])
         if self.background is not None:
             self.background.advance()
+
+    def grow(self, points: FramePoints, frame: int, plate: bool, spent: float) -> None:
+        """Give the clouds of a full scene's last step their new points, when it is time for it."""
+        config = self.config.densify
+        if self.background is None or not config.on or spent > config.until:
+            return
+        seed = [self.config.seed, 3]
+        with torch.no_grad():
+            if not plate and int(points.age) % config.frame_every == 0:
+                densify(points, config, never_showed(points, config.frame_every), [*seed, frame, int(points.age)])
+            static = self.background.points
+            if int(static.age) % config.background_every == 0:
+                hidden = self.background.hidden(self.config.layers)
+                densify(static, config, hidden, [*seed, BACKGROUND_SEED, int(static.age)])
+                self.background.forget()
 
     def _rates(self, part: Part, factor: float) -> dict[str, float | Tensor]:
         rates = self.config.rates
@@ -191,11 +212,14 @@ def _seen_by(target: _Target, sources: SourceViews | None) -> list[tuple[Camera,
 def placed_window(
     camera: Camera, size: tuple[int, int], place: tuple[float, float, float]
 ) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of a part of ``size`` (width, height), where that fits; ``place`` in [0, 1)."""
+    """(left, top, width, height) of a part of ``size`` (width, height), where that fits; ``place`` in [0, 1).
+
+    Its middle may be anywhere, and it is moved into the picture: corners would come too seldom else.
+    """
     width, height = min(size[0], camera.width), min(size[1], camera.height)
-    left = round(place[1] * (camera.width - width))
-    top = round(place[2] * (camera.height - height))
-    return left, top, width, height
+    left = np.clip(round(place[1] * camera.width - width / 2), 0, camera.width - width)
+    top = np.clip(round(place[2] * camera.height - height / 2), 0, camera.height - height)
+    return int(left), int(top), width, height
 
 
 def keep_in_hull(points: FramePoints, rows: Tensor, before: Tensor, views: list[tuple[Camera, Tensor]]) -> None:

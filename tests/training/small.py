@@ -10,7 +10,7 @@ from rich.console import Console
 
 from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.seeding import write_ply
-from fourd.training.config import BackgroundConfig, TrainConfig
+from fourd.training.config import BackgroundConfig, DensifyConfig, TrainConfig
 from fourd.training.loop import Trainer, TrainSummary
 from fourd.training.run import Run, create_run
 from tests.captures import sphere
@@ -33,7 +33,8 @@ def full_config(seeds: Path, points: int = 1200) -> TrainConfig:
     write_ply(seeds, xyz, np.full((points, 3), 89, np.uint8))
     planes = PlanesConfig(levels=2, features=4, base_resolution=16, time=False)
     background = BackgroundConfig(points=points, seeds=seeds, planes=planes, window_px=32, margin_px=8, encoder_every=2)
-    return replace(SMALL, scene="full", background=background)
+    densify = DensifyConfig(frame_every=2, background_every=4)
+    return replace(SMALL, scene="full", background=background, densify=densify)
 
 
 def quiet() -> Console:
