@@ -25,14 +25,26 @@ from fourd.matting.selection import Selection
 from fourd.matting.stage import SHEET, MatteSettings
 from fourd.progress import Track, Tracker
 from fourd.training.background_seed import BACKGROUND, POINTS
+from fourd.training.calibration import CALIBRATION, START
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.lpips import LPIPS
-from fourd.training.run import CONFIG_NAME, carve_run, create_run, load_run, open_run, seed_run
+from fourd.training.run import (
+    CONFIG_NAME,
+    STAGES,
+    adjust_run_cameras,
+    carve_run,
+    create_run,
+    load_run,
+    open_run,
+    seed_run,
+)
 
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
 SOURCE_PATTERNS = ("*", "*/*", "*/*/*")
 CAPTURE = "capture"
+ADJUSTED_BY = ("poses", "focal", "rotation_deg", "position", "focal_spread", "band")
+"""Settings of refinement that the cameras before carving depend on."""
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 
 
@@ -124,13 +136,23 @@ def make_scene(
         )
     selection = {name: training[name] for name in ("views", "test_views", "frames", "image_scale", "points")}
     carve_key = _key(inputs, fingerprint(capture, MATTE_PATTERNS), selection)
+    if train.refine.cameras:
+        refine = training["refine"]
+        carve_key = _key(carve_key, {name: refine[name] for name in ADJUSTED_BY})
+        stages.run(
+            "cameras",
+            carve_key,
+            lambda: adjust_run_cameras(capture, run, train, track, told_by(console)),
+            run / CALIBRATION / START,
+            lambda: _remove(run),
+        )
     train_key = _key(carve_key, training)
     stages.run(
         "carve",
         carve_key,
         lambda: carve_run(capture, run, train, track, settings.workers),
         run / "hull",
-        lambda: _remove(run),
+        lambda: _remove(run, keep=(CALIBRATION,) if train.refine.cameras else ()),
     )
     if train.scene == "full":
         stages.run(
@@ -145,7 +167,7 @@ def make_scene(
         train_key,
         lambda: _train(capture, run, train, lpips, console),
         run / "checkpoints",
-        lambda: _remove(run, keep=("hull", BACKGROUND)),
+        lambda: _remove(run, keep=STAGES),
     )
     stages.run("export", train_key, lambda: bake_run(load_run(run), out, console), out, lambda: None)
 

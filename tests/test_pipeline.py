@@ -14,7 +14,7 @@ from rich.console import Console
 from fourd.errors import UserError
 from fourd.matting.stage import MatteSettings
 from fourd.pipeline import MakeSettings, make_scene
-from fourd.training.config import TrainConfig
+from fourd.training.config import RefineConfig, TrainConfig
 from tests.matting.captures import unmasked, write_video
 from tests.training.small import SMALL, with_steps
 
@@ -26,7 +26,7 @@ def made(capture: Path, out: Path, config: TrainConfig) -> dict[str, bool]:
     text = io.StringIO()
     make_scene(capture, out, SETTINGS, config, None, Console(file=text, width=200))
     lines = text.getvalue().splitlines()
-    names = ("import", "check", "mattes", "carve", "train", "export")
+    names = ("import", "check", "mattes", "cameras", "carve", "train", "export")
     told = [name for name in names if any(line.startswith(f"{name}: ") for line in lines)]
     return {name: f"{name}: working" in lines for name in told}
 
@@ -45,6 +45,21 @@ def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -
     assert now == {"check": False, "carve": False, "train": False, "export": True}
     os.utime(capture / "images" / "00" / "000001.png", (1, 1))
     assert all(made(capture, out, replace(config, seed=5)).values())
+
+
+def test_refined_cameras_come_before_carving(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches points carved from cameras that are no longer these, and features sought again for a learning rate."""
+    capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
+    shutil.copytree(ball_capture, capture)
+    refine = RefineConfig(poses=True)
+    config = replace(with_steps(SMALL, 2), refine=refine)
+    assert made(capture, out, config) == dict.fromkeys(("check", "cameras", "carve", "train", "export"), True)
+    now = made(capture, out, replace(config, refine=replace(refine, pose_rate=1e-3)))
+    assert now == {"check": False, "cameras": False, "carve": False, "train": True, "export": True}
+    now = made(capture, out, replace(config, refine=replace(refine, rotation_deg=1.0)))
+    assert now == {"check": False, "cameras": True, "carve": True, "train": True, "export": True}
+    now = made(capture, out, with_steps(SMALL, 2))
+    assert now == {"check": False, "carve": True, "train": True, "export": True}
 
 
 def test_videos_become_a_scene(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,17 @@ class Capture:
         self._footage = tuple(footage)
         frame_bytes = sum(3 * camera.width * camera.height for camera in self.cameras)
         self._cache = _Cache((cache_mb << 20) + cache_frames * frame_bytes)
+
+    @property
+    def lenses(self) -> tuple[Camera, ...]:
+        """The cameras as the files' pictures have them: at full size, with distortion."""
+        return self._lenses
+
+    def with_cameras(self, cameras: Sequence[Camera]) -> Capture:
+        """The same pictures with other ``cameras`` said to have taken them: pinholes, one for each of ``names``."""
+        other = copy(self)
+        other.cameras = tuple(cameras)
+        return other
 
     @property
     def frame_count(self) -> int:

@@ -44,6 +44,10 @@ class Arguments:
     """A PLY with your own points of a full scene's background, in world units, in place of those found in plates."""
     background_points: int | None = None
     """Points of a full scene's background."""
+    refine_cameras: bool = False
+    """Correct the calibration: poses and focal lengths, before carving and while training."""
+    refine_colours: bool = False
+    """Learn an affine correction of each camera's colours."""
     max_seconds: float | None = None
     """Seconds of training; 1800 when neither this, --max-steps nor the config file says."""
     max_steps: int | None = None

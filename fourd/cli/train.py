@@ -46,6 +46,10 @@ class Arguments:
     """A PLY with your own points of a full scene's background, in world units, in place of those found in plates."""
     background_points: int | None = None
     """Points of a full scene's background."""
+    refine_cameras: bool = False
+    """Correct the calibration: poses and focal lengths, before carving and while training."""
+    refine_colours: bool = False
+    """Learn an affine correction of each camera's colours."""
     points_from: Path | None = None
     """Folder with your own FRAME.ply (six digits) of each frame, in world units, in place of carving."""
     max_seconds: float | None = None
@@ -105,6 +109,12 @@ def overlaid(arguments: Arguments, seconds: float | None = None) -> TrainConfig:
         "seed": arguments.seed,
     }
     background: dict[str, Any] = {"seeds": arguments.background, "points": arguments.background_points}
+    refined = {
+        "poses": arguments.refine_cameras,
+        "focal": arguments.refine_cameras,
+        "colours": arguments.refine_colours,
+    }
+    given["refine"] = replace(config.refine, **{name: True for name, wanted in refined.items() if wanted})
     try:
         part = replace(config.background, **{name: value for name, value in background.items() if value is not None})
         config = replace(config, background=part, **{name: value for name, value in given.items() if value is not None})

@@ -21,6 +21,7 @@ from fourd.seeding.ply import CarvedPoints
 from fourd.training.config import TrainConfig
 from fourd.training.frames import FramePoints
 from fourd.training.parts import NEAR
+from fourd.training.rig import Rig
 from fourd.training.spacing import spacings
 
 STEP_PX = 32
@@ -95,17 +96,23 @@ class Background:
         model: without time planes, in contracted space.
         points: the cloud.
         plates: by the camera's index in the capture, those trained on alone.
+        rig: how the cameras stand; None as the plates say.
     """
 
     model: PointModel
     points: FramePoints
     plates: Mapping[int, PlateView]
+    rig: Rig | None = None
     _step: int = 0
     _known: dict[int, _Seen] = field(default_factory=dict)
 
     def advance(self) -> None:
         """A step has changed the points or the model."""
         self._step += 1
+
+    def camera(self, index: int) -> Camera:
+        """The camera of a plate."""
+        return self.plates[index].camera if self.rig is None else self.rig.cameras[index]
 
     def forget(self) -> None:
         """Drop what is kept for a while, as a run that goes on from a checkpoint has to."""
@@ -114,9 +121,10 @@ class Background:
     def hidden(self, layers: int) -> Tensor:
         """(N,) bool, which points show in no plate, though they may lie within the picture."""
         weight = torch.zeros(self.points.xyz.shape[0])
-        for plate in self.plates.values():
-            points = self.points
-            seen = point_visibility(points.xyz, points.radius, points.density, plate.camera, layers=layers, near=NEAR)
+        points = self.points
+        for index in self.plates:
+            camera = self.camera(index)
+            seen = point_visibility(points.xyz, points.radius, points.density, camera, layers=layers, near=NEAR)
             weight = torch.maximum(weight, seen)
         return weight < LEAST_WEIGHT
 
@@ -135,9 +143,10 @@ class Background:
         mattes = torch.zeros(len(plates), height, width)
         for k, plate in enumerate(plates):
             rows, columns = plate.seen.shape
-            images[k, :, :rows, :columns] = torch.tensor(plate.rgb).permute(2, 0, 1) / 255
+            picture = torch.tensor(plate.rgb).permute(2, 0, 1) / 255
+            images[k, :, :rows, :columns] = picture if self.rig is None else self.rig.scene_colours(cameras[k], picture)
             mattes[k, :rows, :columns] = torch.tensor(plate.seen).float()
-        padded = tuple(plate.camera.cropped(0, 0, width, height) for plate in plates)
+        padded = tuple(self.camera(index).cropped(0, 0, width, height) for index in cameras)
         if points is not None:
             known = [self._look(points, image, camera) for image, camera in zip(images, padded, strict=True)]
         else:

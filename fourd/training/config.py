@@ -111,6 +111,49 @@ class DensifyConfig:
 
 
 @dataclass(frozen=True)
+class RefineConfig:
+    """Corrections of the calibration, of the cameras that are trained on; off by default."""
+
+    poses: bool = False
+    """Correct where the cameras stand and look: by features before carving, then learnt with everything else."""
+    focal: bool = False
+    """Correct their focal lengths likewise."""
+    colours: bool = False
+    """Learn an affine correction of each camera's colours, whose mean over the cameras is none."""
+    rotation_deg: float = 0.5
+    """How far a camera's rotation may be off: a standard deviation, in degrees."""
+    position: float = 0.003
+    """The same of its place, as a share of its distance from where the cameras look."""
+    focal_spread: float = 0.002
+    """The same of its focal length, as a share of that."""
+    colour_spread: float = 0.1
+    """The same of its colours."""
+    band: float = 0.03
+    """Features may be so far from the given cameras' epipolar lines, as a share of a picture's longer side."""
+    weight: float = 1e-5
+    """Weight in the loss of a learnt correction of one standard deviation."""
+    pose_rate: float = 1e-4
+    """Learning rate of poses: radians, and shares of the distance."""
+    focal_rate: float = 5e-5
+    """Learning rate of the focal length's logarithm."""
+    colour_rate: float = 5e-3
+    """Learning rate of the colours' corrections."""
+
+    def __post_init__(self) -> None:
+        for name in ("rotation_deg", "position", "focal_spread", "colour_spread", "band"):
+            value = getattr(self, name)
+            require(value > 0, f"{name}: expected more than 0, got {value}")
+        for name in ("weight", "pose_rate", "focal_rate", "colour_rate"):
+            value = getattr(self, name)
+            require(value >= 0, f"{name}: expected 0 or more, got {value}")
+
+    @property
+    def cameras(self) -> bool:
+        """Whether the cameras themselves are corrected."""
+        return self.poses or self.focal
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """Everything that decides what a run computes, saved as the run's config.yaml."""
 
@@ -123,6 +166,8 @@ class TrainConfig:
     """Of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     """Of a full scene."""
+    refine: RefineConfig = field(default_factory=RefineConfig)
+    """Corrections of the calibration."""
     points: int = 40_000
     """Points of each frame."""
     layers: int = 15

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from fourd.cameras import Camera
 from fourd.capture import Capture
 from fourd.model.sources import SourceViews
 from fourd.training.memory import in_own_pages
+from fourd.training.rig import Rig
 
 CROP_MARGIN_PX = 16
 STEP_PX = 32
@@ -45,10 +46,14 @@ class View:
 
 
 class ViewStore:
-    """Views of a capture, decoded when asked for; at most ``memory_mb`` of them are kept."""
+    """Views of a capture, decoded when asked for; at most ``memory_mb`` of them are kept.
+
+    ``rig`` says how the cameras stand; it may be set to another one.
+    """
 
     def __init__(self, capture: Capture, crop: bool, memory_mb: int) -> None:
         self.capture = capture
+        self.rig = Rig(capture.cameras)
         self.crop = crop
         self._budget = memory_mb * 2**20
         self._used = 0
@@ -59,14 +64,14 @@ class ViewStore:
         key = (camera, frame)
         if key in self._kept:
             self._kept.move_to_end(key)
-            return self._kept[key]
+            return self._aimed(self._kept[key], camera)
         view = self._decoded(camera, frame, None)
         self._kept[key] = view
         self._used += view.rgb.nbytes + view.matte.nbytes
         while self._used > self._budget and len(self._kept) > 1:
             _, dropped = self._kept.popitem(last=False)
             self._used -= dropped.rgb.nbytes + dropped.matte.nbytes
-        return view
+        return self._aimed(view, camera)
 
     def around(self, camera: int, frame: int, margin: int) -> View:
         """A view with up to ``margin`` pixels more on each side, in steps; decoded anew."""
@@ -75,7 +80,7 @@ class ViewStore:
         height, width = view.matte.shape
         left, top = max(0, view.left - margin), max(0, view.top - margin)
         right, bottom = min(whole.width, view.left + width + margin), min(whole.height, view.top + height + margin)
-        return self._decoded(camera, frame, (left, top, right - left, bottom - top))
+        return self._aimed(self._decoded(camera, frame, (left, top, right - left, bottom - top)), camera)
 
     def sources(self, cameras: list[int], frame: int) -> SourceViews:
         """The views of several cameras, padded to a common size that is a multiple of 8."""
@@ -86,10 +91,19 @@ class ViewStore:
         mattes = torch.zeros(len(views), height, width)
         for i, view in enumerate(views):
             rows, columns = view.matte.shape
-            images[i, :, :rows, :columns] = torch.from_numpy(view.rgb).permute(2, 0, 1) / 255
+            picture = torch.from_numpy(view.rgb).permute(2, 0, 1) / 255
+            images[i, :, :rows, :columns] = self.rig.scene_colours(cameras[i], picture)
             mattes[i, :rows, :columns] = torch.from_numpy(view.matte) / 255
         padded = tuple(view.camera.cropped(0, 0, width, height) for view in views)
         return SourceViews(images, mattes, None, padded)
+
+    def _aimed(self, view: View, camera: int) -> View:
+        """The view with its camera as the rig has it."""
+        whole = self.rig.cameras[camera]
+        if whole is self.capture.cameras[camera]:
+            return view
+        height, width = view.matte.shape
+        return replace(view, camera=whole.cropped(view.left, view.top, width, height))
 
     def _decoded(self, camera: int, frame: int, window: tuple[int, int, int, int] | None) -> View:
         """The part (left, top, width, height) of a picture; by default that of the matte, or all of it."""

@@ -19,6 +19,7 @@ from safetensors.torch import save_file
 from fourd.errors import UserError
 from fourd.files import atomic_path
 from fourd.training.background_seed import BACKGROUND
+from fourd.training.calibration import write_corrected
 from fourd.training.checkpoints import (
     checkpoint_path,
     latest_checkpoint,
@@ -66,7 +67,10 @@ class Trainer:
         self.model = run.new_model()
         self.views = run.view_store()
         self.background = run.background(_newest_points(run))
-        self.stepper = Stepper(self.model, budget, ImageLoss(budget.loss, lpips), self.views, self.background)
+        self.refinement = run.new_refinement()
+        self.stepper = Stepper(
+            self.model, budget, ImageLoss(budget.loss, lpips), self.views, self.background, self.refinement
+        )
         self.sampler = Sampler(budget, run.capture.cameras, run.training, run.capture.frame_count, run.focus)
         self.done = 0
         self.seconds = 0.0
@@ -164,10 +168,14 @@ class Trainer:
         tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
         if self.background is not None:
             tensors.update({f"background.{name}": value for name, value in self.background.model.state_dict().items()})
+        if self.refinement is not None:
+            tensors.update({f"refinement.{name}": value for name, value in self.refinement.state_dict().items()})
         tensors.update(pack_optimizer(self.stepper.optimizer, "optimizer."))
         state = {"seconds": self.seconds, "psnr": self.psnr}
         save_checkpoint(self.run.checkpoints, self.done, tensors, state)
         drop_stale_points(self.run.checkpoints)
+        if self.refinement is not None:
+            write_corrected(self.run.folder, self.run.capture, self.refinement.rig())
         if self.background is not None:
             self.background.forget()
         self._saved_step = self.done
@@ -195,6 +203,9 @@ class Trainer:
         restore(self.model, tensors, "model.", found)
         if self.background is not None:
             restore(self.background.model, tensors, "background.", found)
+        if self.refinement is not None:
+            restore(self.refinement, tensors, "refinement.", found)
+            self.stepper.aim()
         unpack_optimizer(self.stepper.optimizer, tensors, "optimizer.", found)
         self.seconds = float(state["seconds"])
         self.psnr = float(state["psnr"])

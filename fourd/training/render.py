@@ -88,7 +88,7 @@ class Renderer:
 
     def _nearest(self, camera: Camera, exclude: int | None) -> list[int]:
         candidates = [index for index in self.training if index != exclude]
-        cameras = [self.views.capture.cameras[index] for index in candidates]
+        cameras = [self.views.rig.cameras[index] for index in candidates]
         nearest = nearest_views(camera, cameras, self.model.config.neighbours, self.focus)
         return [candidates[i] for i in nearest]
 

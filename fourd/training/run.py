@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +27,18 @@ from fourd.seeding.contraction import Contraction, around_cameras
 from fourd.seeding.order import morton_order
 from fourd.training.background import Background, new_background
 from fourd.training.background_seed import BACKGROUND, POINTS, Say, run_plates, seed_background
+from fourd.training.calibration import CALIBRATION, adjust_run, begun_with
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
 from fourd.training.data import ViewStore
 from fourd.training.frames import FramePoints, FrameStore
+from fourd.training.refinement import Refinement
 from fourd.training.render import Renderer
+from fourd.training.rig import Rig
 
 CONFIG_NAME = "config.yaml"
+STAGES = ("hull", BACKGROUND, CALIBRATION)
+"""Folders of a run that are there before it is one."""
 DECODED_MB = 32
 """Of whole pictures: the crops that training uses have a cache of their own."""
 
@@ -102,6 +107,13 @@ class Run:
             scene.frame_count,
         )
 
+    def new_refinement(self) -> Refinement | None:
+        """Corrections of the capture's cameras, none as yet; None where the config asks for none."""
+        refine = self.config.train.refine
+        if not (refine.cameras or refine.colours):
+            return None
+        return Refinement(refine, self.capture.cameras, self.training, self.focus)
+
     def contraction(self) -> Contraction:
         """The space that a background lies in."""
         x, y, z = (float(value) for value in self.focus)
@@ -156,7 +168,7 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track
 
     Held-out views are not carved from: they must not shape what they judge.
     """
-    capture, training, _ = _open_views(capture_path, train)
+    capture, training, _ = _open_views(capture_path, train, folder)
     _require_masks(capture)
     folder.mkdir(parents=True, exist_ok=True)
     seeing = open_capture(
@@ -165,13 +177,20 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track
         frames=train.frames,
         scale=train.image_scale,
         cache_mb=DECODED_MB,
-    )
+    ).with_cameras([capture.cameras[index] for index in training])
     return carve_capture(seeing, folder / "hull", points=train.points, track=track, workers=workers)
+
+
+def adjust_run_cameras(capture_path: Path, folder: Path, train: TrainConfig, track: Track, say: Say) -> None:
+    """Where the config refines cameras, write those that the run begins with into ``folder/calibration/start``."""
+    if train.refine.cameras:
+        capture, training, _ = _open_views(capture_path, train)
+        adjust_run(capture, training, folder, train.refine, track, say)
 
 
 def seed_run(capture_path: Path, folder: Path, train: TrainConfig, workers: int, track: Track, say: Say) -> None:
     """Find the points of a full scene's background in ``folder/background``; goes on where an earlier call stopped."""
-    capture, training, _ = _open_views(capture_path, train)
+    capture, training, _ = _open_views(capture_path, train, folder)
     seed_background(capture, training, folder, train, workers, track, say)
 
 
@@ -212,17 +231,16 @@ def create_run(
     """
     if (folder / CONFIG_NAME).exists():
         raise UserError(f"{folder}: expected a new folder, got a run; add --resume to go on with it, or name another")
-    if folder.exists() and (
-        not folder.is_dir() or any(entry.name not in ("hull", BACKGROUND) for entry in folder.iterdir())
-    ):
+    if folder.exists() and (not folder.is_dir() or any(entry.name not in STAGES for entry in folder.iterdir())):
         raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
+    adjust_run_cameras(capture_path, folder, train, track, say)
     if points_from is None:
         bounds = carve_run(capture_path, folder, train, track, workers)
     else:
         bounds = adopt_points(points_from, capture_path, folder, train)
     if train.scene == "full":
         seed_run(capture_path, folder, train, workers, track, say)
-    capture, _, _ = _open_views(capture_path, train)
+    capture, _, _ = _open_views(capture_path, train, folder)
     first = read_ply(folder / "hull" / f"{capture.frame_numbers[0]:06d}.ply").xyz
     reach = around_cameras(capture.cameras, bounds.centre).radius
     scene = SceneConfig(
@@ -242,7 +260,7 @@ def open_run(folder: Path) -> Run:
     if not path.is_file():
         raise UserError(f"{folder}: expected a run (a folder with {CONFIG_NAME}), got none; make one with fourd train")
     config = load_overlay(RunConfig(), path)
-    capture, training, test = _open_views(config.capture, config.train)
+    capture, training, test = _open_views(config.capture, config.train, folder)
     return Run(folder, config, capture, training, test)
 
 
@@ -258,12 +276,21 @@ def load_run(folder: Path) -> TrainedRun:
     model = run.new_model()
     restore(model, tensors, "model.", found)
     model.requires_grad_(False)
+    rig = Rig(run.capture.cameras)
+    refinement = run.new_refinement()
+    if refinement is not None:
+        restore(refinement, tensors, "refinement.", found)
+        rig = refinement.rig()
+        run = replace(run, capture=run.capture.with_cameras(rig.cameras))
     background = run.background(points_folder(found))
     if background is not None:
         restore(background.model, tensors, "background.", found)
         background.model.requires_grad_(False)
+        background.rig = rig
     frames = run.frame_store(points_folder(found), "reader")
-    renderer = Renderer(model, run.view_store(), run.training, run.focus, background)
+    views = run.view_store()
+    views.rig = rig
+    renderer = Renderer(model, views, run.training, run.focus, background)
     return TrainedRun(run, step, model, frames, renderer)
 
 
@@ -290,7 +317,8 @@ def mean_spacing(xyz: NDArray[np.float32]) -> float:
     return float(distances[:, 1:].mean() / 1.2)
 
 
-def _open_views(path: Path, train: TrainConfig) -> tuple[Capture, list[int], list[int]]:
+def _open_views(path: Path, train: TrainConfig, run: Path | None = None) -> tuple[Capture, list[int], list[int]]:
+    """The capture's selection, with the cameras that the run in folder ``run`` begins with, and who is held out."""
     views = list(train.views) if train.views is not None else None
     capture = open_capture(path, views=views, frames=train.frames, scale=train.image_scale, cache_mb=DECODED_MB)
     held_out = chosen_views(train.test_views, capture.names, "--test-views") if train.test_views else []
@@ -300,6 +328,8 @@ def _open_views(path: Path, train: TrainConfig) -> tuple[Capture, list[int], lis
         raise UserError(
             f"{path}: expected at least 2 training views, got {len(training)}; hold out fewer with --test-views"
         )
+    if train.refine.cameras and run is not None:
+        capture = begun_with(capture, run)
     return capture, training, test
 
 

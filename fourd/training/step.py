@@ -21,6 +21,7 @@ from fourd.training.densify import densify, never_showed, note_gradients
 from fourd.training.frames import FramePoints
 from fourd.training.losses import ImageLoss
 from fourd.training.parts import Part, composite, evaluate, rows_in_sight
+from fourd.training.refinement import Refinement
 from fourd.training.schedule import Choice
 
 BACKGROUND_SEED = 2**31
@@ -62,12 +63,14 @@ class Stepper:
         loss: ImageLoss,
         views: ViewStore,
         background: Background | None = None,
+        refinement: Refinement | None = None,
     ) -> None:
         self.model = model
         self.config = config
         self.loss = loss
         self.views = views
         self.background = background
+        self.refinement = refinement
         models = [model] if background is None else [model, background.model]
         named = [pair for each in models for pair in each.named_parameters()]
         planes = [p for name, p in named if "planes" in name]
@@ -76,6 +79,7 @@ class Stepper:
             [
                 {"params": planes, "lr": config.rates.planes, "base": config.rates.planes},
                 {"params": others, "lr": config.rates.mlps, "base": config.rates.mlps},
+                *([] if refinement is None else refinement.groups()),
             ],
             betas=(0.9, 0.99),
             eps=1e-15,
@@ -91,8 +95,12 @@ class Stepper:
         """
         target = self._target(choice)
         parts = self._parts(points, time, choice, target.camera, number)
-        render = composite(parts, target.camera, choice.layers)
+        refinement = self.refinement
+        seen = parts if refinement is None else refinement.seen(parts, choice.target)
+        render = composite(seen, target.camera, choice.layers)
         colour, coverage = render.features[..., :3], render.features[..., 3]
+        if refinement is not None:
+            colour = refinement.recoloured(colour, render.alpha, choice.target)
         behind = torch.from_numpy(choice.background)
         predicted = colour + (1 - render.alpha)[..., None] * behind
         truth = target.rgb + (1 - target.filled)[..., None] * behind
@@ -103,6 +111,8 @@ class Stepper:
         if parts[0].displacement is not None:
             displacement = parts[0].displacement / self.model.spacing
             terms["residual"] = self.config.loss.residual * displacement.square().mean()
+        if refinement is not None:
+            terms["refinement"] = refinement.penalty(choice.target)
         _require_finite(terms, number)
         before = parts[0].free["xyz"].detach()
         self._apply(parts, terms, factor)
@@ -116,6 +126,13 @@ class Stepper:
         psnr = -10 * math.log10(max(error, 1e-10))
         return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
 
+    def aim(self) -> None:
+        """Let views and plates have the cameras as corrected now."""
+        if self.refinement is not None:
+            self.views.rig = self.refinement.rig()
+            if self.background is not None:
+                self.background.rig = self.views.rig
+
     def _target(self, choice: Choice) -> _Target:
         if self.background is None:
             view = self.views.view(choice.target, choice.frame)
@@ -124,8 +141,9 @@ class Stepper:
         if choice.plate:
             plate = self.background.plates[choice.target]
             side = self.config.background.window_px
-            window = placed_window(plate.camera, (side, side), choice.place)
-            part = plate.camera.cropped(*window)
+            camera = self.background.camera(choice.target)
+            window = placed_window(camera, (side, side), choice.place)
+            part = camera.cropped(*window)
             rows, columns = slice(window[1], window[1] + window[3]), slice(window[0], window[0] + window[2])
             rgb = torch.tensor(plate.rgb[rows, columns]).float() / 255
             seen = torch.tensor(plate.seen[rows, columns]).float()
@@ -169,6 +187,7 @@ class Stepper:
             with torch.no_grad():
                 part.points.update(part.rows, gradients, self._rates(part, factor))
                 note_gradients(part.points, part.rows, gradients["xyz"])
+        self.aim()
         if self.background is not None:
             self.background.advance()
 

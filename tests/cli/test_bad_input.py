@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import resource
 import shutil
@@ -143,3 +144,24 @@ def test_a_full_disk_keeps_the_checkpoint_before(trained: Run, tmp_path: Path) -
     assert load_run(run).step == 6
     after = load_file(run / "checkpoints" / "00000006.safetensors")
     assert all((before[name] == after[name]).all() for name in before)
+
+
+def test_colours_of_held_out_cameras_are_fitted_with_their_poses_alone(
+    trained: Run, scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a switch that is silently ignored."""
+    line = complaint(capsys, "eval", trained.folder, "--refine-test-colours")
+    assert "--refine-test-colours: expected --refine-test beside it, got it alone; add --refine-test" in line
+    line = complaint(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
+    assert "--refine-test-colours: expected the run's own rendering, got --scene; leave one of them out" in line
+
+
+def test_scores_of_fitted_cameras_say_that_they_are(
+    trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches figures of fitted cameras that pass for those of cameras as given."""
+    assert main(["eval", str(trained.folder), "--refine-test", "--json", str(tmp_path / "fitted.json")]) == 0
+    assert "03: fitted to its own pictures before judging" in capsys.readouterr().out
+    content = json.loads((tmp_path / "fitted.json").read_text())
+    assert list(content["fitted_to_own_pictures"]) == ["03"]
+    assert content["fitted_to_own_pictures"]["03"]["colours"] is None

@@ -6,11 +6,9 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pycolmap
 from numpy.typing import NDArray
@@ -18,24 +16,23 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.progress import Track
 from fourd.seeding.plates import PlateView
+from fourd.seeding.stereo.features import (
+    IMAGES,
+    Features,
+    Quiet,
+    extract,
+    fundamental_matrix,
+    likely_pairs,
+    read_features,
+    write_pictures,
+)
 from fourd.spreading import cores
 
-Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
-IMAGES, MASKS = "images", "masks"
-MOST_FEATURES = 4096
-LONGEST_SIDE = 1600
-"""Pixels; features of larger pictures are sought in reduced ones."""
-FAINTEST = 0.003
-"""Of a feature's contrast; COLMAP takes 0.0067. Walls are smooth, and known poses sort out more wrong matches."""
-HOLE_MARGIN_PX = 6
-"""Beside holes the plate is filled in or soft."""
 EPIPOLAR_PX = 1.5
 RATIO = 0.85
 LEAST_LIKENESS = 0.5
-ALL_PAIRS = 8
-LEAST_COSINE = 0.4
 LEAST_ANGLE_DEG = 2.0
 MOST_ERROR_PX = 2.0
 
@@ -58,27 +55,21 @@ class SparsePoints:
         return self.seen.sum(axis=1) >= 3
 
 
-@dataclass(frozen=True, eq=False)
-class _Features:
-    xy: Array
-    descriptors: Floats
-
-
 def sparse_points(plates: Sequence[PlateView], seed: int, track: Track) -> SparsePoints:
     """Triangulate what two plates or more show, at most 2 px from where it projects, at 2 degrees or more."""
     cameras = [plate.camera for plate in plates]
-    with tempfile.TemporaryDirectory(prefix="fourd-plates-") as name, _Quiet():
+    with tempfile.TemporaryDirectory(prefix="fourd-plates-") as name, Quiet():
         folder = Path(name)
         database = folder / "database.db"
-        names = _write_pictures(folder, plates)
+        names = write_pictures(folder, plates)
         batch = cores()
         batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
         for some in track(batches, len(batches), "features"):
-            _extract(folder, database, some)
+            extract(folder, database, some)
         with closing(pycolmap.Database.open(database)) as store:
             images = sorted(store.read_all_images(), key=lambda image: image.name)
-            features = [_features(store, image.image_id) for image in images]
-            pairs = _pairs(cameras)
+            features = [read_features(store, image.image_id) for image in images]
+            pairs = likely_pairs(cameras)
             for i, j in track(pairs, len(pairs), "matches"):
                 found = _guided(features[i], features[j], cameras[i], cameras[j])
                 if len(found):
@@ -95,54 +86,11 @@ def sparse_points(plates: Sequence[PlateView], seed: int, track: Track) -> Spars
     return _points(model, len(plates))
 
 
-def _pairs(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Pairs to match: all of up to 8 cameras, else those whose viewing directions are within 66 degrees."""
-    return [
-        (i, j)
-        for i, j in combinations(range(len(cameras)), 2)
-        if len(cameras) <= ALL_PAIRS or cameras[i].forward @ cameras[j].forward > LEAST_COSINE
-    ]
-
-
-def _write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
-    """Write the plates and the masks of where features may lie; the pictures' names, by number."""
-    images, masks = folder / IMAGES, folder / MASKS
-    images.mkdir()
-    masks.mkdir()
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * HOLE_MARGIN_PX + 1,) * 2)
-    names = [f"{index:06d}.png" for index in range(len(plates))]
-    for name, plate in zip(names, plates, strict=True):
-        free = cv2.erode(np.where(plate.seen, 255, 0).astype(np.uint8), disc)
-        for path, picture in ((images / name, plate.rgb[..., ::-1]), (masks / f"{name}.png", free)):
-            if not cv2.imwrite(str(path), np.ascontiguousarray(picture)):
-                raise OSError(f"{path}: a temporary picture could not be written")
-    return names
-
-
-def _extract(folder: Path, database: Path, names: list[str]) -> None:
-    extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Cameras of a ring stand 18 degrees apart or more: features that follow the surface's slant are what they share.
-    extraction.sift.estimate_affine_shape = True
-    extraction.sift.peak_threshold = FAINTEST
-    extraction.sift.max_num_features = MOST_FEATURES
-    extraction.max_image_size = LONGEST_SIDE
-    reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE", mask_path=folder / MASKS)
-    mode = pycolmap.CameraMode.PER_IMAGE
-    pycolmap.extract_features(database, folder / IMAGES, names, mode, reader, extraction, pycolmap.Device.cpu)
-
-
-def _features(store: Any, image: int) -> _Features:
-    xy = np.asarray(store.read_keypoints(image), np.float64)[:, :2]
-    descriptors = np.asarray(store.read_descriptors(image).data, np.float32)
-    lengths = np.linalg.norm(descriptors, axis=1, keepdims=True)
-    return _Features(xy, descriptors / np.maximum(lengths, 1e-9))
-
-
-def _guided(first: _Features, second: _Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
+def _guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
     """(M, 2) features that are each other's nearest of those on the epipolar lines, clearly nearer than the next."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.uint32)
-    fundamental = _fundamental(camera, other)
+    fundamental = fundamental_matrix(camera, other)
     here, there = (np.column_stack([f.xy, np.ones(len(f.xy))]) for f in (first, second))
     lines_there, lines_here = here @ fundamental.T, there @ fundamental
     for lines in (lines_there, lines_here):
@@ -156,14 +104,6 @@ def _guided(first: _Features, second: _Features, camera: Camera, other: Camera) 
     apart = np.sqrt(np.maximum(2 - 2 * nearest, 0))
     kept = np.flatnonzero(mutual & (nearest[:, 1] > LEAST_LIKENESS) & (apart[:, 1] < RATIO * apart[:, 0]))
     return np.column_stack([kept, best[kept]]).astype(np.uint32)
-
-
-def _fundamental(camera: Camera, other: Camera) -> Array:
-    """(3, 3): F x is the line in the other picture of x in the first."""
-    rotation = other.rotation @ camera.rotation.T
-    x, y, z = other.translation - rotation @ camera.translation
-    essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation
-    return np.asarray(np.linalg.inv(other.intrinsics).T @ essential @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
 def _known(store: Any, images: list[Any], cameras: Sequence[Camera]) -> Any:
@@ -203,14 +143,3 @@ def _points(model: Any, plates: int) -> SparsePoints:
     for row, point in enumerate(points):
         seen[row, [numbers[element.image_id] for element in point.track.elements]] = True
     return SparsePoints(np.array([point.xyz for point in points], np.float64).reshape(-1, 3), seen)
-
-
-class _Quiet:
-    """COLMAP tells its progress on stderr, line by line; errors still show."""
-
-    def __enter__(self) -> None:
-        self._before = pycolmap.logging.minloglevel
-        pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
-
-    def __exit__(self, *error: object) -> None:
-        pycolmap.logging.minloglevel = self._before
