@@ -95,6 +95,18 @@ def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array)
     return CarvedPoints(xyz[kept].astype(np.float32), colours[kept])
 
 
+def seen_share(points: CarvedPoints, centre: Array, cameras: Sequence[Camera]) -> float:
+    """Share of all directions about ``centre`` in which there are points, gaps between these not counted."""
+    sphere = _sphere(cameras, centre)
+    cells, _ = sphere.cells(points.xyz.astype(np.float64))
+    known = np.zeros(sphere.rows * sphere.columns, bool)
+    known[cells] = True
+    closed, _ = _closed(sphere, known)
+    elevation = ((np.arange(sphere.rows) + 0.5) / sphere.rows - 0.5) * np.pi
+    weight = np.cos(elevation)[:, None]
+    return float((closed * weight).sum() / (sphere.columns * weight.sum()))
+
+
 def gaze_centre(cameras: Sequence[Camera]) -> Array:
     """(3,) world point nearest to the cameras' optical axes; the cameras' mean where these are all parallel."""
     centres = np.stack([camera.centre for camera in cameras])
@@ -154,17 +166,10 @@ def _harmonic(sphere: _Sphere, known: NDArray[np.bool_], values: Array) -> Array
 def _chosen(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Unknown cells to put a point in, and a rim of known ones: as many as the sphere's area asks for, and few far
     from all that is known."""
-    known = _widened(sphere, known)
-    # Three turns side by side: what is done to neighbours runs on over the seam.
-    turns = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
-    middle = (slice(sphere.rows, 2 * sphere.rows), slice(sphere.columns, 2 * sphere.columns))
-    near = distance_transform_edt(~turns) * CELL_DEG <= SMALL_GAP_DEG
-    closed = turns | (distance_transform_edt(near) * CELL_DEG > SMALL_GAP_DEG)
-    grid = closed[middle]
+    grid, away = _closed(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
     wider[[0, -1]] = True
     rim = (wider & binary_dilation(~wider, np.ones((3, 3))))[1:-1, 1:-1]
-    away = distance_transform_edt(~turns)[middle] * CELL_DEG
     row, column = np.indices(grid.shape)
     elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
@@ -173,6 +178,17 @@ def _chosen(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     # Every other of the few rows is moved by half a step: so points cover best.
     moved = np.where(away > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
     return np.flatnonzero(((~grid | rim) & ((column + moved) % step == 0) & level).ravel())
+
+
+def _closed(sphere: _Sphere, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
+    """(rows, columns) what is known, without small gaps; and how far from it each cell is, in degrees."""
+    known = _widened(sphere, known)
+    # Three turns side by side: what is done to neighbours runs on over the seam.
+    turns = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
+    middle = (slice(sphere.rows, 2 * sphere.rows), slice(sphere.columns, 2 * sphere.columns))
+    away = distance_transform_edt(~turns) * CELL_DEG
+    closed = turns | (distance_transform_edt(away <= SMALL_GAP_DEG) * CELL_DEG > SMALL_GAP_DEG)
+    return closed[middle], away[middle]
 
 
 def _widened(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -14,7 +14,8 @@ from fourd.matting.selection import Selection
 from fourd.progress import Track
 from fourd.seeding import CarvedPoints, read_ply, write_ply
 from fourd.seeding.plates import PlateView, has_plate, read_plates
-from fourd.seeding.surroundings import gaze_centre, surroundings
+from fourd.seeding.stillness import restless
+from fourd.seeding.surroundings import gaze_centre, seen_share, surroundings
 from fourd.seeding.triangulation import triangulated
 from fourd.training.config import TrainConfig
 
@@ -43,12 +44,27 @@ def seed_background(
         points = _brought(train.background.seeds, wanted, train.seed)
     else:
         plates = run_plates(capture, training, folder, say)
+        _say_what_moves(restless(capture, training, plates), say)
         points = triangulated(plates, wanted, seed=train.seed, workers=workers, say=say, track=track)
         cameras = [plate.camera for plate in plates]
         shell = surroundings(points, cameras, gaze_centre(cameras))
-        say(f"surroundings: {len(shell.xyz)} points where no plate looks, their colours continued from around")
+        share = seen_share(points, gaze_centre(cameras), cameras)
+        say(
+            f"surroundings: the plates show {share:.0%} of the directions about the scene; "
+            f"{len(shell.xyz)} points stand for the rest, their colours continued from around"
+        )
         points = CarvedPoints(np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb]))
     write_ply(target, points.xyz, points.rgb)
+
+
+def _say_what_moves(shares: dict[str, float], say: Say) -> None:
+    if shares:
+        worst = max(shares, key=lambda name: shares[name])
+        others = f" (and {len(shares) - 1} more)" if len(shares) > 1 else ""
+        say(
+            f"background: up to {shares[worst]:.0%} of what camera '{worst}'{others} sees beside the subject changes "
+            "over time; a static background keeps its mean, in which what moves is blurred: let the mattes hold it too"
+        )
 
 
 def run_plates(
