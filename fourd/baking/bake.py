@@ -16,9 +16,9 @@ from fourd.baking.container import SceneWriter
 from fourd.baking.scene import BakedFrame, SceneBackground, SceneManifest, triple
 from fourd.errors import UserError
 from fourd.model import PointModel
-from fourd.model.appearance import LEAST_TRUST
+from fourd.model.appearance import with_say
 from fourd.model.point_model import PointFeatures
-from fourd.model.sources import SourceViews, sample_sources
+from fourd.model.sources import HIDDEN_SPACINGS, SourceViews, sample_sources
 from fourd.training.frames import FramePoints
 from fourd.training.parts import NEAR
 from fourd.training.run import Run, TrainedRun
@@ -137,18 +137,19 @@ def _blend_data(
     sources: list[int],
     seen_from: SeenFrom,
 ) -> tuple[Tensor, Tensor]:
-    """Weights (N, V), scaled to each point's largest, and colours (N, V, 3); a view at a time."""
+    """Weights (N, V), scaled to each point's largest, 0 without a say, and colours (N, V, 3); a view at a time."""
     count = seen.xyz.shape[0]
     weights = torch.zeros(count, len(sources))
     rgb = torch.zeros(count, len(sources), 3)
     for column, index in enumerate(sources):
         view = seen_from(index, seen)
         encoded = model.encode_images(view.images) if view.encoded is None else view.encoded
-        samples = sample_sources(seen.xyz, view, encoded, 2 * model.spacing)
+        samples = sample_sources(seen.xyz, view, encoded, HIDDEN_SPACINGS * seen.spacing)
         logits = model.blend_logits(features, samples, seen.xyz, view, None)
-        weights[:, column] = (torch.exp(logits) * (samples.trust + LEAST_TRUST))[0]
+        trust = with_say(samples.trust[0])
+        weights[:, column] = torch.exp(logits[0]) * trust
         colours = samples.colours[0]
-        rgb[:, column] = colours if base is None else base.lerp(colours, samples.trust[0][:, None])
+        rgb[:, column] = colours if base is None else base.lerp(colours, trust[:, None])
     if sources:
         weights = weights * (LARGEST_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
     return weights, rgb

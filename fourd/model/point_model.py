@@ -14,7 +14,7 @@ from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.model.geometry import GeometryHead
 from fourd.model.kplanes import KPlanes
 from fourd.model.shared_linear import shared_linear
-from fourd.model.sources import SourceSamples, SourceViews, sample_sources
+from fourd.model.sources import HIDDEN_SPACINGS, SourceSamples, SourceViews, sample_sources
 from fourd.seeding.contraction import LIMIT, Contraction
 
 RGB = 3
@@ -161,6 +161,7 @@ class PointModel(nn.Module):
         features: PointFeatures,
         viewer: Camera,
         sources: SourceViews | None,
+        spacing: Tensor,
         explicit: Tensor | None = None,
         *,
         base: Tensor | None = None,
@@ -170,6 +171,7 @@ class PointModel(nn.Module):
 
         Args:
             sources: the N' views nearest to the viewer; None when colour is SH alone.
+            spacing: (N,) distances between neighbours, the unit in which points lie behind what a view sees.
             base: (N, 3) what a source view that does not see a point takes for its colour; None leaves the
                 view's own.
             train_encoder: without it the image CNN gets no gradient, which is a third of a step's time.
@@ -181,7 +183,7 @@ class PointModel(nn.Module):
             if encoded is None:
                 with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
                     encoded = self.encode_images(sources.images)
-            samples = sample_sources(xyz, sources, encoded, 2 * self.spacing)
+            samples = sample_sources(xyz, sources, encoded, HIDDEN_SPACINGS * spacing)
             logits = self.blend_logits(features, samples, xyz, sources, viewer)
             colour = blend(logits, samples.trust, samples.colours, base)
         sh = self.harmonics(features, explicit)

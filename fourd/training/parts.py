@@ -66,7 +66,7 @@ def evaluate(
     displacement = model.displacement(xyz, time)
     placed = xyz if displacement is None else xyz + displacement
     colour = model.colour(
-        placed, features, viewer, sources, free.get("sh"), base=free.get("rgb"), train_encoder=train_encoder
+        placed, features, viewer, sources, spacing, free.get("sh"), base=free.get("rgb"), train_encoder=train_encoder
     )
     return Part(points, rows, free, placed, radius, density, colour, displacement, sources)
 

@@ -77,7 +77,10 @@ class Renderer:
         sources = None
         if self.model.config.appearance != "sh":
             chosen = self.views.sources(self._nearest(camera, exclude), frame)
-            sources = with_depth(chosen, replace(points, radius=radius, density=density), self.model.config.occlusion)
+            displacement = self.model.displacement(points.xyz, time)
+            placed = points.xyz if displacement is None else points.xyz + displacement
+            seen = replace(points, radius=radius, density=density, free={**points.free, "xyz": placed})
+            sources = with_depth(chosen, seen, self.model.config.occlusion)
         return evaluate(self.model, points, None, time, camera, sources)
 
     def _static(self, background: Background, camera: Camera, exclude: int | None) -> Part:

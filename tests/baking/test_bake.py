@@ -11,8 +11,12 @@ import pytest
 
 from fourd.baking import open_scene
 from fourd.baking.bake import bake_run
+from fourd.model.appearance import LEAST_TRUST
+from fourd.model.sources import HIDDEN_SPACINGS
 from fourd.training.run import TrainedRun, load_run
 from tests.training.small import SMALL, full_config, quiet, trained_run, with_steps
+
+BALL_RADIUS = 0.4
 
 
 @pytest.fixture(scope="module", params=["object", "full"])
@@ -38,6 +42,24 @@ def test_the_scene_renders_as_the_run(trained: TrainedRun, scene_path: Path) -> 
             baked = scene.render(camera, frame).rgb.clip(0, 1)
             error = float(np.square(live - baked).mean())
             assert -10 * np.log10(error) > 50
+
+
+def test_a_view_that_something_hides_a_point_from_weighs_nothing(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches small weights, through which the front of the ball shines on its back."""
+    scene = open_scene(scene_path)
+    moving = scene.manifest.points[1]
+    xyz, weights = scene.frame(1).xyz[:moving], scene.frame(1).blend_weights[:moving]
+    outwards = xyz - xyz.mean(axis=0)
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    centres = np.stack([camera.centre for camera in scene.manifest.source_cameras])
+    towards = centres[None] - xyz[:, None]
+    facing = np.einsum("nc,nvc->nv", outwards, towards) / np.linalg.norm(towards, axis=2)
+    behind = -2 * BALL_RADIUS * facing  # how far behind the front of the ball
+    hidden = behind > (2 - np.log(LEAST_TRUST)) * HIDDEN_SPACINGS * trained.model.spacing + 0.05
+    assert hidden.sum() > 100
+    assert (weights[hidden] == 0).mean() > 0.98
+    assert (weights[facing > 0.7] > 0).mean() > 0.98
+    assert set(weights.max(axis=1).tolist()) <= {0.0, 1024.0}
 
 
 def test_the_manifest_tells_held_out_cameras_apart(trained: TrainedRun, scene_path: Path) -> None:
