@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
-from fourd.baking.scene import BakedFrame, SceneBackground, SceneManifest, triple
+from fourd.baking.scene import SHADOW_ONE, BakedFrame, SceneBackground, SceneManifest, triple
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.appearance import with_say
@@ -45,7 +46,7 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
         if background is not None:
             writer.add_background(background)
         for frame in track(range(run.capture.frame_count), description="export", console=console):
-            writer.add_frame(frame, bake_frame(trained, frame, sources))
+            writer.add_frame(frame, bake_frame(trained, frame, sources), bake_shadow(trained, frame))
 
 
 def require_bakeable(run: Run) -> None:
@@ -108,6 +109,15 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
     return _baked(
         background.model, background.points, 0.0, sources, lambda index, seen: plates.sources([index], points=seen)
     )
+
+
+def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
+    """What a frame's shadow multiplies the background's colours by, (M,) in 1/SHADOW_ONE; None without shadows."""
+    background = trained.renderer.background
+    if background is None or background.model.shadow is None:
+        return None
+    factor = background.model.shadow(background.points.xyz, trained.run.capture.time(frame)).factor
+    return (SHADOW_ONE * factor).round().clamp(0, 255).byte().numpy()
 
 
 def _baked(model: PointModel, points: FramePoints, time: float, sources: list[int], seen_from: SeenFrom) -> BakedFrame:
