@@ -25,6 +25,7 @@ struct SourceArguments {
     using Channels = Array<const float, nanobind::ndim<3>>;
     using ChannelsOut = Array<float, nanobind::ndim<3>>;
     using TrustOut = Array<float, nanobind::ndim<2>>;
+    using Softness = Array<const float, nanobind::ndim<1>>;
 
     static constexpr std::size_t kNumbers = 21;  // of a camera: K, R (row by row) and T
     static constexpr std::size_t kMostViews = 1 << 16;
@@ -35,14 +36,14 @@ struct SourceArguments {
     sources::Query query{};
 
     SourceArguments(const Xyz& xyz, const Images& images, const Grey& mattes, const std::optional<Grey>& depth,
-                    const std::optional<Features>& features, const std::vector<double>& numbers, float softness,
-                    int threads, Simd simd)
+                    const std::optional<Features>& features, const std::vector<double>& numbers,
+                    const Softness* softness, int threads, Simd simd)
         : cameras(cameras_of(numbers, images.shape(0))) {
         const std::size_t height = images.shape(2), width = images.shape(3);
         require(xyz.shape(0) <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");
         require(height >= 1 && width >= 1 && height <= kLongestSide && width <= kLongestSide,
                 "images: expected sides from 1 to 2^24");
-        require(softness > 0, "softness: expected a depth above 0");
+        require(!softness || softness->shape(0) == xyz.shape(0), "softness: expected one a point");
         require(fits(mattes, images), "mattes: expected the images' shape");
         require(!depth || fits(*depth, images), "depth: expected the images' shape");
         query.maps.images = images.data();
@@ -55,7 +56,7 @@ struct SourceArguments {
         query.views = static_cast<int>(cameras.size());
         query.xyz = xyz.data();
         query.count = xyz.shape(0);
-        query.softness = softness;
+        query.softness = softness ? softness->data() : nullptr;
         query.threads = threads;
         query.simd = simd;
     }

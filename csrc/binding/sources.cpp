@@ -18,17 +18,18 @@ using Arguments = SourceArguments<nb::device::cpu>;
 
 Arguments arguments_of(const Arguments::Xyz& xyz, const Arguments::Images& images, const Arguments::Grey& mattes,
                        const std::optional<Arguments::Grey>& depth, const std::optional<Arguments::Features>& features,
-                       const std::vector<double>& cameras, float softness, int threads, const std::string& simd) {
+                       const std::vector<double>& cameras, const Arguments::Softness* softness, int threads,
+                       const std::string& simd) {
     return Arguments(xyz, images, mattes, depth, features, cameras, softness, std::clamp(threads, 1, 256),
                      simd_named(simd.c_str()));
 }
 
 void sample(const Arguments::Xyz& xyz, const Arguments::Images& images, const Arguments::Grey& mattes,
             const std::optional<Arguments::Grey>& depth, const std::optional<Arguments::Features>& features,
-            const std::vector<double>& cameras, float softness, int threads, const std::string& simd,
-            const Arguments::ChannelsOut& out_channels, const Arguments::TrustOut& out_trust) {
+            const std::vector<double>& cameras, const Arguments::Softness& softness, int threads,
+            const std::string& simd, const Arguments::ChannelsOut& out_channels, const Arguments::TrustOut& out_trust) {
     const Arguments arguments =
-        arguments_of(xyz, images, mattes, depth, features, cameras, softness, threads, simd);
+        arguments_of(xyz, images, mattes, depth, features, cameras, &softness, threads, simd);
     const sources::Samples out = arguments.samples(out_channels, out_trust);
     nb::gil_scoped_release release;
     sources::sample(arguments.query, out);
@@ -39,7 +40,7 @@ void sample_backward(const Arguments::Xyz& xyz, const Arguments::Images& images,
                      int threads, const std::string& simd, const Arguments::Channels& gradient,
                      const Arguments::XyzOut& out_xyz, const std::optional<Arguments::FeaturesOut>& out_features) {
     const Arguments arguments =
-        arguments_of(xyz, images, mattes, std::nullopt, features, cameras, 1.0f, threads, simd);
+        arguments_of(xyz, images, mattes, std::nullopt, features, cameras, nullptr, threads, simd);
     const float* const from = arguments.gradient(gradient);
     const sources::Gradients out = arguments.gradients(out_xyz, out_features);
     nb::gil_scoped_release release;

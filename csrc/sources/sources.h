@@ -24,7 +24,7 @@ struct Query {
     int views;
     const float* xyz;  // (count, 3)
     std::size_t count;
-    float softness;    // depth over which a hidden point loses its say, above 0
+    const float* softness;  // (count,) depth over which a hidden point loses its say; the gradient needs none
     int threads;       // at least 1; the result does not depend on it. Of the CPU alone, as is
     Simd simd;         // one that this machine runs
 };
@@ -65,6 +65,8 @@ FOURD_HD FOURD_INLINE int nearest(float place, int size) {
     return static_cast<int>(std::rint(place < last ? place : last));
 }
 
+constexpr float kLeastSoftness = 1e-12f;  // what is less, or no number, stands for this
+
 // How far a view can be trusted at a point. A pixel on the silhouette mixes in background, so that trust falls
 // faster than coverage does.
 FOURD_HD FOURD_INLINE float trust(const Maps& maps, std::size_t view, const Projected& at, const Around& image,
@@ -74,8 +76,9 @@ FOURD_HD FOURD_INLINE float trust(const Maps& maps, std::size_t view, const Proj
     const float matte = sample(maps.mattes + view * size, image);
     if (!maps.depth || matte == 0.0f) return matte * matte;
     const std::size_t row = nearest(at.v - 0.5f, maps.height), column = nearest(at.u - 0.5f, maps.width);
-    const float behind = at.z - maps.depth[view * size + row * maps.width + column] - 2.0f * softness;
-    return behind > 0.0f ? matte * matte * std::exp(-behind / softness) : matte * matte;
+    const float width = softness > kLeastSoftness ? softness : kLeastSoftness;
+    const float behind = at.z - maps.depth[view * size + row * maps.width + column] - 2.0f * width;
+    return behind > 0.0f ? matte * matte * std::exp(-behind / width) : matte * matte;
 }
 
 void sample(const Query& query, const Samples& out);

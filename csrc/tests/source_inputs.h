@@ -7,7 +7,7 @@
 namespace fourd::tests {
 
 struct SourceInputs {
-    Floats images, mattes, depth, features, xyz;
+    Floats images, mattes, depth, features, xyz, softness;
     std::vector<sources::Pinhole> cameras;
     sources::Query query{};
     Floats samples, trust, to_xyz, to_features;  // room for results
@@ -23,6 +23,7 @@ struct SourceInputs {
         depth = random_floats(random, views * pixels, 1, 5, 0);
         features = random_floats(random, views * channels * across * down, -1, 1, 0);
         xyz = random_floats(random, 3 * count, -2, 2, hostile);
+        softness = random_floats(random, count, 0.01f, 0.5f, hostile);
         for (std::size_t view = 0; view < views; ++view) {
             const points::Pinhole from = random_settings(random, "").camera;
             sources::Pinhole to{};
@@ -39,7 +40,7 @@ struct SourceInputs {
         query.views = static_cast<int>(views);
         query.xyz = xyz.data();
         query.count = count;
-        query.softness = 0.1f;
+        query.softness = softness.data();
         query.threads = whole(random, 1, 4);
         samples.resize(views * (channels + 3) * count);
         trust.resize(views * count);

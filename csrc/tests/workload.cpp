@@ -203,11 +203,12 @@ std::function<void()> sampling(const Size& size, bool backward) {
     return [=, images = Floats(3 * kViews * pixels, 0.4f), mattes = Floats(kViews * pixels, 1.0f),
             depth = Floats(kViews * pixels, 3.0f), features = Floats(kViews * kChannels * (pixels / 4), 0.2f),
             samples = Floats(kViews * (kChannels + 3) * size.points, 0.5f), trust = Floats(kViews * size.points),
-            to_features = Floats(kViews * kChannels * (pixels / 4)), to_xyz = Floats(3 * size.points)]() mutable {
+            to_features = Floats(kViews * kChannels * (pixels / 4)), to_xyz = Floats(3 * size.points),
+            softness = Floats(size.points, 0.02f)]() mutable {
         const fourd::sources::Maps maps{images.data(), mattes.data(), depth.data(), features.data(), size.width,
                                         size.height,   kChannels,     size.width / 2, size.height / 2};
-        const fourd::sources::Query query{maps,  cameras.data(), kViews,       figure.xyz.data(), size.points,
-                                          0.02f, size.threads,   size.simd};
+        const fourd::sources::Query query{maps,        cameras.data(),  kViews,       figure.xyz.data(),
+                                          size.points, softness.data(), size.threads, size.simd};
         if (backward) {
             fourd::sources::sample_backward(query, samples.data(), {to_xyz.data(), to_features.data()});
         } else {

@@ -8,18 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
-from fourd.baking.scene import BakedFrame, SceneBackground, SceneManifest, triple
+from fourd.baking.scene import SHADOW_ONE, BakedFrame, SceneBackground, SceneManifest, triple
 from fourd.errors import UserError
 from fourd.model import PointModel
-from fourd.model.appearance import LEAST_TRUST
+from fourd.model.appearance import with_say
 from fourd.model.point_model import PointFeatures
-from fourd.model.sources import SourceViews, sample_sources
+from fourd.model.sources import HIDDEN_SPACINGS, SourceViews, sample_sources
 from fourd.training.frames import FramePoints
 from fourd.training.parts import NEAR
 from fourd.training.run import Run, TrainedRun
@@ -46,7 +47,7 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
         if background is not None:
             writer.add_background(background)
         for frame in track(range(run.capture.frame_count), description="export", console=console):
-            writer.add_frame(frame, bake_frame(trained, frame, sources))
+            writer.add_frame(frame, bake_frame(trained, frame, sources), bake_shadow(trained, frame))
 
 
 def require_bakeable(run: Run) -> None:
@@ -111,6 +112,15 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
     )
 
 
+def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
+    """What a frame's shadow multiplies the background's colours by, (M,) in 1/SHADOW_ONE; None without shadows."""
+    background = trained.renderer.background
+    if background is None or background.model.shadow is None:
+        return None
+    factor = background.model.shadow(background.points.xyz, trained.run.capture.time(frame)).factor
+    return (SHADOW_ONE * factor).round().clamp(0, 255).byte().numpy()
+
+
 def _baked(model: PointModel, points: FramePoints, time: float, sources: list[int], seen_from: SeenFrom) -> BakedFrame:
     features = model.point_features(points.xyz, time)
     radius, density = model.geometry(features, points.spacing)
@@ -138,18 +148,19 @@ def _blend_data(
     sources: list[int],
     seen_from: SeenFrom,
 ) -> tuple[Tensor, Tensor]:
-    """Weights (N, V), scaled to each point's largest, and colours (N, V, 3); a view at a time."""
+    """Weights (N, V), scaled to each point's largest, 0 without a say, and colours (N, V, 3); a view at a time."""
     count = seen.xyz.shape[0]
     weights = torch.zeros(count, len(sources))
     rgb = torch.zeros(count, len(sources), 3)
     for column, index in enumerate(sources):
         view = seen_from(index, seen)
         encoded = model.encode_images(view.images) if view.encoded is None else view.encoded
-        samples = sample_sources(seen.xyz, view, encoded, 2 * model.spacing)
+        samples = sample_sources(seen.xyz, view, encoded, HIDDEN_SPACINGS * seen.spacing)
         logits = model.blend_logits(features, samples, seen.xyz, view, None)
-        weights[:, column] = (torch.exp(logits) * (samples.trust + LEAST_TRUST))[0]
+        trust = with_say(samples.trust[0])
+        weights[:, column] = torch.exp(logits[0]) * trust
         colours = samples.colours[0]
-        rgb[:, column] = colours if base is None else base.lerp(colours, samples.trust[0][:, None])
+        rgb[:, column] = colours if base is None else base.lerp(colours, trust[:, None])
     if sources:
         weights = weights * (LARGEST_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
     return weights, rgb

@@ -104,9 +104,11 @@ def sampling(count: int, device: torch.device) -> Case:
     xyz = figure(count)["xyz"].to(device).requires_grad_()
     features = random(4, 16, 256, 256).contiguous(memory_format=torch.channels_last).requires_grad_()
 
+    softness = torch.full((count,), 0.02, device=device)
+
     def both(sample: Callable[..., SourceSamples]) -> Work:
         def work() -> object:
-            channels = sample(xyz, sources, features, 0.02).channels
+            channels = sample(xyz, sources, features, softness).channels
             return torch.autograd.grad(channels.sum(), (xyz, features))
 
         return work

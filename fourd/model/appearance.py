@@ -10,7 +10,8 @@ from fourd.model.blend_logits import LOGIT_RANGE, blend_logits
 from fourd.model.config import ModelConfig
 from fourd.model.harmonics import SH_TERMS, sh_basis
 
-LEAST_TRUST = 1e-4
+LEAST_TRUST = 1e-3
+"""A view that is trusted less at a point has no say there. Bounds the ratio of weights that float16 has to hold."""
 
 
 class ImageEncoder(nn.Module):
@@ -90,22 +91,32 @@ def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: 
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
+def with_say(trust: Tensor) -> Tensor:
+    """Trust in [0, 1], and exactly 0 where it is too little for any say."""
+    return torch.where(trust < LEAST_TRUST, torch.zeros_like(trust), trust)
+
+
 def blend(logits: Tensor, trust: Tensor, colours: Tensor, base: Tensor | None = None) -> Tensor:
     """Image-based colour: a softmax over views, scaled by how far each view can be trusted.
 
     Args:
         logits: (V, N).
-        trust: (V, N) in [0, 1], 0 where a view does not see the point.
+        trust: (V, N) in [0, 1], near 0 where a view does not see the point: it has no say there.
         colours: (V, N, 3).
         base: (N, 3) colours of the points, in place of those of views that are not trusted.
 
     Returns:
-        (N, 3). Where no view is trusted, the plain softmax decides, or ``base``.
+        (N, 3). Where no view has a say it is ``base``, or else the views' plain mean, as of a baked point whose
+        weights are all 0.
     """
+    trust = with_say(trust)
     if base is not None:
         colours = base.lerp(colours, trust[..., None])
-    weights = torch.softmax(logits, dim=0) * (trust + LEAST_TRUST)
-    return (weights[..., None] * colours).sum(0) / weights.sum(0)[:, None]
+    weights = torch.softmax(logits, dim=0) * trust
+    total = weights.sum(0)
+    even = torch.full_like(weights, 1 / weights.shape[0])
+    weights = torch.where(total > 0, weights / torch.where(total > 0, total, torch.ones_like(total)), even)
+    return (weights[..., None] * colours).sum(0)
 
 
 def _conv(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:

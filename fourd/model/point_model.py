@@ -13,8 +13,9 @@ from fourd.model.appearance import BlendHead, HarmonicsHead, ImageEncoder, blend
 from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.model.geometry import GeometryHead
 from fourd.model.kplanes import KPlanes
+from fourd.model.shadow import Shadow, ShadowField
 from fourd.model.shared_linear import shared_linear
-from fourd.model.sources import SourceSamples, SourceViews, sample_sources
+from fourd.model.sources import HIDDEN_SPACINGS, SourceSamples, SourceViews, sample_sources
 from fourd.seeding.contraction import LIMIT, Contraction
 
 RGB = 3
@@ -38,7 +39,8 @@ class PointFeatures:
 class PointModel(nn.Module):
     """Everything learnt that all frames share; the points themselves belong to the frames.
 
-    Points are (N, 3) float32 in world units, time is a number in [0, 1].
+    Points are (N, 3) float32 in world units, time is a number in [0, 1]. ``shadow`` is set of a background on which
+    what moves casts some.
     """
 
     lower: Tensor
@@ -79,6 +81,7 @@ class PointModel(nn.Module):
         self.blend_head: BlendHead | None = None
         self.harmonics_head: HarmonicsHead | None = None
         self.residual: ResidualField | None = None
+        self.shadow: ShadowField | None = None
         if config.appearance != "sh":
             self.image_encoder = ImageEncoder(config.image_features, config.encoder_stride)
             self.blend_head = BlendHead(features, config.image_features + RGB, config)
@@ -161,17 +164,21 @@ class PointModel(nn.Module):
         features: PointFeatures,
         viewer: Camera,
         sources: SourceViews | None,
+        spacing: Tensor,
         explicit: Tensor | None = None,
         *,
         base: Tensor | None = None,
+        shadow: Shadow | None = None,
         train_encoder: bool = True,
     ) -> Tensor:
         """RGB of points seen from ``viewer``, (N, 3), not clamped (4K4D, eq. 2).
 
         Args:
             sources: the N' views nearest to the viewer; None when colour is SH alone.
+            spacing: (N,) distances between neighbours, the unit in which points lie behind what a view sees.
             base: (N, 3) what a source view that does not see a point takes for its colour; None leaves the
                 view's own.
+            shadow: falls on the image-based part, as on the bytes of a baked scene.
             train_encoder: without it the image CNN gets no gradient, which is a third of a step's time.
         """
         colour: Tensor | None = None
@@ -181,12 +188,14 @@ class PointModel(nn.Module):
             if encoded is None:
                 with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
                     encoded = self.encode_images(sources.images)
-            samples = sample_sources(xyz, sources, encoded, 2 * self.spacing)
+            samples = sample_sources(xyz, sources, encoded, HIDDEN_SPACINGS * spacing)
             logits = self.blend_logits(features, samples, xyz, sources, viewer)
             colour = blend(logits, samples.trust, samples.colours, base)
+            colour = colour if shadow is None else shadow.cast(colour)
         sh = self.harmonics(features, explicit)
         if sh is not None:
             part = harmonics_colour(sh, unit_directions(xyz, viewer), self.sh_range, self.sh_base)
+            part = part if shadow is None else shadow.kept(part)
             colour = part if colour is None else colour + part
         assert colour is not None
         return colour

@@ -25,7 +25,7 @@ def sample(
     mattes: Tensor,
     depth: Tensor | None,
     cameras: list[float],
-    softness: float,
+    softness: Tensor,
 ) -> tuple[Tensor, Tensor]:
     """Channels (V, C + 3, N) and trust (V, N) of points (N, 3) in V views.
 
@@ -33,14 +33,14 @@ def sample(
         features: (V, C, h, w), or None. In torch's channels_last format they are read as they are, else copied.
         images, mattes, depth: (V, 3, H, W), (V, H, W) and (V, H, W) or None; no gradient.
         cameras: the 21 numbers of each view, one after another.
-        softness: above 0, world units.
+        softness: (N,) above 0, world units; no gradient.
     """
     out = _empty_samples(xyz, features, images)
     if takes(xyz):
         gpu = gpu_of(xyz.device)
         maps = (dense(images), dense(mattes), _dense(depth), _dense(_rows(features)))
         with gpu.current():
-            gpu.kernels.sample_sources(dense(xyz), *maps, cameras, softness, gpu.stream, *out)
+            gpu.kernels.sample_sources(dense(xyz), *maps, cameras, dense(softness), gpu.stream, *out)
         return out
     native().sample_sources(
         as_array(xyz),
@@ -49,7 +49,7 @@ def sample(
         _array(depth),
         _array(_rows(features)),
         cameras,
-        softness,
+        as_array(softness),
         thread_count(0, torch.get_num_threads()),
         simd_name(),
         *map(as_array, out),
@@ -65,7 +65,7 @@ def _(
     mattes: Tensor,
     depth: Tensor | None,
     cameras: list[float],
-    softness: float,
+    softness: Tensor,
 ) -> tuple[Tensor, Tensor]:
     return _empty_samples(xyz, features, images)
 

@@ -14,6 +14,10 @@ from fourd.kernels.gpu import cuda_missing
 from fourd.model.source_sampling import MOST_VIEWS_GPU, sample
 from fourd.raster.validation import camera_numbers
 
+HIDDEN_SPACINGS = 1.0
+"""A hidden point loses its say over so many distances to its neighbours, once it is twice as far behind."""
+LEAST_SOFTNESS = 1e-12
+
 
 @dataclass(frozen=True)
 class SourceViews:
@@ -53,7 +57,7 @@ class SourceSamples:
         return self.channels[..., -3:]
 
 
-def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: float) -> SourceSamples:
+def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor) -> SourceSamples:
     """Project points into every source view and sample it bilinearly.
 
     Args:
@@ -61,7 +65,8 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
         sources: the views.
         features: (V, C, h, w) of the image CNN over the same views, at its own resolution, or None
             for RGB alone.
-        softness: depth in world units over which a hidden point loses its say.
+        softness: (N,) depth in world units over which a hidden point loses its say, once it lies twice that
+            behind what a view sees there; no gradient.
 
     The matte is squared: a pixel on the silhouette mixes in background, so that trust must fall
     faster than coverage does. In float32, on the CPU or a CUDA device with kernels, all is one kernel.
@@ -76,7 +81,7 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
 
 
 def sample_sources_reference(
-    xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: float
+    xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor
 ) -> SourceSamples:
     """What :func:`sample_sources` promises, in plain torch; any device."""
     pixels, depth = project_points(xyz, sources.cameras)
@@ -96,8 +101,9 @@ def sample_sources_reference(
             surface = functional.grid_sample(
                 sources.depth[:, None], fixed, mode="nearest", padding_mode="border", align_corners=False
             )[:, 0, 0]
-            behind = (depth - surface - 2 * softness).clamp(min=0)
-            trust = trust * torch.exp(-behind / softness)
+            soft = softness.clamp(min=LEAST_SOFTNESS)
+            behind = (depth - surface - 2 * soft).clamp(min=0)
+            trust = trust * torch.exp(-behind / soft)
     return SourceSamples(channels, trust)
 
 

@@ -23,9 +23,11 @@ class LossConfig:
     """Weight of the squared difference between rendered alpha and matte."""
     residual: float = 1e-3
     """Weight of the mean squared displacement, in units of the point spacing."""
+    shadow: float = 1e-2
+    """Weight of the mean squared difference from 1 of what shadows multiply the background's colours by."""
 
     def __post_init__(self) -> None:
-        for name in ("perceptual", "stand_in", "mask", "residual"):
+        for name in ("perceptual", "stand_in", "mask", "residual", "shadow"):
             value = getattr(self, name)
             require(value >= 0, f"{name}: expected 0 or more, got {value}")
 
@@ -75,6 +77,8 @@ class BackgroundConfig:
     """Learning rate of the background's points, times their spacing."""
     encoder_every: int = 8
     """The background's image CNN learns in every n-th step that looks at a plate."""
+    shadow: bool = False
+    """Let what moves darken or light the background around it, frame by frame. Its colours from images alone can be."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")

@@ -51,9 +51,13 @@ def evaluate(
     viewer: Camera,
     sources: SourceViews | None,
     *,
+    shadow_at: float | None = None,
     train_encoder: bool = True,
 ) -> Part:
-    """Evaluate ``rows`` (M,) of a cloud, or all of it, as ``viewer`` sees it at ``time``."""
+    """Evaluate ``rows`` (M,) of a cloud, or all of it, as ``viewer`` sees it at ``time``.
+
+    On a background ``shadow_at`` is the moment whose shadow falls on it; None leaves it as its plates are.
+    """
     if rows is None:
         rows = torch.arange(points.xyz.shape[0])
         free, spacing = points.free, points.spacing
@@ -65,8 +69,17 @@ def evaluate(
     radius, density = model.geometry(features, spacing)
     displacement = model.displacement(xyz, time)
     placed = xyz if displacement is None else xyz + displacement
+    shadow = None if model.shadow is None or shadow_at is None else model.shadow(placed, shadow_at)
     colour = model.colour(
-        placed, features, viewer, sources, free.get("sh"), base=free.get("rgb"), train_encoder=train_encoder
+        placed,
+        features,
+        viewer,
+        sources,
+        spacing,
+        free.get("sh"),
+        base=free.get("rgb"),
+        shadow=shadow,
+        train_encoder=train_encoder,
     )
     return Part(points, rows, free, placed, radius, density, colour, displacement, sources)
 

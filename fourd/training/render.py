@@ -61,11 +61,11 @@ class Renderer:
         with torch.no_grad():
             parts = [self._moving(points, frame, camera, exclude)]
             if self.background is not None:
-                parts.append(self._static(self.background, camera, exclude))
+                parts.append(self._static(self.background, camera, exclude, self.views.capture.time(frame)))
             return _picture(parts, camera, layers)
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> Picture:
-        """The background alone, of which a full scene has one."""
+        """The background alone, without shadows, of which a full scene has one."""
         assert self.background is not None, "an object scene has no background"
         with torch.no_grad():
             return _picture([self._static(self.background, camera, exclude)], camera, layers)
@@ -77,14 +77,19 @@ class Renderer:
         sources = None
         if self.model.config.appearance != "sh":
             chosen = self.views.sources(self._nearest(camera, exclude), frame)
-            sources = with_depth(chosen, replace(points, radius=radius, density=density), self.model.config.occlusion)
+            displacement = self.model.displacement(points.xyz, time)
+            placed = points.xyz if displacement is None else points.xyz + displacement
+            seen = replace(points, radius=radius, density=density, free={**points.free, "xyz": placed})
+            sources = with_depth(chosen, seen, self.model.config.occlusion)
         return evaluate(self.model, points, None, time, camera, sources)
 
-    def _static(self, background: Background, camera: Camera, exclude: int | None) -> Part:
+    def _static(
+        self, background: Background, camera: Camera, exclude: int | None, shadow_at: float | None = None
+    ) -> Part:
         plates = None
         if background.model.config.appearance != "sh":
             plates = background.sources(self._nearest(camera, exclude))
-        return evaluate(background.model, background.points, None, 0.0, camera, plates)
+        return evaluate(background.model, background.points, None, 0.0, camera, plates, shadow_at=shadow_at)
 
     def _nearest(self, camera: Camera, exclude: int | None) -> list[int]:
         candidates = [index for index in self.training if index != exclude]

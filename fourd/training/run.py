@@ -21,6 +21,7 @@ from fourd.capture.layout import chosen_views
 from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
 from fourd.model import PointModel
+from fourd.model.shadow import ShadowField
 from fourd.progress import Track, untold
 from fourd.seeding import Bounds, carve_capture, read_ply, write_ply
 from fourd.seeding.contraction import Contraction, around_cameras
@@ -127,6 +128,9 @@ class Run:
         plates = dict(zip(self.training, run_plates(self.capture, self.training, self.folder), strict=True))
         torch.manual_seed(self.config.train.seed + 1)
         fresh = new_background(seeded, plates, self.config.train, self.contraction())
+        if self.config.train.background.shadow:
+            scene = self.config.scene
+            fresh.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)
         if saved is not None:
             fresh.points = FramePoints.from_tensors(load_file(saved / f"{BACKGROUND}.safetensors"))
         return fresh

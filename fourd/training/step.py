@@ -26,6 +26,8 @@ from fourd.training.schedule import Choice
 
 BACKGROUND_SEED = 2**31
 """No frame has this number."""
+SHADOW_STRIDE = 8
+"""Of so many points of the background a step asks one whether it lies in shadow without a cause."""
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,7 @@ class Stepper:
             terms["residual"] = self.config.loss.residual * displacement.square().mean()
         if refinement is not None:
             terms["refinement"] = refinement.penalty(choice.target)
+        terms |= self._shadow_term(time, choice, number)
         _require_finite(terms, number)
         before = parts[0].free["xyz"].detach()
         self._apply(parts, terms, factor)
@@ -170,8 +173,19 @@ class Stepper:
             plates = None
             if self.config.model.appearance != "sh":
                 plates = background.sources(choice.sources, fresh=learns)
-            parts.append(evaluate(background.model, background.points, rows[-1], 0.0, camera, plates))
+            shadow_at = None if choice.plate else time
+            parts.append(
+                evaluate(background.model, background.points, rows[-1], 0.0, camera, plates, shadow_at=shadow_at)
+            )
         return parts
+
+    def _shadow_term(self, time: float, choice: Choice, number: int) -> dict[str, Tensor]:
+        """What keeps shadows away from where no picture asks for them, seen by this step or not."""
+        background = self.background
+        if background is None or background.model.shadow is None or choice.plate:
+            return {}
+        some = background.points.xyz[number % SHADOW_STRIDE :: SHADOW_STRIDE]
+        return {"shadow": self.config.loss.shadow * background.model.shadow.departure(some, time)}
 
     def _apply(self, parts: list[Part], terms: dict[str, Tensor], factor: float) -> None:
         torch.stack(list(terms.values())).sum().backward()

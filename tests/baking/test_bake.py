@@ -8,18 +8,39 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from fourd.baking import open_scene
 from fourd.baking.bake import bake_run
+from fourd.model.appearance import LEAST_TRUST
+from fourd.model.sources import HIDDEN_SPACINGS
 from fourd.training.run import TrainedRun, load_run
 from tests.training.small import SMALL, full_config, quiet, trained_run, with_steps
 
+BALL_RADIUS = 0.4
 
-@pytest.fixture(scope="module", params=["object", "full"])
+
+@pytest.fixture(scope="module", params=["object", "full", "shadow"])
 def trained(request: pytest.FixtureRequest, ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainedRun:
     folder = tmp_path_factory.mktemp("runs")
-    config = SMALL if request.param == "object" else full_config(folder / "shell.ply")
-    return load_run(trained_run(ball_capture, folder / "run", with_steps(config, 12)).folder)
+    config = SMALL if request.param == "object" else full_config(folder / "shell.ply", shadow=request.param == "shadow")
+    made = load_run(trained_run(ball_capture, folder / "run", with_steps(config, 12)).folder)
+    if request.param == "shadow":
+        _darken(made)
+    return made
+
+
+def _darken(trained: TrainedRun) -> None:
+    """Let shadows fall on the shell, which is out of their reach, and differ from frame to frame."""
+    background = trained.renderer.background
+    assert background is not None
+    shadow = background.model.shadow
+    assert shadow is not None
+    shadow.lower -= 8
+    shadow.upper += 8
+    with torch.no_grad():
+        for plane in shadow.planes.parameters():
+            plane += torch.randn(plane.shape, generator=torch.Generator().manual_seed(1))
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +59,36 @@ def test_the_scene_renders_as_the_run(trained: TrainedRun, scene_path: Path) -> 
             baked = scene.render(camera, frame).rgb.clip(0, 1)
             error = float(np.square(live - baked).mean())
             assert -10 * np.log10(error) > 50
+
+
+def test_a_view_that_something_hides_a_point_from_weighs_nothing(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches small weights, through which the front of the ball shines on its back."""
+    scene = open_scene(scene_path)
+    moving = scene.manifest.points[1]
+    xyz, weights = scene.frame(1).xyz[:moving], scene.frame(1).blend_weights[:moving]
+    outwards = xyz - xyz.mean(axis=0)
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    centres = np.stack([camera.centre for camera in scene.manifest.source_cameras])
+    towards = centres[None] - xyz[:, None]
+    facing = np.einsum("nc,nvc->nv", outwards, towards) / np.linalg.norm(towards, axis=2)
+    behind = -2 * BALL_RADIUS * facing  # how far behind the front of the ball
+    hidden = behind > (2 - np.log(LEAST_TRUST)) * HIDDEN_SPACINGS * trained.model.spacing + 0.05
+    assert hidden.sum() > 100
+    assert (weights[hidden] == 0).mean() > 0.98
+    assert (weights[facing > 0.7] > 0).mean() > 0.98
+    assert set(weights.max(axis=1).tolist()) <= {0.0, 1024.0}
+
+
+def test_a_scene_has_shadows_where_its_run_has(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches shadows that are left out, that are the same in all frames, or that the clean background has."""
+    scene = open_scene(scene_path)
+    background = trained.renderer.background
+    has = background is not None and background.model.shadow is not None
+    described = scene.manifest.background
+    assert (described is not None and described.shadow) == has
+    if has:
+        colours = [scene.frame(frame).rgb[scene.manifest.points[frame] :].astype(int) for frame in range(2)]
+        assert np.abs(colours[0] - colours[1]).mean() > 2
 
 
 def test_the_manifest_tells_held_out_cameras_apart(trained: TrainedRun, scene_path: Path) -> None:

@@ -67,7 +67,7 @@ def test_samples_are_the_pixels_under_the_points() -> None:
     row, column = 9, 20
     xyz = torch.tensor([[(column + 0.5 - 16) / 40, (row + 0.5 - 16) / 40, 1.0]])
     sources = SourceViews(images, torch.ones(1, 32, 32), None, (camera,))
-    samples = sample_sources(xyz, sources, None, 0.01)
+    samples = sample_sources(xyz, sources, None, torch.full((len(xyz),), 0.01))
     torch.testing.assert_close(samples.colours[0, 0], images[0, :, row, column], atol=1e-5, rtol=0)
 
 
@@ -79,7 +79,7 @@ def test_hidden_points_and_background_are_not_trusted() -> None:
     depth = torch.full((1, 32, 32), 2.0)
     sources = SourceViews(torch.rand(1, 3, 32, 32), matte, depth, (camera,))
     xyz = torch.tensor([[0.1, 0, 2.0], [0.1, 0, 3.0], [-0.2, 0, 2.0], [0.1, 0, -2.0]])
-    trust = sample_sources(xyz, sources, None, 0.01).trust[0]
+    trust = sample_sources(xyz, sources, None, torch.full((len(xyz),), 0.01)).trust[0]
     torch.testing.assert_close(trust, torch.tensor([1.0, 0, 0, 0]), atol=1e-4, rtol=0)
 
 
@@ -87,9 +87,28 @@ def test_blend_is_a_softmax_over_trusted_views() -> None:
     logits = torch.tensor([[0.0], [0.0], [3.0]])
     colours = torch.tensor([[[1.0, 0, 0]], [[0, 1.0, 0]], [[0, 0, 1.0]]])
     mixed = blend(logits, torch.tensor([[1.0], [1.0], [0.0]]), colours)
-    torch.testing.assert_close(mixed, torch.tensor([[0.5, 0.5, 0]]), atol=2e-3, rtol=0)
-    untrusted = blend(logits, torch.zeros(3, 1), colours)
-    torch.testing.assert_close(untrusted[0], torch.softmax(logits[:, 0], 0))
+    torch.testing.assert_close(mixed, torch.tensor([[0.5, 0.5, 0]]))
+
+
+@pytest.mark.parametrize("trust", [0.0, 1e-6, 0.9e-3])
+def test_a_hidden_view_has_no_say_at_all(trust: float) -> None:
+    """Catches a colour that shines through what hides it, and a point without any where no view has a say."""
+    logits = torch.tensor([[0.0], [5.0]], requires_grad=True)
+    colours = torch.tensor([[[0.2, 0.4, 0.6]], [[1.0, 0.0, 0.0]]])
+    assert torch.equal(blend(logits, torch.tensor([[1.0], [trust]]), colours), colours[0])
+    nowhere = blend(logits, torch.full((2, 1), trust), colours)
+    torch.testing.assert_close(nowhere, colours.mean(0))
+    (gradient,) = torch.autograd.grad(nowhere.sum(), logits)
+    assert torch.equal(gradient, torch.zeros(2, 1))
+
+
+def test_a_point_is_hidden_by_its_own_measure() -> None:
+    """Catches one softness for all: a sparse wall that hides itself, or dense points that shine through it."""
+    camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
+    sources = SourceViews(torch.rand(1, 3, 32, 32), torch.ones(1, 32, 32), torch.full((1, 32, 32), 2.0), (camera,))
+    xyz = torch.tensor([[0.0, 0, 2.1]]).expand(3, 3)
+    trust = sample_sources(xyz, sources, None, torch.tensor([0.1, 0.01, 0.0])).trust[0]
+    torch.testing.assert_close(trust, torch.tensor([1.0, float(np.exp(-8)), 0.0]), atol=1e-5, rtol=0)
 
 
 def test_the_shared_first_layer_is_the_joint_one() -> None:
@@ -122,8 +141,8 @@ def test_features_of_another_resolution_are_those_of_the_same_place(rng: np.rand
     height, width = seen.images.shape[-2:]
     ramp = (torch.arange(width) + 0.5).expand(len(seen.cameras), 1, height, width)
     halved = torch.nn.functional.avg_pool2d(ramp, 2)
-    fine = sample_sources(xyz, seen, ramp, 0.1).channels[..., 0]
-    coarse = sample_sources(xyz, seen, halved, 0.1).channels[..., 0]
+    fine = sample_sources(xyz, seen, ramp, torch.full((50,), 0.1)).channels[..., 0]
+    coarse = sample_sources(xyz, seen, halved, torch.full((50,), 0.1)).channels[..., 0]
     torch.testing.assert_close(coarse, fine, atol=1e-3, rtol=0)
 
 
@@ -163,7 +182,7 @@ def test_every_switch_gives_a_model_whose_parameters_all_learn(config: ModelConf
     displacement = made.displacement(xyz, 0.4)
     placed = xyz if displacement is None else xyz + displacement
     sources = None if config.appearance == "sh" else views()
-    colour = made.colour(placed, features, ring(7)[1], sources, explicit)
+    colour = made.colour(placed, features, ring(7)[1], sources, torch.full((20,), 0.02), explicit)
     radius, density = made.geometry(features, torch.full((20,), 0.02))
     assert colour.shape == (20, 3)
     (colour.square().sum() + radius.sum() + density.sum()).backward()
@@ -178,5 +197,6 @@ def test_only_continuous_blending_sees_the_viewer() -> None:
     for continuous in (False, True):
         made = model(replace(SMALL, appearance="ibr", continuous=continuous))
         features = made.point_features(xyz, 0.1)
-        first, second = (made.colour(xyz, features, viewer, sources) for viewer in ring(5)[1:3])
+        spacing = torch.full((20,), 0.02)
+        first, second = (made.colour(xyz, features, viewer, sources, spacing) for viewer in ring(5)[1:3])
         assert torch.equal(first, second) is not continuous

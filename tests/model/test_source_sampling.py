@@ -38,11 +38,16 @@ def moved(sources: SourceViews, device: torch.device) -> SourceViews:
     return replace(sources, images=sources.images.to(device), mattes=sources.mattes.to(device), depth=depth)
 
 
+def softness(xyz: Tensor) -> Tensor:
+    """(N,) that differ from point to point."""
+    return torch.linspace(0.02, 0.3, len(xyz)).to(xyz.device)
+
+
 def run(
     function: Callable[..., SourceSamples], xyz: Tensor, sources: SourceViews, features: Tensor | None, seed: int
 ) -> tuple[SourceSamples, list[Tensor]]:
     leaves = [tensor.clone().requires_grad_() for tensor in (xyz, features) if tensor is not None]
-    samples = function(leaves[0], sources, leaves[1] if features is not None else None, 0.1)
+    samples = function(leaves[0], sources, leaves[1] if features is not None else None, softness(leaves[0]))
     weights = torch.from_numpy(np.random.default_rng(seed).normal(size=tuple(samples.channels.shape)))
     total = (samples.channels * weights.to(samples.channels)).sum()
     return samples, [gradient.cpu() for gradient in torch.autograd.grad(total, leaves)]
@@ -117,7 +122,7 @@ def test_points_behind_and_beyond_stay_out(gpu: torch.device, rng: np.random.Gen
     sources = moved(views(rng, True), gpu)
     huge = torch.tensor([[np.nan, 0, 0], [np.inf, 0, 0], [0, -np.inf, 0], [3e38, 3e38, 3e38], [50, 0, 0.5], [0, 0, 0]])
     xyz = huge.float().to(gpu).requires_grad_()
-    samples = sample_sources(xyz, sources, None, 0.1)
+    samples = sample_sources(xyz, sources, None, softness(xyz))
     assert bool((samples.trust[:, :4] == 0).all())
     assert float(samples.channels[:, :4].detach().abs().max()) == 0
     (gradient,) = torch.autograd.grad(samples.channels.sum(), xyz)
@@ -130,7 +135,7 @@ def test_operators_keep_torch_s_rules(gpu: torch.device, rng: np.random.Generato
     cameras = [number for camera in sources.cameras for number in camera_numbers(camera)]
     xyz = torch.randn(20, 3).to(gpu).requires_grad_()
     features = torch.randn(VIEWS, 2, 20, 24).to(gpu).requires_grad_()
-    arguments = (xyz, features, sources.images, sources.mattes, sources.depth, cameras, 0.1)
+    arguments = (xyz, features, sources.images, sources.mattes, sources.depth, cameras, softness(xyz).detach())
     torch.library.opcheck(
         sample, arguments, test_utils=("test_schema", "test_faketensor", "test_autograd_registration")
     )
@@ -147,8 +152,16 @@ def test_too_many_views_are_refused(gpu: torch.device) -> None:
             None,
             None,
             [0.0] * 21 * 17,
-            1.0,
+            torch.ones(1, device=gpu),
             0,
             torch.zeros(17, 3, 1, device=gpu),
             torch.zeros(17, 1, device=gpu),
         )
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_softness_that_is_not_a_point_s_is_refused(count: int, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches reads beyond the widths that were given."""
+    sources = moved(views(rng, True), gpu)
+    with pytest.raises(ValueError, match="softness: expected one a point"):
+        sample_sources(torch.zeros(4, 3, device=gpu), sources, None, torch.ones(count, device=gpu))

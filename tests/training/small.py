@@ -27,12 +27,14 @@ SMALL = TrainConfig(
 )
 
 
-def full_config(seeds: Path, points: int = 1200) -> TrainConfig:
+def full_config(seeds: Path, points: int = 1200, *, shadow: bool = False) -> TrainConfig:
     """The same of a full scene, with a shell of grey points around it, which are written to ``seeds``."""
     xyz = 5 * sphere(points)
     write_ply(seeds, xyz, np.full((points, 3), 89, np.uint8))
     planes = PlanesConfig(levels=2, features=4, base_resolution=16, time=False)
-    background = BackgroundConfig(points=points, seeds=seeds, planes=planes, window_px=32, margin_px=8, encoder_every=2)
+    background = BackgroundConfig(
+        points=points, seeds=seeds, planes=planes, window_px=32, margin_px=8, encoder_every=2, shadow=shadow
+    )
     densify = DensifyConfig(frame_every=2, background_every=4)
     return replace(SMALL, scene="full", background=background, densify=densify)
 

@@ -78,7 +78,7 @@ def test_a_view_that_does_not_see_a_point_takes_its_own_colour() -> None:
     unseen = blend(torch.zeros(2, 1), torch.zeros(2, 1), colours, base)
     torch.testing.assert_close(unseen, base)
     half_seen = blend(torch.zeros(2, 1), torch.tensor([[0.0], [1.0]]), colours, base)
-    torch.testing.assert_close(half_seen, colours[1], atol=1e-3, rtol=0)
+    assert torch.equal(half_seen, colours[1])
 
 
 def test_a_full_run_shows_what_is_around_the_subject(run: Run) -> None:

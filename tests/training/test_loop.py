@@ -35,12 +35,13 @@ def contents(run: Path, step: int) -> dict[str, torch.Tensor]:
     return tensors
 
 
-@pytest.mark.parametrize("scene", ["object", "full"])
+@pytest.mark.parametrize("scene", ["object", "full", "shadow"])
 def test_a_resumed_run_is_bit_for_bit_the_unbroken_one(
     scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches state that a checkpoint forgets: Adam's moments, per-point steps, cached radii, random draws."""
-    config = replace(SMALL if scene == "object" else full_config(tmp_path / "shell.ply"), max_steps=9)
+    full = full_config(tmp_path / "shell.ply", shadow=scene == "shadow")
+    config = replace(SMALL if scene == "object" else full, max_steps=9)
     whole = create_run(ball_capture, tmp_path / "whole", config)
     train(whole, config)
     broken = create_run(ball_capture, tmp_path / "broken", config)

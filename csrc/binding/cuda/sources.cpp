@@ -19,10 +19,10 @@ void require_few(const Arguments::Images& images) {
 
 void sample(const Arguments::Xyz& xyz, const Arguments::Images& images, const Arguments::Grey& mattes,
             const std::optional<Arguments::Grey>& depth, const std::optional<Arguments::Features>& features,
-            const std::vector<double>& cameras, float softness, std::uintptr_t stream,
+            const std::vector<double>& cameras, const Arguments::Softness& softness, std::uintptr_t stream,
             const Arguments::ChannelsOut& out_channels, const Arguments::TrustOut& out_trust) {
     require_few(images);
-    const Arguments arguments(xyz, images, mattes, depth, features, cameras, softness, 1, Simd::baseline);
+    const Arguments arguments(xyz, images, mattes, depth, features, cameras, &softness, 1, Simd::baseline);
     sources::cuda::sample(arguments.query, arguments.samples(out_channels, out_trust), stream_of(stream));
 }
 
@@ -31,7 +31,7 @@ void sample_backward(const Arguments::Xyz& xyz, const Arguments::Images& images,
                      std::uintptr_t stream, const Arguments::Channels& gradient, const Arguments::XyzOut& out_xyz,
                      const std::optional<Arguments::FeaturesOut>& out_features) {
     require_few(images);
-    const Arguments arguments(xyz, images, mattes, std::nullopt, features, cameras, 1.0f, 1, Simd::baseline);
+    const Arguments arguments(xyz, images, mattes, std::nullopt, features, cameras, nullptr, 1, Simd::baseline);
     sources::cuda::sample_backward(arguments.query, arguments.gradient(gradient),
                                    arguments.gradients(out_xyz, out_features), stream_of(stream));
 }

@@ -55,7 +55,7 @@ FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t f
             const float* map = maps.images + (view * 3 + c) * image_size(maps);
             to[static_cast<std::size_t>(channels + c) * query.count + i] = sample(map, image);
         }
-        out.trust[view * query.count + first + i] = trust(maps, view, at, image, query.softness);
+        out.trust[view * query.count + first + i] = trust(maps, view, at, image, query.softness[first + i]);
     }
     for (int c = 0; c < channels; ++c) {
         for (int i = 0; i < count; ++i) to[static_cast<std::size_t>(c) * query.count + i] = rows[i * channels + c];

@@ -12,7 +12,7 @@ struct Views {
     Pinhole cameras[kMostViews];
     const float* xyz;
     std::size_t count;
-    float softness;
+    const float* softness;
 
     explicit Views(const Query& query)
         : maps(query.maps), cameras{}, xyz(query.xyz), count(query.count), softness(query.softness) {
@@ -54,7 +54,7 @@ struct Sample {
         for (int c = 0; c < 3; ++c) {
             to[(maps.channels + c) * views.count] = sample(maps.images + (view * 3 + c) * views.image_size(), image);
         }
-        out.trust[index] = trust(maps, view, at, image, views.softness);
+        out.trust[index] = trust(maps, view, at, image, views.softness[point]);
     }
 };
 
