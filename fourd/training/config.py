@@ -67,6 +67,8 @@ class BackgroundConfig:
     """A PLY with your own points of the background, in world units, in place of those found in the plates."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
     """Its K-Planes, over contracted space."""
+    joint: bool = True
+    """Train what moves before the background, in one picture; without it each learns alone, on black and on plates."""
     share: float = 0.35
     """Share of the steps that look at a plate, and not at a frame."""
     window_px: int = 256

@@ -123,7 +123,7 @@ class Trainer:
         points = self.frames.get(choice.frame)
         moment = self.run.capture.time(choice.frame)
         result = self.stepper.step(points, moment, choice, factor, self.done)
-        self.stepper.grow(points, choice.frame, choice.plate, self._spent())
+        self.stepper.grow(points, choice, self._spent())
         self.psnr = result.psnr if self.done == 0 else SMOOTHING * self.psnr + (1 - SMOOTHING) * result.psnr
         self.done += 1
         if self.done % LOG_EVERY == 0:

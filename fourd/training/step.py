@@ -106,7 +106,8 @@ class Stepper:
         behind = torch.from_numpy(choice.background)
         predicted = colour + (1 - render.alpha)[..., None] * behind
         truth = target.rgb + (1 - target.filled)[..., None] * behind
-        if self.background is not None:
+        background = self._behind(choice)
+        if background is not None:
             # What no plate has seen is not judged.
             predicted = torch.where(target.filled[..., None] > 0, predicted, truth)
         terms = self.loss.terms(predicted, truth, coverage, target.matte)
@@ -124,8 +125,8 @@ class Stepper:
                 keep_in_hull(points, parts[0].rows, before, _seen_by(target, parts[0].sources))
             for part in parts:
                 part.points.radius[part.rows], part.points.density[part.rows] = part.radius, part.density
-            shown = colour.clamp(0, 1) if self.background is None else predicted.clamp(0, 1)
-            error = float((shown - (target.rgb if self.background is None else truth)).square().mean())
+            shown = colour.clamp(0, 1) if background is None else predicted.clamp(0, 1)
+            error = float((shown - (target.rgb if background is None else truth)).square().mean())
         psnr = -10 * math.log10(max(error, 1e-10))
         return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
 
@@ -136,15 +137,20 @@ class Stepper:
             if self.background is not None:
                 self.background.rig = self.views.rig
 
+    def _behind(self, choice: Choice) -> Background | None:
+        """The background, where the step's picture has one."""
+        return self.background if choice.plate or self.config.background.joint else None
+
     def _target(self, choice: Choice) -> _Target:
-        if self.background is None:
+        background = self._behind(choice)
+        if background is None:
             view = self.views.view(choice.target, choice.frame)
             rgb, matte = view.target()
             return _Target(view.camera, rgb, matte, matte)
         if choice.plate:
-            plate = self.background.plates[choice.target]
+            plate = background.plates[choice.target]
             side = self.config.background.window_px
-            camera = self.background.camera(choice.target)
+            camera = background.camera(choice.target)
             window = placed_window(camera, (side, side), choice.place)
             part = camera.cropped(*window)
             rows, columns = slice(window[1], window[1] + window[3]), slice(window[0], window[0] + window[2])
@@ -159,7 +165,7 @@ class Stepper:
 
     def _parts(self, points: FramePoints, time: float, choice: Choice, camera: Camera, number: int) -> list[Part]:
         """What moves, unless the target is a plate, and then the background, where there is one."""
-        background = self.background
+        background = self._behind(choice)
         clouds = [] if choice.plate else [points]
         clouds += [] if background is None else [background.points]
         rows = rows_in_sight(clouds, camera, self.config.layers, self.config.hidden_weight)
@@ -181,7 +187,7 @@ class Stepper:
 
     def _shadow_term(self, time: float, choice: Choice, number: int) -> dict[str, Tensor]:
         """What keeps shadows away from where no picture asks for them, seen by this step or not."""
-        background = self.background
+        background = self._behind(choice)
         if background is None or background.model.shadow is None or choice.plate:
             return {}
         some = background.points.xyz[number % SHADOW_STRIDE :: SHADOW_STRIDE]
@@ -205,17 +211,19 @@ class Stepper:
         if self.background is not None:
             self.background.advance()
 
-    def grow(self, points: FramePoints, frame: int, plate: bool, spent: float) -> None:
+    def grow(self, points: FramePoints, choice: Choice, spent: float) -> None:
         """Give the clouds of a full scene's last step their new points, when it is time for it."""
         config = self.config.densify
         if self.background is None or not config.on or spent > config.until:
             return
         seed = [self.config.seed, 3]
         with torch.no_grad():
-            if not plate and int(points.age) % config.frame_every == 0:
-                densify(points, config, never_showed(points, config.frame_every), [*seed, frame, int(points.age)])
+            if not choice.plate and int(points.age) % config.frame_every == 0:
+                densify(
+                    points, config, never_showed(points, config.frame_every), [*seed, choice.frame, int(points.age)]
+                )
             static = self.background.points
-            if int(static.age) % config.background_every == 0:
+            if self._behind(choice) is not None and int(static.age) % config.background_every == 0:
                 hidden = self.background.hidden(self.config.layers)
                 densify(static, config, hidden, [*seed, BACKGROUND_SEED, int(static.age)])
                 self.background.forget()

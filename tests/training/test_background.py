@@ -95,6 +95,21 @@ def test_a_full_run_shows_what_is_around_the_subject(run: Run) -> None:
     assert np.abs(alone.rgb - 0.35).mean() < 0.1
 
 
+def test_parts_apart_learn_nothing_of_each_other(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a background that learns from frames, or rounds for its points in steps that it has no part in."""
+    config = full_config(tmp_path / "shell.ply")
+    apart = replace(config.background, joint=False, share=0.0)
+    run = trained_run(ball_capture, tmp_path / "run", replace(config, background=apart))
+    trained = load_run(run.folder)
+    background = trained.renderer.background
+    assert background is not None
+    assert int(background.points.age) == 0
+    assert len(background.points.xyz) == 1200
+    picture = trained.renderer.render(trained.frames.get(1), 1, run.capture.cameras[run.test[0]], 15)
+    assert 0 < picture.moving.mean() < 0.9
+    assert picture.alpha.mean() > 0.9
+
+
 def test_what_is_kept_of_plates_is_renewed(run: Run) -> None:
     """Catches depths and features of long ago, and ones that are found anew in every step."""
     background = load_run(run.folder).renderer.background
