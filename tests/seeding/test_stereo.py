@@ -148,6 +148,23 @@ def test_a_gap_in_a_floor_is_floor() -> None:
     assert np.abs(found[0].points(np.flatnonzero(gap))[:, 2]).max() < 0.01
 
 
+def test_a_guide_decides_where_little_is_known(rng: np.random.Generator) -> None:
+    """Catches a guide that is not moved to what is known beside it, and one that a small known share switches off."""
+    grid = Grid.over(WIDTH, HEIGHT, 2)
+    corner = (grid.pixels[:, 0] < 20) & (grid.pixels[:, 1] < 20)
+    surface = surface_of(CAMERAS[1], corner)
+    true = surface.depths.inverse_depth.astype(np.float64)
+    surface.depths.planes[~corner] = 0
+    view = GreyView.of(CAMERAS[1], np.full((HEIGHT, WIDTH, 3), 90, np.uint8), np.ones((HEIGHT, WIDTH), bool))
+    found = filled([surface], [view], [true - 0.05])[0]
+    assert found.known.all()
+    np.testing.assert_allclose(found.depths.inverse_depth, true, rtol=1e-3)
+    assert (found.support[~corner] == 0).all()
+    wavy = true * rng.uniform(0.8, 1.2, len(true))
+    unguided = filled([surface_of(CAMERAS[1], np.zeros_like(corner))], [view], [wavy])[0]
+    np.testing.assert_allclose(unguided.depths.inverse_depth, wavy, rtol=1e-4)
+
+
 def test_little_known_is_not_stretched_over_a_picture() -> None:
     """Catches a membrane hung on a corner that passes for a background."""
     grid = Grid.over(WIDTH, HEIGHT, 2)

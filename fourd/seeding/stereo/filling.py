@@ -22,42 +22,50 @@ LEAST_KNOWN = 0.25
 """Of a picture's cells: a membrane that hangs on fewer shows nothing of the scene."""
 EDGE = 0.1
 """Step of grey in [0, 1] over which the membrane holds half as well."""
+LEAST_OF_GUIDE = 0.25
+"""Inverse depths stay above so much of the guide's: differences that are continued may be larger than it."""
 
 
-def filled(surfaces: Sequence[Surface], views: Sequence[GreyView]) -> list[Surface]:
+def filled(
+    surfaces: Sequence[Surface], views: Sequence[GreyView], guides: Sequence[Array] | None = None
+) -> list[Surface]:
     """The surfaces with all cells known, of which those that were not have support 0.
 
     Inverse depth is harmonic between the known cells, which a plane's is; what other pictures know lies around and
     between. Cells that would hide what another picture knows are left unknown, and so are all of a picture of which
     less than a quarter is known.
+
+    Args:
+        surfaces: one of each picture.
+        views: the pictures.
+        guides: (N,) inverse depths for each picture's cells; then what is harmonic is the difference to them, and any
+            share of a picture may be unknown.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
-    guessed = [_filled(surface, view, xyz) for surface, view in zip(surfaces, views, strict=True)]
+    guide = [None] * len(surfaces) if guides is None else guides
+    guessed = [_filled(*each, xyz) for each in zip(surfaces, views, guide, strict=True)]
     return [_free(index, guessed, surfaces) for index in range(len(surfaces))]
 
 
-def _filled(surface: Surface, view: GreyView, xyz: Array) -> Surface:
+def _filled(surface: Surface, view: GreyView, guide: Array | None, xyz: Array) -> Surface:
     grid = surface.depths.grid
-    (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape))
+    (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape)) if guide is None else 0
     inside = (slice(pad, pad + rows), slice(pad, pad + columns))
     known = _others(surface, xyz, pad)
     mine = np.where(surface.known, surface.depths.inverse_depth, 0).reshape(grid.shape)
     known[inside] = np.where(mine > 0, mine, known[inside])
-    if np.count_nonzero(known[inside]) < LEAST_KNOWN * len(surface.known):
-        return surface
     grey = np.nan_to_num(view.greys[1])[grid.indices].reshape(grid.shape)
-    whole = _membrane(known, np.pad(grey, pad, mode="edge"))[inside]
-    down, across = (_slope(whole, axis) / grid.stride for axis in (0, 1))
-    middle = whole.ravel() - across * grid.pixels[:, 0] - down * grid.pixels[:, 1]
-    planes = np.where(surface.known[:, None], surface.depths.planes, np.stack([across, down, middle], axis=1))
-    scores = np.where(surface.known, surface.depths.scores, 0)
-    depths = DepthMap(grid, planes.astype(np.float32), scores.astype(np.float32))
+    if guide is not None:
+        whole = _guided(known, guide.reshape(grid.shape), grey)
+    elif np.count_nonzero(known[inside]) < LEAST_KNOWN * len(surface.known):
+        return surface
+    else:
+        whole = _membrane(known, known == 0, np.pad(grey, pad, mode="edge"))[inside]
+    scores = np.where(surface.known, surface.depths.scores, 0).astype(np.float32)
+    guess = DepthMap.through(grid, whole.ravel(), scores)
+    planes = np.where(surface.known[:, None], surface.depths.planes, guess.planes)
+    depths = replace(guess, planes=planes)
     return replace(surface, depths=depths, known=np.ones_like(surface.known), support=surface.support * surface.known)
-
-
-def _slope(values: Array, axis: int) -> Array:
-    """(N,) change from cell to cell along an axis of values (R, C)."""
-    return np.gradient(values, axis=axis).ravel() if values.shape[axis] > 1 else np.zeros(values.size)
 
 
 def _others(surface: Surface, xyz: Array, pad: int) -> Array:
@@ -73,8 +81,17 @@ def _others(surface: Surface, xyz: Array, pad: int) -> Array:
     return out
 
 
-def _membrane(known: Array, grey: Floats) -> Array:
-    """(R, C) the values, those that are 0 such that each is the weighted mean of its neighbours."""
+def _guided(known: Array, guide: Array, grey: Floats) -> Array:
+    """(R, C) the values, those that are 0 such that what they are more than the guide is continued from around."""
+    unknown = known == 0
+    if unknown.all():
+        return guide
+    more = _membrane(np.where(unknown, 0, known - guide), unknown, grey)
+    return np.where(unknown, np.maximum(guide + more, LEAST_OF_GUIDE * guide), known)
+
+
+def _membrane(known: Array, unknown: NDArray[np.bool_], grey: Floats) -> Array:
+    """(R, C) the values, the unknown ones such that each is the weighted mean of its neighbours."""
     numbers = np.arange(known.size).reshape(known.shape)
     first, second, hold = [], [], []
     for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
@@ -85,7 +102,7 @@ def _membrane(known: Array, grey: Floats) -> Array:
     links = coo_array((np.concatenate(hold), (np.concatenate(first), np.concatenate(second)))).tocsr()
     balance = (diags_array(links.sum(axis=1)) - links).tocsr()
     values = known.ravel().copy()
-    free = values == 0
+    free = unknown.ravel()
     if free.any():
         values[free] = spsolve(balance[free][:, free].tocsc(), -(balance[free][:, ~free] @ values[~free]))
     return np.asarray(values.reshape(known.shape), np.float64)
