@@ -13,11 +13,12 @@ from fourd.errors import UserError
 from fourd.progress import untold
 from fourd.seeding.contraction import Contraction, around_cameras
 from fourd.seeding.plates import PlateView
+from fourd.seeding.radiance import points as points_module
 from fourd.seeding.radiance.config import RadianceConfig
 from fourd.seeding.radiance.depths import field_depths, median_inverse_depths
 from fourd.seeding.radiance.field import RadianceField, bounded_exp
 from fourd.seeding.radiance.fitting import FittedField, fit_field
-from fourd.seeding.radiance.light import distortion, light_weights, median_share
+from fourd.seeding.radiance.light import distortion, light_weights, spent_share
 from fourd.seeding.radiance.occupancy import OccupancyGrid
 from fourd.seeding.radiance.pixels import Pixels
 from fourd.seeding.radiance.points import field_points
@@ -25,7 +26,7 @@ from fourd.seeding.radiance.rays import Rays, camera_rays, resampled, to_distanc
 from fourd.seeding.radiance.rooms import Room as Around
 from fourd.seeding.stereo.depth import DepthMap
 from fourd.seeding.stereo.fusing import Surface
-from fourd.seeding.stereo.measuring import Small
+from fourd.seeding.stereo.measuring import Measured, Small
 from fourd.seeding.surroundings import gaze_centre
 from tests.capture.rooms import Room, room_cameras, room_depth
 
@@ -188,7 +189,8 @@ def test_the_median_lies_where_half_the_light_is_spent() -> None:
     """Catches an interval's start or end in place of the part of it."""
     edges = torch.linspace(0, 1, 5)[None].repeat(3, 1)
     weights = torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.25, 0.5, 0.25, 0.0], [0.1, 0.1, 0.1, 0.1]])
-    assert median_share(weights, edges).tolist() == pytest.approx([0.375, 0.375, 1.0])
+    assert spent_share(weights, edges, 0.5).tolist() == pytest.approx([0.375, 0.375, 1.0])
+    assert spent_share(weights, edges, 0.25).tolist() == pytest.approx([0.3125, 0.25, 0.625])
 
 
 def test_edges_fall_where_the_histogram_is(rng: np.random.Generator) -> None:
@@ -275,6 +277,17 @@ def test_blank_walls_are_refused(smalls: list[Small]) -> None:
     ) as told:
         field_points(blank, 1000, SMALL)
     assert "\n" not in str(told.value)
+
+
+def test_what_neither_stereo_nor_the_field_finds_is_told(smalls: list[Small], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches fog, which all plates place alike, in place of a background, and a field left alone without a word."""
+    few = [true_surface(small, np.arange(len(small.grid().pixels)) % 40 == 0) for small in smalls]
+    monkeypatch.setattr(points_module, "measured", lambda *given: Measured(20, 20, smalls, few))
+    lines: list[str] = []
+    config = replace(SMALL, steps=2)
+    with pytest.raises(UserError, match=r"at least 10% .* that two of them agree on, got 2\.\d%; .*--background FILE"):
+        field_points(plates_of(smalls), 500, config, say=lines.append)
+    assert "too little to tell the field" in lines[1]
 
 
 @pytest.mark.parametrize(("count", "points"), [(1, 10), (3, 0)])

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fourd.progress import Track
 from fourd.seeding.radiance.fitting import FittedField
-from fourd.seeding.radiance.light import median_share
+from fourd.seeding.radiance.light import spent_share
 from fourd.seeding.radiance.rays import camera_rays, to_distance
 from fourd.seeding.stereo.depth import DepthMap
 from fourd.seeding.stereo.fusing import Surface, compared
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 SAMPLES = 64
 RAYS = 4096
 """Of a batch."""
+FOGGY = 1.25
+"""Times as far as a quarter of a ray's light are three quarters of it in fog, which looks alike from all sides."""
 NOWHERE = 0.99
 """Share of a ray: light that is spent beyond meets nothing."""
 
@@ -58,16 +60,17 @@ def _joined(field: FittedField, small: Small, measured: Surface) -> Surface:
 
 
 def median_inverse_depths(field: FittedField, small: Small, xy: Array) -> Array:
-    """(M,) one by the depth at which half of the light is spent, at indices (M, 2) of pixels; 0 where nothing is."""
+    """(M,) one by the depth at which half of the light is spent, at indices (M, 2) of pixels; 0 for fog and nothing."""
     unit = field.radiance.contraction.radius
     parts: list[Tensor] = []
     with torch.no_grad():
         for places in torch.from_numpy(xy + 0.5).split(RAYS):
             rays = camera_rays(small.camera, places)
             look = field.look(rays, SAMPLES)
-            share = median_share(look.weights, look.edges)
-            depth = to_distance(share) * unit * (rays.directions @ torch.tensor(small.camera.forward).float())
-            parts.append(torch.where(share < NOWHERE, 1 / depth, 0))
+            shares = [spent_share(look.weights, look.edges, part) for part in (0.25, 0.5, 0.75)]
+            near, middle, far = (to_distance(share) for share in shares)
+            depth = middle * unit * (rays.directions @ torch.tensor(small.camera.forward).float())
+            parts.append(torch.where((far < FOGGY * near) & (shares[1] < NOWHERE), 1 / depth, 0))
     return np.asarray(torch.cat(parts).double().numpy(), np.float64)
 
 

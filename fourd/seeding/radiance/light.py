@@ -35,11 +35,17 @@ def distortion(weights: Tensor, edges: Tensor) -> Tensor:
     return between + (weights.square() * lengths).sum(1) / 3
 
 
-def median_share(weights: Tensor, edges: Tensor) -> Tensor:
-    """Share of the ray (R,) at which half of its light is spent; 1 where less than half is."""
+def spent_share(weights: Tensor, edges: Tensor, part: float) -> Tensor:
+    """Share of the ray (R,) at which a part of its light, 0 to 1, is spent; 1 where less than that is.
+
+    Args:
+        weights: (R, S).
+        edges: (R, S + 1) ascending, as shares of the ray.
+        part: 0.5 gives the median.
+    """
     spent = functional.pad(weights.cumsum(1), (1, 0))
-    half = torch.full_like(spent[:, :1], 0.5)
-    upper = torch.searchsorted(spent, half).clamp(1, weights.shape[1])
-    part = ((half - spent.gather(1, upper - 1)) / weights.gather(1, upper - 1).clamp(min=1e-9)).clamp(0, 1)
+    wanted = torch.full_like(spent[:, :1], part)
+    upper = torch.searchsorted(spent, wanted).clamp(1, weights.shape[1])
+    within = ((wanted - spent.gather(1, upper - 1)) / weights.gather(1, upper - 1).clamp(min=1e-9)).clamp(0, 1)
     near, far = edges.gather(1, upper - 1), edges.gather(1, upper)
-    return torch.where(spent[:, -1:] < 0.5, torch.ones_like(near), near + part * (far - near))[:, 0]
+    return torch.where(spent[:, -1:] < part, torch.ones_like(near), near + within * (far - near))[:, 0]
