@@ -14,6 +14,7 @@ from fourd.matting.selection import Selection
 from fourd.progress import Track
 from fourd.seeding import CarvedPoints, read_ply, write_ply
 from fourd.seeding.plates import PlateView, has_plate, read_plates
+from fourd.seeding.radiance.points import field_points
 from fourd.seeding.surroundings import gaze_centre, surroundings
 from fourd.seeding.triangulation import triangulated
 from fourd.training.config import TrainConfig
@@ -21,6 +22,8 @@ from fourd.training.config import TrainConfig
 BACKGROUND = "background"
 POINTS = "points.ply"
 PLATES = "plates"
+DECIDING = ("points", "seeding", "seeds", "radiance")
+"""Keys of the background's config that decide its first points."""
 Say = Callable[[str], None]
 
 
@@ -43,12 +46,21 @@ def seed_background(
         points = _brought(train.background.seeds, wanted, train.seed)
     else:
         plates = run_plates(capture, training, folder, say)
-        points = triangulated(plates, wanted, seed=train.seed, workers=workers, say=say, track=track)
+        points = _found(plates, train, workers, track, say)
         cameras = [plate.camera for plate in plates]
         shell = surroundings(points, cameras, gaze_centre(cameras))
         say(f"surroundings: {len(shell.xyz)} points where no plate looks, their colours continued from around")
         points = CarvedPoints(np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb]))
     write_ply(target, points.xyz, points.rgb)
+
+
+def _found(plates: tuple[PlateView, ...], train: TrainConfig, workers: int, track: Track, say: Say) -> CarvedPoints:
+    """Points of what the plates show, in the way that the config asks for."""
+    wanted, seed = train.background.points, train.seed
+    if train.background.seeding == "sfm":
+        return triangulated(plates, wanted, seed=seed, workers=workers, say=say, track=track)
+    radiance = train.background.radiance
+    return field_points(plates, wanted, radiance, seed=seed, workers=workers, say=say, track=track)
 
 
 def run_plates(
