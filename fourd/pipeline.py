@@ -24,7 +24,7 @@ from fourd.matting.making import make_all
 from fourd.matting.selection import Selection
 from fourd.matting.stage import SHEET, MatteSettings
 from fourd.progress import Track, Tracker
-from fourd.training.background_seed import BACKGROUND, POINTS
+from fourd.training.background_seed import BACKGROUND, DECIDING, POINTS
 from fourd.training.calibration import CALIBRATION, START
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
@@ -157,7 +157,7 @@ def make_scene(
     if train.scene == "full":
         stages.run(
             "background",
-            _key(carve_key, train.background.points, train.background.seeds),
+            _key(carve_key, train.seed, *(asdict(train.background)[name] for name in DECIDING)),
             lambda: seed_run(capture, run, train, settings.workers, track, told_by(console)),
             run / BACKGROUND / POINTS,
             lambda: _remove(run / BACKGROUND),

@@ -40,8 +40,9 @@ class Arguments:
     """Scale of the images; 0.5 halves both sides."""
     points: int | None = None
     """Points of each frame."""
-    background: Path | None = None
-    """A PLY with your own points of a full scene's background, in world units, in place of those found in plates."""
+    background: str | None = None
+    """How the points of a full scene's background are found in clean plates: ngp, a radiance field that stereo helps;
+    sfm, stereo alone; or a PLY with your own points, in world units."""
     background_points: int | None = None
     """Points of a full scene's background."""
     refine_cameras: bool = False

@@ -19,6 +19,9 @@ from fourd.training.loop import Trainer
 from fourd.training.lpips import load_lpips
 from fourd.training.run import create_run, open_run
 
+WAYS = ("ngp", "sfm")
+"""Of finding a background's points, as ``--background`` takes them."""
+
 
 @dataclass(frozen=True)
 class Arguments:
@@ -42,8 +45,9 @@ class Arguments:
     """Scale of the images; 0.5 halves both sides."""
     points: int | None = None
     """Points of each frame."""
-    background: Path | None = None
-    """A PLY with your own points of a full scene's background, in world units, in place of those found in plates."""
+    background: str | None = None
+    """How the points of a full scene's background are found in clean plates: ngp, a radiance field that stereo helps;
+    sfm, stereo alone; or a PLY with your own points, in world units."""
     background_points: int | None = None
     """Points of a full scene's background."""
     refine_cameras: bool = False
@@ -108,16 +112,17 @@ def overlaid(arguments: Arguments, seconds: float | None = None) -> TrainConfig:
         "max_steps": arguments.max_steps,
         "seed": arguments.seed,
     }
-    background: dict[str, Any] = {"seeds": arguments.background, "points": arguments.background_points}
     refined = {
         "poses": arguments.refine_cameras,
         "focal": arguments.refine_cameras,
         "colours": arguments.refine_colours,
     }
     given["refine"] = replace(config.refine, **{name: True for name, wanted in refined.items() if wanted})
+    background: dict[str, Any] = {"points": arguments.background_points}
+    seeding = _seeding(arguments.background)
     try:
-        part = replace(config.background, **{name: value for name, value in background.items() if value is not None})
-        config = replace(config, background=part, **{name: value for name, value in given.items() if value is not None})
+        part = replace(config.background, **_given(background), **seeding)
+        config = replace(config, background=part, **_given(given))
     except ValueError as error:
         raise UserError(f"{arguments.config}: {error}" if arguments.config else str(error)) from error
     if config.max_steps is None and config.max_seconds is None and seconds is not None:
@@ -125,6 +130,21 @@ def overlaid(arguments: Arguments, seconds: float | None = None) -> TrainConfig:
     if config.max_steps is None and config.max_seconds is None:
         raise UserError("--max-steps, --max-seconds: expected one of them, got neither; say when to stop")
     return config
+
+
+def _given(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _seeding(way: str | None) -> dict[str, Any]:
+    """What ``--background`` says, as fields of the background's config."""
+    if way is None:
+        return {}
+    if way in WAYS:
+        return {"seeding": way, "seeds": None}
+    if way.lower().endswith(".ply") or Path(way).is_file():
+        return {"seeds": Path(way)}
+    raise UserError(f"--background: expected {', '.join(WAYS)} or a PLY file, got '{way}'; see fourd train --help")
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter1d
-from scipy.sparse.linalg import spsolve
 
 from fourd.cameras import Camera
+from fourd.seeding.directions import CELL_DEG, Sphere, far_side, harmonic, sphere_about
 from fourd.seeding.ply import CarvedPoints
 
 Array = NDArray[np.float64]
 
-CELL_DEG = 1.0
-FAR_SHARE = 0.8
-"""Quantile of the distances of a cell's points that counts: what stands before the far wall is passed over."""
 ACROSS = 6.0
 """How much more alike rooms are along the horizon than up and down: floors, walls and skies are level."""
 SMALL_GAP_DEG = 1.5
@@ -32,41 +27,6 @@ HIDING = 0.9
 DEPTH_CELL_PX = 6.0
 
 
-@dataclass(frozen=True, eq=False)
-class _Sphere:
-    """Directions about a point as a grid, rows by elevation and columns by azimuth.
-
-    Attributes:
-        centre: (3,) world.
-        R_world_sphere: (3, 3), its third axis up.
-        rows, columns: numbers of cells.
-    """
-
-    centre: Array
-    R_world_sphere: Array
-    rows: int
-    columns: int
-
-    def cells(self, xyz: Array) -> tuple[NDArray[np.intp], Array]:
-        """Flat cells (N,) and distances (N,) of world points (N, 3)."""
-        local = (xyz - self.centre) @ self.R_world_sphere
-        distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
-        elevation = np.arcsin(np.clip(local[:, 2] / distance, -1, 1))
-        azimuth = np.arctan2(local[:, 1], local[:, 0])
-        row = np.clip(((elevation / np.pi + 0.5) * self.rows).astype(np.intp), 0, self.rows - 1)
-        column = ((azimuth / (2 * np.pi) + 0.5) * self.columns).astype(np.intp) % self.columns
-        return row * self.columns + column, distance
-
-    def directions(self) -> Array:
-        """(rows * columns, 3) unit vectors in the world, in the cells' middles or in odd rows at their ends."""
-        elevation = ((np.arange(self.rows) + 0.5) / self.rows - 0.5) * np.pi
-        azimuth = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) * 2 * np.pi
-        e, a = np.meshgrid(elevation, azimuth, indexing="ij")
-        a[1::2] += np.pi / self.columns * (1 - 1e-9)
-        local = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
-        return np.asarray(local @ self.R_world_sphere.T)
-
-
 def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array) -> CarvedPoints:
     """Points in the directions in which there are none, at distances and of colours continued from around them.
 
@@ -78,12 +38,12 @@ def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array)
         cameras: that look at the scene.
         centre: (3,) world point that directions are taken from.
     """
-    sphere = _sphere(cameras, centre)
+    sphere = sphere_about(cameras, centre)
     cells, distance = sphere.cells(points.xyz.astype(np.float64))
-    known, inverse, rgb = _far_side(cells, distance, points.rgb, sphere.rows * sphere.columns)
+    known, inverse, rgb = far_side(cells, distance, points.rgb, sphere.rows * sphere.columns)
     if known.all() or not known.any():
         return CarvedPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
-    filled = _harmonic(sphere, known, np.column_stack([inverse, rgb]))
+    filled = harmonic(sphere, known, np.column_stack([inverse, rgb]), ACROSS)
     chosen = _chosen(sphere, known)
     # A rim lies behind what is known: seen from elsewhere than the middle, no slit opens between it and the shell.
     filled[known, 0] *= BEHIND
@@ -97,7 +57,7 @@ def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array)
 
 def seen_share(points: CarvedPoints, centre: Array, cameras: Sequence[Camera]) -> float:
     """Share of all directions about ``centre`` in which there are points, gaps between these not counted."""
-    sphere = _sphere(cameras, centre)
+    sphere = sphere_about(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))
     known = np.zeros(sphere.rows * sphere.columns, bool)
     known[cells] = True
@@ -117,53 +77,7 @@ def gaze_centre(cameras: Sequence[Camera]) -> Array:
     return np.asarray(np.linalg.solve(normal, np.einsum("nij,nj->i", across, centres)))
 
 
-def _sphere(cameras: Sequence[Camera], centre: Array) -> _Sphere:
-    up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
-    up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
-    side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
-    side /= np.linalg.norm(side)
-    rows = round(180 / CELL_DEG)
-    return _Sphere(np.asarray(centre, np.float64), np.column_stack([side, np.cross(up, side), up]), rows, 2 * rows)
-
-
-def _far_side(
-    cells: NDArray[np.intp], distance: Array, rgb: NDArray[np.uint8], count: int
-) -> tuple[NDArray[np.bool_], Array, Array]:
-    """By cell whether it has points, one by their far distance, and the mean colour (count, 3) of the farther ones."""
-    order = np.lexsort((distance, cells))
-    sorted_cells = cells[order]
-    starts = np.searchsorted(sorted_cells, np.arange(count + 1))
-    sizes = np.diff(starts)
-    known = sizes > 0
-    inverse = np.zeros(count)
-    first = starts[:-1] + np.floor(FAR_SHARE * (sizes - 1).clip(min=0)).astype(np.intp)
-    inverse[known] = 1 / distance[order[first[known]]]
-    far = np.arange(len(order)) >= first[sorted_cells]
-    total = np.zeros((count, 3))
-    np.add.at(total, sorted_cells[far], rgb[order[far]].astype(np.float64))
-    return known, inverse, total / np.maximum(np.bincount(sorted_cells[far], minlength=count), 1)[:, None]
-
-
-def _harmonic(sphere: _Sphere, known: NDArray[np.bool_], values: Array) -> Array:
-    """Values (cells, C), kept where known, elsewhere the weighted mean of their neighbours'."""
-    number = np.arange(sphere.rows * sphere.columns).reshape(sphere.rows, sphere.columns)
-    across = (number.ravel(), np.roll(number, -1, axis=1).ravel())
-    down = (number[:-1].ravel(), number[1:].ravel())
-    first, second = (np.concatenate([across[k], down[k]]) for k in (0, 1))
-    weight = np.concatenate([np.full(len(across[0]), ACROSS), np.ones(len(down[0]))])
-    count = number.size
-    links = sparse.coo_matrix((weight, (first, second)), (count, count)).tocsr()
-    links = links + links.T
-    free = np.flatnonzero(~known)
-    laplacian = sparse.diags(np.asarray(links.sum(axis=1)).ravel()) - links
-    system = laplacian[free][:, free].tocsc()
-    right = -laplacian[free][:, np.flatnonzero(known)] @ values[known]
-    out = values.copy()
-    out[free] = np.column_stack([spsolve(system, right[:, channel]) for channel in range(values.shape[1])])
-    return out
-
-
-def _chosen(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _chosen(sphere: Sphere, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Unknown cells to put a point in, and a rim of known ones: as many as the sphere's area asks for, and few far
     from all that is known."""
     grid, away = _closed(sphere, known)
@@ -180,7 +94,7 @@ def _chosen(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     return np.flatnonzero(((~grid | rim) & ((column + moved) % step == 0) & level).ravel())
 
 
-def _closed(sphere: _Sphere, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
+def _closed(sphere: Sphere, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
     """(rows, columns) what is known, without small gaps; and how far from it each cell is, in degrees."""
     known = _widened(sphere, known)
     # Three turns side by side: what is done to neighbours runs on over the seam.
@@ -191,7 +105,7 @@ def _closed(sphere: _Sphere, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_
     return closed[middle], away[middle]
 
 
-def _widened(sphere: _Sphere, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _widened(sphere: Sphere, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """(rows, columns) cells with a known one so near as two cells are on the horizon: towards the poles they narrow."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):

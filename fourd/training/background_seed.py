@@ -14,6 +14,7 @@ from fourd.matting.selection import Selection
 from fourd.progress import Track
 from fourd.seeding import CarvedPoints, read_ply, write_ply
 from fourd.seeding.plates import PlateView, has_plate, read_plates
+from fourd.seeding.radiance.points import field_points
 from fourd.seeding.stillness import restless
 from fourd.seeding.surroundings import gaze_centre, seen_share, surroundings
 from fourd.seeding.triangulation import triangulated
@@ -22,6 +23,8 @@ from fourd.training.config import TrainConfig
 BACKGROUND = "background"
 POINTS = "points.ply"
 PLATES = "plates"
+DECIDING = ("points", "seeding", "seeds", "radiance")
+"""Keys of the background's config that decide its first points."""
 Say = Callable[[str], None]
 
 
@@ -45,7 +48,7 @@ def seed_background(
     else:
         plates = run_plates(capture, training, folder, say)
         _say_what_moves(restless(capture, training, plates), say)
-        points = triangulated(plates, wanted, seed=train.seed, workers=workers, say=say, track=track)
+        points = _found(plates, train, workers, track, say)
         cameras = [plate.camera for plate in plates]
         shell = surroundings(points, cameras, gaze_centre(cameras))
         share = seen_share(points, gaze_centre(cameras), cameras)
@@ -65,6 +68,15 @@ def _say_what_moves(shares: dict[str, float], say: Say) -> None:
             f"background: up to {shares[worst]:.0%} of what camera '{worst}'{others} sees beside the subject changes "
             "over time; a static background keeps its mean, in which what moves is blurred: let the mattes hold it too"
         )
+
+
+def _found(plates: tuple[PlateView, ...], train: TrainConfig, workers: int, track: Track, say: Say) -> CarvedPoints:
+    """Points of what the plates show, in the way that the config asks for."""
+    wanted, seed = train.background.points, train.seed
+    if train.background.seeding == "sfm":
+        return triangulated(plates, wanted, seed=seed, workers=workers, say=say, track=track)
+    radiance = train.background.radiance
+    return field_points(plates, wanted, radiance, seed=seed, workers=workers, say=say, track=track)
 
 
 def run_plates(

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from fourd.model.config import ModelConfig, PlanesConfig, require
+from fourd.seeding.radiance.config import RadianceConfig
 
 
 @dataclass(frozen=True)
@@ -63,8 +64,12 @@ class BackgroundConfig:
 
     points: int = 100_000
     """Points of the background, at most; a coarse shell where no plate looks comes on top."""
+    seeding: Literal["ngp", "sfm"] = "ngp"
+    """How they are found: ngp: a radiance field fitted to the plates, which stereo helps; sfm: stereo alone."""
     seeds: Path | None = None
     """A PLY with your own points of the background, in world units, in place of those found in the plates."""
+    radiance: RadianceConfig = field(default_factory=RadianceConfig)
+    """Of ngp seeding."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
     """Its K-Planes, over contracted space."""
     joint: bool = True

@@ -56,6 +56,15 @@ class Room:
         return np.asarray(cv2.resize(whole, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
+def room_depth(camera: Camera) -> Array:
+    """(H, W) depth of the room's faces at the pixels' middles, for a camera without distortion."""
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(camera.intrinsics).T @ camera.rotation
+    low, high = (np.array([side * HALF_WIDTH, side * HALF_WIDTH, top]) for side, top in ((-1, 0.0), (1, HEIGHT)))
+    with np.errstate(divide="ignore"):
+        return np.asarray((np.where(rays > 0, high - camera.centre, low - camera.centre) / rays).min(axis=-1))
+
+
 def _texture(rng: np.random.Generator) -> Picture:
     """Blots of many sizes in random colours."""
     side = round(2 * HALF_WIDTH * TEXELS_PER_M)

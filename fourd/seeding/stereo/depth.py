@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from fourd.seeding.stereo.patches import NEVER, Floats, GreyView, Grid, Likeness, index_intrinsics
 
+Array = NDArray[np.float64]
+
 ROUNDS = 4
 RANDOM_PLANES = 6
 STEEPEST = float(np.cos(np.radians(88)))
@@ -40,6 +42,24 @@ class DepthMap:
     def inverse_depth(self) -> Floats:
         """(N,) one by the depth in the middle of the cells."""
         return np.einsum("nc,nc->n", self.planes, self.grid.pixels)
+
+    @staticmethod
+    def through(grid: Grid, inverse_depth: Array, scores: Floats) -> DepthMap:
+        """A map whose planes go through inverse depths (N,), as steep as these change from cell to cell."""
+        values = inverse_depth.reshape(grid.shape)
+        down, across = (_slope(values, axis) / grid.stride for axis in (0, 1))
+        middle = inverse_depth - across * grid.pixels[:, 0] - down * grid.pixels[:, 1]
+        return DepthMap(grid, np.stack([across, down, middle], axis=1).astype(np.float32), scores)
+
+    @staticmethod
+    def unknown(grid: Grid) -> DepthMap:
+        """A map that knows nothing."""
+        return DepthMap(grid, np.zeros_like(grid.pixels), np.full(len(grid.pixels), NEVER, np.float32))
+
+
+def _slope(values: Array, axis: int) -> Array:
+    """(N,) change from cell to cell along an axis of values (R, C)."""
+    return np.gradient(values, axis=axis).ravel() if values.shape[axis] > 1 else np.zeros(values.size)
 
 
 def depth_map(

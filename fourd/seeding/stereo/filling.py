@@ -98,18 +98,10 @@ def _filled(
     known = surface.known.reshape(grid.shape)
     hung = np.where((flat > 0) & lacking, 0, hung)
     whole = np.where(known, surface.depths.inverse_depth.reshape(grid.shape), np.maximum(flat, hung))
-    down, across = (_slope(whole, axis) / grid.stride for axis in (0, 1))
-    middle = whole.ravel() - across * grid.pixels[:, 0] - down * grid.pixels[:, 1]
-    slanted = np.where(surface.known[:, None], surface.depths.planes, np.stack([across, down, middle], axis=1))
-    scores = np.where(surface.known, surface.depths.scores, 0)
-    depths = DepthMap(grid, slanted.astype(np.float32), scores.astype(np.float32))
+    guess = DepthMap.through(grid, whole.ravel(), np.where(surface.known, surface.depths.scores, 0).astype(np.float32))
+    depths = replace(guess, planes=np.where(surface.known[:, None], surface.depths.planes, guess.planes))
     made = replace(surface, depths=depths, known=whole.ravel() > 0, support=surface.support * surface.known)
     return made, (~known & (hung > flat)).ravel()
-
-
-def _slope(values: Array, axis: int) -> Array:
-    """(N,) change from cell to cell along an axis of values (R, C)."""
-    return np.gradient(values, axis=axis).ravel() if values.shape[axis] > 1 else np.zeros(values.size)
 
 
 def _others(surface: Surface, xyz: Array, pad: int) -> Array:

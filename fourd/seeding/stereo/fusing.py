@@ -111,6 +111,18 @@ def _judged(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
     """The surface with the cells that the others confirm, and if ``strict`` do not contradict."""
     mine = surfaces[index]
     cells = np.flatnonzero(mine.known)
+    alike, hiding = compared(index, surfaces, cells)
+    known, support = np.zeros_like(mine.known), np.zeros_like(mine.support)
+    known[cells] = (alike > 0) & (hiding < alike) if strict else alike > 0
+    support[cells] = alike
+    return replace(mine, known=known, support=support)
+
+
+def compared(
+    index: int, surfaces: Sequence[Surface], cells: NDArray[np.intp]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """How many other surfaces place cells (M,) of one alike (M,), and how many they would hide (M,)."""
+    mine = surfaces[index]
     xyz = mine.points(cells)
     alike, hiding = np.zeros(len(cells), np.intp), np.zeros(len(cells), np.intp)
     for other in (*surfaces[:index], *surfaces[index + 1 :]):
@@ -120,10 +132,7 @@ def _judged(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
         same[same] = np.linalg.norm(back - 0.5 - mine.depths.grid.pixels[cells[same], :2], axis=1) < SAME_PLACE_PX
         alike += same
         hiding += look.hiding
-    known, support = np.zeros_like(mine.known), np.zeros_like(mine.support)
-    known[cells] = (alike > 0) & (hiding < alike) if strict else alike > 0
-    support[cells] = alike
-    return replace(mine, known=known, support=support)
+    return alike, hiding
 
 
 def _patches(depths: DepthMap, known: Bools) -> Bools:

@@ -1,0 +1,105 @@
+"""Directions about a point as a grid, and what lies in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
+
+from fourd.cameras import Camera
+
+Array = NDArray[np.float64]
+
+CELL_DEG = 1.0
+FAR_SHARE = 0.8
+"""Quantile of the distances of a cell's points that counts: what stands before the far wall is passed over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere:
+    """Directions about a point as a grid, rows by elevation and columns by azimuth.
+
+    Attributes:
+        centre: (3,) world.
+        R_world_sphere: (3, 3), its third axis up.
+        rows, columns: numbers of cells.
+    """
+
+    centre: Array
+    R_world_sphere: Array
+    rows: int
+    columns: int
+
+    def cells(self, xyz: Array) -> tuple[NDArray[np.intp], Array]:
+        """Flat cells (N,) and distances (N,) of world points (N, 3)."""
+        local = (xyz - self.centre) @ self.R_world_sphere
+        distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
+        elevation = np.arcsin(np.clip(local[:, 2] / distance, -1, 1))
+        azimuth = np.arctan2(local[:, 1], local[:, 0])
+        row = np.clip(((elevation / np.pi + 0.5) * self.rows).astype(np.intp), 0, self.rows - 1)
+        column = ((azimuth / (2 * np.pi) + 0.5) * self.columns).astype(np.intp) % self.columns
+        return row * self.columns + column, distance
+
+    def directions(self) -> Array:
+        """(rows * columns, 3) unit vectors in the world, in the cells' middles or in odd rows at their ends."""
+        elevation = ((np.arange(self.rows) + 0.5) / self.rows - 0.5) * np.pi
+        azimuth = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) * 2 * np.pi
+        e, a = np.meshgrid(elevation, azimuth, indexing="ij")
+        a[1::2] += np.pi / self.columns * (1 - 1e-9)
+        local = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
+        return np.asarray(local @ self.R_world_sphere.T)
+
+
+def sphere_about(cameras: Sequence[Camera], centre: Array) -> Sphere:
+    """Directions about a world point (3,), in cells of a degree; up is that of the cameras' mean upright."""
+    up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
+    up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
+    side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
+    side /= np.linalg.norm(side)
+    half = round(180 / CELL_DEG)
+    axes = np.column_stack([side, np.cross(up, side), up])
+    return Sphere(np.asarray(centre, np.float64), axes, half, 2 * half)
+
+
+def far_side(
+    cells: NDArray[np.intp], distance: Array, rgb: NDArray[np.uint8], count: int
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """By cell whether it has points, one by their far distance, and the mean colour (count, 3) of the farther ones."""
+    order = np.lexsort((distance, cells))
+    sorted_cells = cells[order]
+    starts = np.searchsorted(sorted_cells, np.arange(count + 1))
+    sizes = np.diff(starts)
+    known = sizes > 0
+    inverse = np.zeros(count)
+    first = starts[:-1] + np.floor(FAR_SHARE * (sizes - 1).clip(min=0)).astype(np.intp)
+    inverse[known] = 1 / distance[order[first[known]]]
+    far = np.arange(len(order)) >= first[sorted_cells]
+    total = np.zeros((count, 3))
+    np.add.at(total, sorted_cells[far], rgb[order[far]].astype(np.float64))
+    return known, inverse, total / np.maximum(np.bincount(sorted_cells[far], minlength=count), 1)[:, None]
+
+
+def harmonic(sphere: Sphere, known: NDArray[np.bool_], values: Array, across: float) -> Array:
+    """Values (cells, C), kept where known, elsewhere the weighted mean of their neighbours'.
+
+    ``across`` is how much more alike neighbours along the horizon are than those up and down.
+    """
+    number = np.arange(sphere.rows * sphere.columns).reshape(sphere.rows, sphere.columns)
+    level = (number.ravel(), np.roll(number, -1, axis=1).ravel())
+    down = (number[:-1].ravel(), number[1:].ravel())
+    first, second = (np.concatenate([level[k], down[k]]) for k in (0, 1))
+    weight = np.concatenate([np.full(len(level[0]), across), np.ones(len(down[0]))])
+    count = number.size
+    links = sparse.coo_matrix((weight, (first, second)), (count, count)).tocsr()
+    links = links + links.T
+    free = np.flatnonzero(~known)
+    laplacian = sparse.diags(np.asarray(links.sum(axis=1)).ravel()) - links
+    system = laplacian[free][:, free].tocsc()
+    right = -laplacian[free][:, np.flatnonzero(known)] @ values[known]
+    out = values.copy()
+    out[free] = np.column_stack([spsolve(system, right[:, channel]) for channel in range(values.shape[1])])
+    return out

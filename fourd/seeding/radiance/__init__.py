@@ -1,0 +1,1 @@
+"""A radiance field of a still background (Mueller et al. 2022, Instant-NGP), fitted to clean plates."""

@@ -1,0 +1,111 @@
+"""Background points from clean plates by a radiance field, which stereo tells where surfaces are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.errors import UserError
+from fourd.progress import Track, untold
+from fourd.seeding.contraction import around_cameras
+from fourd.seeding.plates import PlateView
+from fourd.seeding.ply import CarvedPoints
+from fourd.seeding.radiance.config import RadianceConfig
+from fourd.seeding.radiance.depths import field_depths
+from fourd.seeding.radiance.fitting import fit_field
+from fourd.seeding.radiance.pixels import Pixels
+from fourd.seeding.stereo.colouring import coloured_points
+from fourd.seeding.stereo.filling import filled
+from fourd.seeding.stereo.fusing import Surface
+from fourd.seeding.stereo.measuring import LEAST_FEATURES, Measured, measured
+from fourd.seeding.surroundings import gaze_centre
+
+Array = NDArray[np.float64]
+Say = Callable[[str], None]
+
+LEAST_SHARE = 0.1
+"""Of the plates' cells: at depths that two plates agree on, measured or by the field."""
+
+
+def field_points(
+    plates: Sequence[PlateView],
+    points: int,
+    config: RadianceConfig,
+    *,
+    seed: int = 0,
+    workers: int = 1,
+    say: Say = lambda line: None,
+    track: Track = untold,
+) -> CarvedPoints:
+    """Points of a still background, about one for every equal area of the pictures, with colours.
+
+    Stereo measures what two plates show alike (:mod:`fourd.seeding.stereo`); what a single plate shows is continued
+    from that. A field (Mueller et al. 2022) is fitted to the plates' colours and to these depths:
+    pictures alone, 20 degrees apart, are each explained best by what only its own camera sees. Its median depth
+    counts where stereo measured nothing. The same input, seed and number of torch's threads give the same points.
+
+    Args:
+        plates: at least two.
+        points: wanted number, at least 1; fewer where the plates show less.
+        config: the field's.
+        seed: of all that is random.
+        workers: processes that measure.
+        say: told what was found and how much of it is a guess, a line each.
+        track: for progress.
+
+    Returns:
+        the points in random order, so that every prefix is a fair sample.
+
+    Raises:
+        ValueError: for fewer than two plates or no points.
+        UserError: where too few depths are found that two plates agree on.
+    """
+    if len(plates) < 2 or points < 1:
+        raise ValueError(f"expected at least 2 plates and 1 point, got {len(plates)} and {points}")
+    stereo = measured(plates, seed, workers, track)
+    say(f"stereo: {stereo.features} features, {stereo.share:.0%} of what the plates show is measured")
+    if stereo.features < LEAST_FEATURES:
+        raise _too_little(f"{LEAST_FEATURES} features to be found in two of them alike", f"{stereo.features}")
+    if stereo.share < LEAST_SHARE:
+        say("stereo: that is too little to tell the field where surfaces are; colours alone have to")
+    surfaces = _surfaces(stereo, config, seed, track)
+    agreed = sum(int((surface.known & (surface.support > 0)).sum()) for surface in surfaces) / stereo.shown
+    if agreed < LEAST_SHARE:
+        raise _too_little(
+            f"{LEAST_SHARE:.0%} of what they show to have depths that two of them agree on", f"{agreed:.1%}"
+        )
+    cloud, cells = coloured_points(plates, stereo.smalls, surfaces, points, seed)
+    say(_told(stereo.surfaces, surfaces, cells))
+    return cloud
+
+
+def _surfaces(stereo: Measured, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
+    """A surface of each plate, with all depths that were measured, that the field found, or that are guesses."""
+    cameras = [small.camera for small in stereo.smalls]
+    views = [small.grey() for small in stereo.smalls]
+    centre = gaze_centre(cameras)
+    continued = filled(stereo.surfaces, views, seed)
+    contraction = around_cameras(cameras, centre)
+    pixels = Pixels.of(stereo.smalls, stereo.surfaces, continued, contraction.radius)
+    field = fit_field(pixels, contraction, config, seed, track)
+    return field_depths(field, stereo.smalls, stereo.surfaces, continued, track)
+
+
+def _told(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:
+    """How many points there are, by how they are known."""
+    total = sum(len(mine) for mine in cells)
+    sure = sum(int(surface.known[mine].sum()) for surface, mine in zip(measured, cells, strict=True))
+    guessed = sum(int((surface.support[mine] == 0).sum()) for surface, mine in zip(surfaces, cells, strict=True))
+    return (
+        f"points: {total}, {sure} of them measured by stereo, {total - sure - guessed} where the field has two plates "
+        f"agree, {guessed} guesses of what one plate alone shows"
+    )
+
+
+def _too_little(least: str, got: str) -> UserError:
+    return UserError(
+        f"plates: expected at least {least}, got {got}; walls without texture and cameras far apart tell no depths: "
+        "bring points of your own: --background FILE.ply"
+    )
