@@ -231,6 +231,10 @@ class TrainConfig:
             self.neighbour_pool >= self.model.neighbours,
             f"neighbour_pool: expected at least model.neighbours ({self.model.neighbours}), got {self.neighbour_pool}",
         )
+        require(
+            not (self.background.shadow and self.model.appearance == "sh"),
+            "background.shadow: expected colours from images to cast it on (model.appearance both or ibr), got sh",
+        )
         for name in ("max_steps", "max_seconds", "checkpoint_seconds", "checkpoint_steps", "validation_seconds"):
             value = getattr(self, name)
             require(value is None or value > 0, f"{name}: expected more than 0, got {value}")
