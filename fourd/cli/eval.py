@@ -84,7 +84,8 @@ def run(arguments: Arguments) -> None:
     for index, view in fitted.items():
         note = f"turned by {view.degrees:.3f} degrees, moved by {view.distance:.4f}"
         colours = ", colours fitted" if view.colours is not None else ""
-        Console().print(f"{capture.names[index]}: fitted to its own pictures before judging: {note}{colours}")
+        line = f"{capture.names[index]}: fitted to its own pictures before judging: {note}{colours}"
+        Console().print(line, soft_wrap=True)
     if arguments.json is not None:
         content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
         if backgrounds:

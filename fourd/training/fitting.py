@@ -19,16 +19,17 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.capture.layout import evenly_spread
 from fourd.training.frames import FrameStore
-from fourd.training.render import Renderer
+from fourd.training.parts import Part
+from fourd.training.render import Renderer, picture_of
 from fourd.training.rig import recoloured
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 BLURS_PX = (8.0, 4.0, 2.0, 1.0)
-STEPS = 4
+STEPS = 12
 DAMPING = 1e-3
-MOST_FRAMES = 2
+MOST_FRAMES = 3
 SETTLED = 3e-5
 """Radians, and shares of the distance: steps below this end a level."""
 LEAST_COVERED = 0.02
@@ -57,7 +58,7 @@ class FittedView:
 
 
 def fit_view(renderer: Renderer, frames: FrameStore, index: int, layers: int, *, colours: bool) -> FittedView:
-    """Fit the pose of camera ``index``, the same for all frames, and its colours if asked, to up to two frames."""
+    """Fit the pose of camera ``index``, the same for all frames, and its colours if asked, to up to three frames."""
     given = renderer.views.rig.cameras[index]
     fit = _Fit(renderer, frames, index, layers, colours)
     camera = given
@@ -86,10 +87,16 @@ class _Fit:
         self.layers = layers
         self.colours = colours
         self.chosen = evenly_spread(frames.frames, MOST_FRAMES)
+        self.parts: dict[int, list[Part]] = {}
         self.distance = float(np.linalg.norm(renderer.views.rig.cameras[index].centre - renderer.focus))
 
     def level(self, camera: Camera, blur_px: float) -> Camera:
-        """The camera after some steps of Levenberg and Marquardt's on pictures blurred by ``blur_px``."""
+        """The camera after some steps of Levenberg and Marquardt's on pictures blurred by ``blur_px``.
+
+        Colours are evaluated once, for where the camera is at first: they change little by what it moves.
+        """
+        for frame in self.chosen:
+            self.parts[frame] = self.renderer.parts(self.frames.get(frame), frame, camera, self.index)
         damping, now = DAMPING, self.look(camera, blur_px)
         for _ in range(STEPS):
             grown = now.matrix + np.diag(damping * np.diag(now.matrix) + 1e-12)
@@ -122,7 +129,7 @@ class _Fit:
         view = self.renderer.views.view(self.index, frame)
         height, width = view.matte.shape
         part = camera.cropped(view.left, view.top, width, height)
-        picture = self.renderer.render(self.frames.get(frame), frame, part, self.layers, exclude=self.index)
+        picture = picture_of(self.parts[frame], part, self.layers)
         truth = view.target()[0].numpy()
         if self.renderer.background is not None:
             truth = (view.rgb / np.float32(255)).astype(np.float32)

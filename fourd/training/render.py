@@ -58,17 +58,22 @@ class Renderer:
         ``exclude`` names a source camera that must not be used, so that a training view can be
         judged without copying from itself.
         """
+        return picture_of(self.parts(points, frame, camera, exclude), camera, layers)
+
+    def parts(self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None) -> list[Part]:
+        """What a frame shows to ``camera``, evaluated; arguments as :meth:`render`."""
         with torch.no_grad():
             parts = [self._moving(points, frame, camera, exclude)]
             if self.background is not None:
                 parts.append(self._static(self.background, camera, exclude, self.views.capture.time(frame)))
-            return _picture(parts, camera, layers)
+            return parts
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> Picture:
         """The background alone, without shadows, of which a full scene has one."""
         assert self.background is not None, "an object scene has no background"
         with torch.no_grad():
-            return _picture([self._static(self.background, camera, exclude)], camera, layers)
+            parts = [self._static(self.background, camera, exclude)]
+        return picture_of(parts, camera, layers)
 
     def _moving(self, points: FramePoints, frame: int, camera: Camera, exclude: int | None) -> Part:
         time = self.views.capture.time(frame)
@@ -98,7 +103,9 @@ class Renderer:
         return [candidates[i] for i in nearest]
 
 
-def _picture(parts: list[Part], camera: Camera, layers: int) -> Picture:
-    render = composite(parts, camera, layers)
+def picture_of(parts: list[Part], camera: Camera, layers: int) -> Picture:
+    """What was evaluated for a camera, as it or one near it sees it."""
+    with torch.no_grad():
+        render = composite(parts, camera, layers)
     rgb, moving = render.features[..., :3].clamp(0, 1), render.features[..., 3]
     return Picture(rgb.numpy(), render.alpha.numpy(), render.depth.numpy(), moving.numpy())
