@@ -54,15 +54,15 @@ class Sphere:
         return np.asarray(local @ self.R_world_sphere.T)
 
 
-def sphere_about(cameras: Sequence[Camera], centre: Array) -> Sphere:
-    """Directions about a world point (3,), in cells of a degree; up is that of the cameras' mean upright."""
+def sphere_about(cameras: Sequence[Camera], centre: Array, rows_per_degree: int = 1) -> Sphere:
+    """Directions about a world point (3,), in columns of a degree; up is that of the cameras' mean upright."""
     up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     side /= np.linalg.norm(side)
     half = round(180 / CELL_DEG)
     axes = np.column_stack([side, np.cross(up, side), up])
-    return Sphere(np.asarray(centre, np.float64), axes, half, 2 * half)
+    return Sphere(np.asarray(centre, np.float64), axes, rows_per_degree * half, 2 * half)
 
 
 def far_side(

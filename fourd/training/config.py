@@ -62,7 +62,7 @@ class RateConfig:
 class BackgroundConfig:
     """The static part of a full scene."""
 
-    points: int = 100_000
+    points: int = 150_000
     """Points of the background, at most; a coarse shell where no plate looks comes on top."""
     seeding: Literal["ngp", "sfm"] = "ngp"
     """How they are found: ngp: a radiance field fitted to the plates, which stereo helps; sfm: stereo alone."""

@@ -23,6 +23,7 @@ from fourd.seeding.radiance.occupancy import OccupancyGrid
 from fourd.seeding.radiance.pixels import Pixels
 from fourd.seeding.radiance.points import field_points
 from fourd.seeding.radiance.rays import Rays, camera_rays, resampled, to_distance, to_share
+from fourd.seeding.radiance.rooms import Room as Around
 from fourd.seeding.stereo.depth import DepthMap
 from fourd.seeding.stereo.fusing import Surface
 from fourd.seeding.stereo.measuring import Measured, Small
@@ -248,6 +249,29 @@ def test_a_full_place_can_empty_again() -> None:
     assert log_density.grad.tolist() == pytest.approx([float(np.exp(11.0)), float(np.exp(0.5))], rel=1e-4)
 
 
+def test_what_one_plate_shows_is_continued_along_the_horizon(smalls: list[Small]) -> None:
+    """Catches walls that lean towards the floor below them where nothing is measured."""
+    surfaces = []
+    for index, small in enumerate(smalls):
+        known = small.grid().pixels[:, 0] < (WIDTH if index % 2 else WIDTH // 2)
+        surfaces.append(true_surface(small, known))
+    around = Around.around(surfaces, np.array([0.3, 0.3, 0.9]))
+    assert around is not None
+    for small, surface in zip(smalls[::2], surfaces[::2], strict=True):
+        ratio = around.seen_by(surface) * room_depth(small.camera)[small.grid().indices]
+        assert np.median(np.abs(ratio - 1)) < 0.03
+        assert np.percentile(np.abs(ratio - 1), 90) < 0.2
+    few = [replace(surface, known=np.arange(len(surface.known)) % 100 == 0) for surface in surfaces]
+    hall = Around.around(few, np.array([0.3, 0.3, 0.9]))
+    assert hall is not None
+    for small, surface in zip(smalls, few, strict=True):
+        assert (hall.seen_by(surface) * np.linalg.norm(small.camera.centre - (0.3, 0.3, 0.9)) < 3).all(), (
+            "not at a lens"
+        )
+    nothing = [replace(surface, known=np.zeros_like(surface.known)) for surface in surfaces]
+    assert Around.around(nothing, np.zeros(3)) is None
+
+
 def plates_of(smalls: list[Small]) -> list[PlateView]:
     return [PlateView(f"{index:02d}", small.camera, small.rgb, small.seen) for index, small in enumerate(smalls)]
 
@@ -264,11 +288,11 @@ def test_blank_walls_are_refused(smalls: list[Small]) -> None:
 
 def test_what_neither_stereo_nor_the_field_finds_is_told(smalls: list[Small], monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches fog, which all plates place alike, in place of a background, and a field left alone without a word."""
-    few = [true_surface(small, np.arange(len(small.grid().pixels)) % 40 == 0) for small in smalls]
+    few = [true_surface(small, np.arange(len(small.grid().pixels)) % 400 == 0) for small in smalls]
     monkeypatch.setattr(points_module, "measured", lambda *given: Measured(20, 20, smalls, few))
     lines: list[str] = []
     config = replace(SMALL, steps=2)
-    with pytest.raises(UserError, match=r"at least 10% .* that two of them agree on, got 2\.\d%; .*--background FILE"):
+    with pytest.raises(UserError, match=r"at least 1% .* that two of them agree on, got 0\.\d%; .*--background FILE"):
         field_points(plates_of(smalls), 500, config, say=lines.append)
     assert "too little to tell the field" in lines[1]
 

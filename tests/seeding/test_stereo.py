@@ -15,6 +15,7 @@ from fourd.seeding.stereo.enclosing import EnclosingPlanes
 from fourd.seeding.stereo.filling import filled
 from fourd.seeding.stereo.fusing import Surface, agreed
 from fourd.seeding.stereo.guesses import as_seen, large_planes, triangles
+from fourd.seeding.stereo.guiding import guided
 from fourd.seeding.stereo.patches import GreyView, Grid, Likeness, index_intrinsics
 from fourd.seeding.stereo.sources import best_sources
 from fourd.seeding.stereo.thinning import thinned
@@ -149,6 +150,27 @@ def test_a_gap_in_a_floor_is_floor() -> None:
     assert found[0].known.all()
     assert (found[0].support[gap] == 0).all()
     assert np.abs(found[0].points(np.flatnonzero(gap))[:, 2]).max() < 0.01
+
+
+def test_a_guide_decides_far_from_what_is_known() -> None:
+    """Catches a guide that is not moved to what is known beside it, and a known corner that moves it everywhere."""
+    grid = Grid.over(WIDTH, HEIGHT, 2)
+    view = GreyView.of(CAMERAS[1], np.full((HEIGHT, WIDTH, 3), 90, np.uint8), np.ones((HEIGHT, WIDTH), bool))
+    true = floor_map(CAMERAS[1]).inverse_depth.astype(np.float64)
+    gap = (np.abs(grid.pixels[:, 0] - 48) < 5) & (np.abs(grid.pixels[:, 1] - 36) < 5)
+    corner = (grid.pixels[:, 0] < 20) & (grid.pixels[:, 1] < 20)
+    for known, guide, expected in (
+        (~gap, true - 0.05, true),
+        (corner, true - 0.05, true - 0.05),
+        (0 * gap > 0, 0.9 * true, 0.9 * true),
+    ):
+        surface = surface_of(CAMERAS[1], known)
+        surface.depths.planes[~known] = 0
+        found = guided([surface], [view], [guide])[0]
+        assert found.known.all()
+        assert (found.support[~known] == 0).all()
+        far = ~known & ~((grid.pixels[:, 0] < 40) & (grid.pixels[:, 1] < 40)) if known is corner else ~known
+        np.testing.assert_allclose(found.depths.inverse_depth[far], expected[far], rtol=0.03)
 
 
 def test_little_known_is_not_stretched_over_a_picture() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -158,4 +159,15 @@ def test_brought_points_that_are_none_are_refused(ball_capture: Path, tmp_path: 
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, seeds=tmp_path / "none.ply"))
     with pytest.raises(UserError, match=r"none.ply: expected points of the background, got none; bring another PLY"):
+        create_run(ball_capture, tmp_path / "run", config)
+
+
+@pytest.mark.parametrize(("seeding", "why"), [("ngp", "tell no depths"), ("sfm", "cannot be triangulated")])
+def test_points_are_found_in_the_way_that_was_asked_for(
+    seeding: Literal["ngp", "sfm"], why: str, ball_capture: Path, tmp_path: Path
+) -> None:
+    """Catches a way that is not taken, by what each says of plates of one colour."""
+    config = full_config(tmp_path / "shell.ply")
+    config = replace(config, background=replace(config.background, seeds=None, seeding=seeding))
+    with pytest.raises(UserError, match=rf"plates: expected at least 8 features .*{why}.*--background FILE.ply"):
         create_run(ball_capture, tmp_path / "run", config)

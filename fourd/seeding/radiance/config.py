@@ -25,7 +25,7 @@ class RadianceConfig:
     """Width of the networks of density and of colour."""
     occupancy: int = 128
     """Cells a side of the occupancy grid."""
-    steps: int = 1000
+    steps: int = 750
     """Steps of Adam."""
     rays: int = 1536
     """Rays of a step."""

@@ -16,17 +16,21 @@ from fourd.seeding.radiance.config import RadianceConfig
 from fourd.seeding.radiance.depths import field_depths
 from fourd.seeding.radiance.fitting import fit_field
 from fourd.seeding.radiance.pixels import Pixels
+from fourd.seeding.radiance.rooms import Room
 from fourd.seeding.stereo.colouring import coloured_points
 from fourd.seeding.stereo.filling import filled
 from fourd.seeding.stereo.fusing import Surface
+from fourd.seeding.stereo.guiding import guided
 from fourd.seeding.stereo.measuring import LEAST_FEATURES, Measured, measured
+from fourd.seeding.stereo.patches import GreyView
 from fourd.seeding.surroundings import gaze_centre
 
 Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
-LEAST_SHARE = 0.1
-"""Of the plates' cells: at depths that two plates agree on, measured or by the field."""
+FEW_SHARE = 0.1
+LEAST_SHARE = 0.01
+"""Of the plates' cells: at depths that two plates agree on. With few the rest is guesswork; with less there is none."""
 
 
 def field_points(
@@ -68,13 +72,18 @@ def field_points(
     say(f"stereo: {stereo.features} features, {stereo.share:.0%} of what the plates show is measured")
     if stereo.features < LEAST_FEATURES:
         raise _too_little(f"{LEAST_FEATURES} features to be found in two of them alike", f"{stereo.features}")
-    if stereo.share < LEAST_SHARE:
-        say("stereo: that is too little to tell the field where surfaces are; colours alone have to")
+    if stereo.share < FEW_SHARE:
+        say("stereo: that is too little to tell the field where surfaces are; colours have to")
     surfaces = _surfaces(stereo, config, seed, track)
     agreed = sum(int((surface.known & (surface.support > 0)).sum()) for surface in surfaces) / stereo.shown
     if agreed < LEAST_SHARE:
         raise _too_little(
             f"{LEAST_SHARE:.0%} of what they show to have depths that two of them agree on", f"{agreed:.1%}"
+        )
+    if agreed < FEW_SHARE:
+        say(
+            f"background: of what the plates show {agreed:.0%} has depths that two agree on; the rest is a rough "
+            "guess, worst from between the cameras; more cameras or --background FILE.ply would help"
         )
     cloud, cells = coloured_points(plates, stereo.smalls, surfaces, points, seed)
     say(_told(stereo.surfaces, surfaces, cells))
@@ -86,11 +95,19 @@ def _surfaces(stereo: Measured, config: RadianceConfig, seed: int, track: Track)
     cameras = [small.camera for small in stereo.smalls]
     views = [small.grey() for small in stereo.smalls]
     centre = gaze_centre(cameras)
-    continued = filled(stereo.surfaces, views, seed)
+    continued = _continued(stereo, views, centre, seed)
     contraction = around_cameras(cameras, centre)
     pixels = Pixels.of(stereo.smalls, stereo.surfaces, continued, contraction.radius)
     field = fit_field(pixels, contraction, config, seed, track)
     return field_depths(field, stereo.smalls, stereo.surfaces, continued, track)
+
+
+def _continued(stereo: Measured, views: Sequence[GreyView], centre: Array, seed: int) -> list[Surface]:
+    """The surfaces with guesses where nothing is measured, from what is measured around, or of the room as a whole."""
+    room = Room.around(stereo.surfaces, centre) if stereo.share < FEW_SHARE else None
+    if room is None:
+        return filled(stereo.surfaces, views, seed)
+    return guided(stereo.surfaces, views, [room.seen_by(surface) for surface in stereo.surfaces])
 
 
 def _told(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:

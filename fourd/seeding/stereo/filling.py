@@ -59,12 +59,12 @@ def filled(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) ->
         surface = surfaces[index]
         guessed[index], hung = _filled(surface, views[index], planes, rest, lacking)
         rest = np.concatenate([rest, guessed[index].points(np.flatnonzero(hung))])
-    return [_free(index, guessed, surfaces) for index in range(len(surfaces))]
+    return [without_hiding(index, guessed, surfaces) for index in range(len(surfaces))]
 
 
 def _enough(surface: Surface, xyz: Array) -> bool:
     """Whether a picture or the others know enough of what it shows."""
-    known = surface.known | (_others(surface, xyz, 0).ravel() > 0)
+    known = surface.known | (others_in(surface, xyz, 0).ravel() > 0)
     return bool(np.count_nonzero(known) >= LEAST_KNOWN * len(known))
 
 
@@ -86,7 +86,7 @@ def _filled(
     grid = surface.depths.grid
     (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape))
     inside = (slice(pad, pad + rows), slice(pad, pad + columns))
-    frame = _others(surface, rest, pad)
+    frame = others_in(surface, rest, pad)
     off = np.where(_off_planes(surface, planes), surface.depths.inverse_depth, 0).reshape(grid.shape)
     frame[inside] = np.where(off > 0, off, frame[inside])
     flat = planes.inverse_depth(surface.camera, grid).reshape(grid.shape)
@@ -94,7 +94,7 @@ def _filled(
     hung = np.zeros(grid.shape)
     if np.count_nonzero(frame) > LEAST_FRAME * frame.size:
         grey = np.nan_to_num(view.greys[1])[grid.indices].reshape(grid.shape)
-        hung = _membrane(frame, np.pad(grey, pad, mode="edge"))[inside]
+        hung = membrane(frame, frame == 0, np.pad(grey, pad, mode="edge"))[inside]
     known = surface.known.reshape(grid.shape)
     hung = np.where((flat > 0) & lacking, 0, hung)
     whole = np.where(known, surface.depths.inverse_depth.reshape(grid.shape), np.maximum(flat, hung))
@@ -104,7 +104,7 @@ def _filled(
     return made, (~known & (hung > flat)).ravel()
 
 
-def _others(surface: Surface, xyz: Array, pad: int) -> Array:
+def others_in(surface: Surface, xyz: Array, pad: int) -> Array:
     """(R, C) inverse depths of world points on the picture's cells with ``pad`` more on each side, 0 for none."""
     grid = surface.depths.grid
     shape = (grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad)
@@ -117,8 +117,8 @@ def _others(surface: Surface, xyz: Array, pad: int) -> Array:
     return out
 
 
-def _membrane(known: Array, grey: Floats) -> Array:
-    """(R, C) the values, those that are 0 such that each is the weighted mean of its neighbours."""
+def membrane(known: Array, unknown: NDArray[np.bool_], grey: Floats, pull: float = 0.0) -> Array:
+    """(R, C) the values, the unknown ones the weighted means of their neighbours, and by ``pull`` of 0."""
     numbers = np.arange(known.size).reshape(known.shape)
     first, second, hold = [], [], []
     for a, b in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
@@ -129,15 +129,17 @@ def _membrane(known: Array, grey: Floats) -> Array:
     links = coo_array((np.concatenate(hold), (np.concatenate(first), np.concatenate(second)))).tocsr()
     balance = (diags_array(links.sum(axis=1)) - links).tocsr()
     values = known.ravel().copy()
-    free = values == 0
+    free = unknown.ravel()
     if free.any():
-        values[free] = spsolve(
-            balance[free][:, free].tocsc(), -(balance[free][:, ~free] @ values[~free]), permc_spec="MMD_AT_PLUS_A"
-        )
+        system = balance[free][:, free]
+        if pull > 0:
+            system = system + pull * diags_array(np.ones(system.shape[0]))
+        right = -(balance[free][:, ~free] @ values[~free])
+        values[free] = spsolve(system.tocsc(), right, permc_spec="MMD_AT_PLUS_A")
     return np.asarray(values.reshape(known.shape), np.float64)
 
 
-def _free(index: int, guessed: Sequence[Surface], surfaces: Sequence[Surface]) -> Surface:
+def without_hiding(index: int, guessed: Sequence[Surface], surfaces: Sequence[Surface]) -> Surface:
     """A filled surface without the guesses that would hide what another picture knows."""
     mine = guessed[index]
     cells = np.flatnonzero(mine.known & ~surfaces[index].known)
