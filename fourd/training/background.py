@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 from torch import Tensor
 
 from fourd.cameras import Camera
@@ -28,6 +30,7 @@ STEP_PX = 32
 KEPT_STEPS = 100
 """Depths and features of a plate are used so long: both change slowly."""
 SURFACE_LAYERS = 4
+MOST_REACH_PX = 16
 LEAST_WEIGHT = 1e-3
 """Of the light of a pixel: what gives less anywhere does not show."""
 
@@ -171,11 +174,28 @@ class Background:
     def _look(self, points: FramePoints, image: Tensor, camera: Camera) -> _Seen:
         with torch.no_grad():
             encoded = self.model.encode_images(image[None])
-        depth = torch.from_numpy(surface_depth(points, camera)) if self.model.config.occlusion else None
+        depth = torch.from_numpy(hiding_depth(points, camera)) if self.model.config.occlusion else None
         return _Seen(self._step, depth, None if encoded is None else encoded[0])
 
 
-def surface_depth(points: FramePoints, camera: Camera) -> np.ndarray:
+def hiding_depth(points: FramePoints, camera: Camera) -> NDArray[np.float32]:
+    """(H, W) depth behind which a point of the same surfaces is hidden.
+
+    Points cover discs: on a floor seen at a grazing angle each would hide those behind it, and a camera would see half
+    of the points that it shows. So a pixel has the farthest depth within the reach of a disc.
+    """
+    pixels, depth = camera.project(points.xyz.double().numpy())
+    inside = (depth > NEAR) & (pixels >= 0).all(axis=1) & (pixels <= (camera.width, camera.height)).all(axis=1)
+    found = surface_depth(points, camera)
+    if not inside.any():
+        return found
+    radius_px = camera.intrinsics[0, 0] * points.radius.numpy()[inside] / depth[inside]
+    reach = min(int(np.ceil(np.median(radius_px))), MOST_REACH_PX)
+    farthest = maximum_filter(np.where(np.isfinite(found), found, 0), 2 * reach + 1)
+    return np.where(farthest > 0, farthest, np.float32(np.inf)).astype(np.float32)
+
+
+def surface_depth(points: FramePoints, camera: Camera) -> NDArray[np.float32]:
     """(H, W) depth of the points as last evaluated, infinite where nothing covers half a pixel."""
     ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
     _, alpha, depth = render_points_numpy(

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import torch
 
+from fourd.cameras import look_at
 from fourd.errors import UserError
 from fourd.model.appearance import blend
-from fourd.training.background import KEPT_STEPS, surface_depth
+from fourd.training.background import KEPT_STEPS, hiding_depth, surface_depth
 from fourd.training.frames import FramePoints
 from fourd.training.parts import Part, composite, rows_in_sight
 from fourd.training.run import Run, create_run, load_run
@@ -96,6 +97,24 @@ def test_a_full_run_shows_what_is_around_the_subject(run: Run) -> None:
     assert np.abs(alone.rgb - 0.35).mean() < 0.1
 
 
+def test_a_floor_at_a_grazing_angle_hides_nothing_of_itself() -> None:
+    """Catches discs that hide the points behind them on the same floor: these lost their pictures' colours, whose
+    place blurred ones of their own took, and grew until they hid each other all the more."""
+    x, y = torch.meshgrid(torch.arange(-1, 1, 0.02), torch.arange(-1, 3, 0.02), indexing="ij")
+    xyz = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3)
+    floor = FramePoints.fresh(xyz, torch.full((len(xyz),), 0.02), 1.3, explicit_sh=False)
+    size = 256
+    intrinsics = np.array([[300.0, 0, size / 2], [0, 300, size / 2], [0, 0, 1]])
+    viewer = look_at(np.array([0, -2.0, 0.3]), np.zeros(3), np.array([0, 0, 1.0]), intrinsics, size, size)
+    pixels, depth = viewer.project(xyz.double().numpy())
+    shown = ((pixels > 8) & (pixels < size - 8)).all(axis=1) & (depth > 0)
+    column, row = np.clip(pixels, 0, size - 1).astype(int).T
+    behind = depth - hiding_depth(floor, viewer)[row, column]
+    assert (behind[shown] < 2 * 0.02).mean() > 0.95
+    assert ((depth - surface_depth(floor, viewer)[row, column])[shown] < 2 * 0.02).mean() < 0.9
+    assert (hiding_depth(floor, viewer)[row, column] < 1.3 * depth)[shown].mean() > 0.95
+
+
 def test_parts_apart_learn_nothing_of_each_other(ball_capture: Path, tmp_path: Path) -> None:
     """Catches a background that learns from frames, or rounds for its points in steps that it has no part in."""
     config = full_config(tmp_path / "shell.ply")
@@ -127,7 +146,7 @@ def test_what_is_kept_of_plates_is_renewed(run: Run) -> None:
         background.advance()
     renewed = background.sources(indices)
     assert renewed.depth is not None
-    torch.testing.assert_close(renewed.depth[0], torch.from_numpy(surface_depth(background.points, renewed.cameras[0])))
+    torch.testing.assert_close(renewed.depth[0], torch.from_numpy(hiding_depth(background.points, renewed.cameras[0])))
     assert not torch.equal(renewed.depth, first.depth)
     assert background.sources(indices, fresh=True).encoded is None
 
