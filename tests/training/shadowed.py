@@ -30,7 +30,8 @@ def floor() -> tuple[Floats, Floats]:
     """Points (N, 3) of the floor and their colours (N, 3) in plain light."""
     steps = np.linspace(-1.2, 1.2, 40)
     x, y = (side.ravel() for side in np.meshgrid(steps, steps))
-    waves = np.stack([np.sin(9 * x), np.sin(7 * y), np.sin(5 * (x + y))], axis=1)
+    # Slow enough for 64 pixels at a grazing angle: the colours are blended from such pictures.
+    waves = np.stack([np.sin(4 * x), np.sin(3 * y), np.sin(2 * (x + y))], axis=1)
     xyz = np.stack([x, y, np.full_like(x, FLOOR)], axis=1)
     return xyz.astype(np.float32), (0.6 + 0.15 * waves).astype(np.float32)
 
