@@ -91,6 +91,11 @@ class Camera:
             pixels = (xyz_camera @ self.intrinsics.T)[:, :2] / depth[:, None]
         return pixels, depth
 
+    def holds(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+        """(N,) whether points as :meth:`project` gives them lie before the camera and within its picture."""
+        within = (pixels >= 0).all(axis=1) & (pixels <= (self.width, self.height)).all(axis=1)
+        return np.asarray((depth > 0) & within)
+
     def scaled(self, scale: float) -> Camera:
         """The same view at ``scale`` times the size (rounded to whole pixels, K follows exactly)."""
         return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))

@@ -23,7 +23,7 @@ from fourd.files import is_new, remove_unfinished, remove_unfinished_of, write_t
 from fourd.matting.making import make_all
 from fourd.matting.selection import Selection
 from fourd.matting.stage import SHEET, MatteSettings
-from fourd.progress import Track, Tracker
+from fourd.progress import Track, Tracker, told_by
 from fourd.training.background_seed import BACKGROUND, DECIDING, POINTS
 from fourd.training.calibration import CALIBRATION, START
 from fourd.training.config import TrainConfig
@@ -201,15 +201,6 @@ def _bring_in(source: Path, capture: Path, console: Console) -> None:
         warn=lambda line: told(f"warning: {line}"),
         track=Tracker(console).track,
     )
-
-
-def told_by(console: Console) -> Callable[[str], None]:
-    """Prints lines as they are."""
-
-    def told(line: str) -> None:
-        console.print(line, soft_wrap=True, markup=False)
-
-    return told
 
 
 def _check(capture: Path, track: Track) -> None:

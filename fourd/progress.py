@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from time import monotonic
 from typing import Protocol, TypeVar
@@ -13,6 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 Item = TypeVar("Item")
+Say = Callable[[str], None]
+"""Is told what was found, a line each."""
 
 LINE_SECONDS = 30.0
 """Between two lines where there is no terminal."""
@@ -32,6 +34,15 @@ class Track(Protocol):
 def untold(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
     """The items, without a bar."""
     return items
+
+
+def told_by(console: Console) -> Say:
+    """Prints lines as they are."""
+
+    def told(line: str) -> None:
+        console.print(line, soft_wrap=True, markup=False)
+
+    return told
 
 
 @dataclass(frozen=True)

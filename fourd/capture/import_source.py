@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -21,9 +21,8 @@ from fourd.capture.settling import Centres, settle
 from fourd.capture.video import VideoIndex
 from fourd.errors import UserError
 from fourd.files import remove_unfinished
-from fourd.progress import Track
+from fourd.progress import Say, Track
 
-Say = Callable[[str], None]
 Indices = Mapping[str, VideoIndex]
 
 MOST_MOMENTS = 3

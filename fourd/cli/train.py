@@ -12,7 +12,7 @@ from rich.console import Console
 
 from fourd.configs import load_overlay
 from fourd.errors import UserError
-from fourd.progress import Tracker
+from fourd.progress import Tracker, told_by
 from fourd.spreading import cores
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
@@ -76,10 +76,7 @@ def run(arguments: Arguments) -> None:
         opened = open_run(arguments.out)
     else:
         track = Tracker(console).track
-
-        def say(line: str) -> None:
-            console.print(line, soft_wrap=True, markup=False)
-
+        say = told_by(console)
         opened = create_run(
             arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track, cores(), say
         )

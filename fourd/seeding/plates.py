@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,9 +18,9 @@ from fourd.capture.layout import pictures
 from fourd.capture.reader import Footage, Mattes
 from fourd.errors import UserError
 from fourd.matting.plates import FOLDER
+from fourd.progress import Say
 
 Picture = NDArray[np.uint8]
-Say = Callable[[str], None]
 
 USERS = "bgs"
 """Folder of a capture for plates that the user brings, CAM.png or .jpg, with the lens's distortion as the pictures."""

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from fourd.errors import UserError
-from fourd.progress import Track, untold
+from fourd.progress import Say, Track, untold
 from fourd.seeding.plates import PlateView
 from fourd.seeding.ply import CarvedPoints
 from fourd.seeding.stereo.colouring import coloured_points
 from fourd.seeding.stereo.filling import filled
 from fourd.seeding.stereo.measuring import LEAST_FEATURES, measured
-
-Say = Callable[[str], None]
 
 LEAST_SHARE = 0.1
 """Of the plates' cells, measured."""

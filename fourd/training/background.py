@@ -78,7 +78,7 @@ def out_of_sight(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
         pixels, depth = camera.project(xyz.double().numpy())
-        outside &= (depth <= 0) | (pixels < 0).any(axis=1) | (pixels > (camera.width, camera.height)).any(axis=1)
+        outside &= ~camera.holds(pixels, depth)
     return torch.from_numpy(outside)
 
 
@@ -185,7 +185,7 @@ def hiding_depth(points: FramePoints, camera: Camera) -> NDArray[np.float32]:
     of the points that it shows. So a pixel has the farthest depth within the reach of a disc.
     """
     pixels, depth = camera.project(points.xyz.double().numpy())
-    inside = (depth > NEAR) & (pixels >= 0).all(axis=1) & (pixels <= (camera.width, camera.height)).all(axis=1)
+    inside = camera.holds(pixels, depth) & (depth > NEAR)
     found = surface_depth(points, camera)
     if not inside.any():
         return found

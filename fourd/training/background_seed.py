@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from fourd.capture import Capture
 from fourd.errors import UserError
 from fourd.matting.plates import FOLDER, make_plates
 from fourd.matting.selection import Selection
-from fourd.progress import Track
+from fourd.progress import Say, Track
 from fourd.seeding import CarvedPoints, read_ply, write_ply
 from fourd.seeding.plates import PlateView, has_plate, read_plates
 from fourd.seeding.radiance.points import field_points
@@ -25,7 +24,6 @@ POINTS = "points.ply"
 PLATES = "plates"
 DECIDING = ("points", "seeding", "seeds", "radiance")
 """Keys of the background's config that decide its first points."""
-Say = Callable[[str], None]
 
 
 def seed_background(

@@ -7,7 +7,6 @@ extri.yml of every camera of the capture, and colours.json where colours are cor
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from fourd.capture import Capture, read_calibration, write_calibration
 from fourd.capture.calibration import INTRINSICS_NAME
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
-from fourd.progress import Track
+from fourd.progress import Say, Track
 from fourd.seeding.adjustment.bundle import Prior
 from fourd.seeding.adjustment.cameras import adjust_cameras
 from fourd.seeding.surroundings import gaze_centre
@@ -36,7 +35,7 @@ POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
 
 
 def adjust_run(
-    capture: Capture, training: list[int], folder: Path, config: RefineConfig, track: Track, say: Callable[[str], None]
+    capture: Capture, training: list[int], folder: Path, config: RefineConfig, track: Track, say: Say
 ) -> None:
     """Write the calibration that a run begins with, from what its training views share; keeps one that is there.
 

@@ -58,9 +58,9 @@ def densify(points: FramePoints, config: DensifyConfig, idle: Tensor, seed: list
     room = int(config.growth * float(points.first)) - len(kept)
     pull = (points.error / points.shown.clamp(min=1))[kept]
     wanted = max(0, min(room, int(config.share * len(kept)), int((pull > 0).sum())))
-    if wanted == 0 or len(kept) <= NEAREST:
-        if len(kept) == count or len(kept) <= NEAREST:
-            return Densified(0, 0)
+    if len(kept) <= NEAREST:
+        return Densified(0, 0)
+    if wanted == 0:
         points.take(kept)
         return Densified(0, count - len(kept))
     parents = kept[pull.topk(wanted).indices.sort().values]

@@ -22,12 +22,12 @@ from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
-from fourd.progress import Track, untold
+from fourd.progress import Say, Track, untold
 from fourd.seeding import Bounds, carve_capture, read_ply, write_ply
 from fourd.seeding.contraction import Contraction, around_cameras
 from fourd.seeding.order import morton_order
 from fourd.training.background import Background, new_background
-from fourd.training.background_seed import BACKGROUND, POINTS, Say, run_plates, seed_background
+from fourd.training.background_seed import BACKGROUND, POINTS, run_plates, seed_background
 from fourd.training.calibration import CALIBRATION, adjust_run, begun_with
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig

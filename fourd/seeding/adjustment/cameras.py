@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +29,6 @@ from fourd.seeding.stereo.features import (
     write_pictures,
 )
 from fourd.spreading import cores
-
-Say = Callable[[str], None]
 
 MOST_MOMENTS = 2
 LEAST_FEATURES = 20

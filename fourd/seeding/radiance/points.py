@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
-from fourd.progress import Track, untold
+from fourd.progress import Say, Track, untold
 from fourd.seeding.contraction import around_cameras
 from fourd.seeding.plates import PlateView
 from fourd.seeding.ply import CarvedPoints
@@ -26,7 +26,6 @@ from fourd.seeding.stereo.patches import GreyView
 from fourd.seeding.surroundings import gaze_centre
 
 Array = NDArray[np.float64]
-Say = Callable[[str], None]
 
 FEW_SHARE = 0.1
 LEAST_SHARE = 0.01

@@ -98,10 +98,15 @@ def _filled(
     known = surface.known.reshape(grid.shape)
     hung = np.where((flat > 0) & lacking, 0, hung)
     whole = np.where(known, surface.depths.inverse_depth.reshape(grid.shape), np.maximum(flat, hung))
-    guess = DepthMap.through(grid, whole.ravel(), np.where(surface.known, surface.depths.scores, 0).astype(np.float32))
+    return with_guesses(surface, whole.ravel()), (~known & (hung > flat)).ravel()
+
+
+def with_guesses(surface: Surface, inverse_depth: Array) -> Surface:
+    """The surface with guesses (N,) beside its known cells, of support 0; where they are 0 nothing is known."""
+    scores = np.where(surface.known, surface.depths.scores, 0).astype(np.float32)
+    guess = DepthMap.through(surface.depths.grid, inverse_depth, scores)
     depths = replace(guess, planes=np.where(surface.known[:, None], surface.depths.planes, guess.planes))
-    made = replace(surface, depths=depths, known=whole.ravel() > 0, support=surface.support * surface.known)
-    return made, (~known & (hung > flat)).ravel()
+    return replace(surface, depths=depths, known=inverse_depth > 0, support=surface.support * surface.known)
 
 
 def others_in(surface: Surface, xyz: Array, pad: int) -> Array:

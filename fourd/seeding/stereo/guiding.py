@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.seeding.stereo.depth import DepthMap
-from fourd.seeding.stereo.filling import membrane, others_in, without_hiding
+from fourd.seeding.stereo.filling import membrane, others_in, with_guesses, without_hiding
 from fourd.seeding.stereo.fusing import Surface
 from fourd.seeding.stereo.patches import Floats, GreyView
 
@@ -43,11 +41,7 @@ def _guided(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Surfa
     known = others_in(surface, xyz, 0)
     known = np.where(surface.known, surface.depths.inverse_depth, known.ravel()).reshape(grid.shape)
     grey = np.nan_to_num(view.greys[1])[grid.indices].reshape(grid.shape)
-    whole = _moved(known, guide.reshape(grid.shape), grey)
-    scores = np.where(surface.known, surface.depths.scores, 0).astype(np.float32)
-    guess = DepthMap.through(grid, whole.ravel(), scores)
-    depths = replace(guess, planes=np.where(surface.known[:, None], surface.depths.planes, guess.planes))
-    return replace(surface, depths=depths, known=np.ones_like(surface.known), support=surface.support * surface.known)
+    return with_guesses(surface, _moved(known, guide.reshape(grid.shape), grey).ravel())
 
 
 def _moved(known: Array, guide: Array, grey: Floats) -> Array:

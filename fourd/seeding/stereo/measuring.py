@@ -138,8 +138,7 @@ def _ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)
-        inside = (depth > 0) & (pixels >= 0).all(axis=1) & (pixels <= (camera.width, camera.height)).all(axis=1)
-        depths.append(depth[inside])
+        depths.append(depth[camera.holds(pixels, depth)])
     everything = np.concatenate(depths)
     ends = [np.percentile(mine if len(mine) >= LEAST_FEATURES else everything, (1, 99)) for mine in depths]
     return [(NEARER * float(low), FARTHER * float(high)) for low, high in ends]
