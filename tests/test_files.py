@@ -57,7 +57,8 @@ def test_what_is_left_of_one_file_is_removed_alone(tmp_path: Path) -> None:
     """Catches gigabytes left beside a scene whose writing was killed, and another program's files taken with them."""
     for name in ("scene.4dv", "scene-2.4dv"):
         with pytest.raises(FileNotFoundError), atomic_path(tmp_path / name) as temporary:
-            temporary.rename(temporary.with_name(temporary.name[:-5] + "z.4dv"))
+            ours = temporary.stem.rsplit("-", 1)[0]
+            temporary.rename(temporary.with_name(f"{ours}-a_killed{temporary.suffix}"))
     remove_unfinished_of(tmp_path / "scene.4dv")
     left = [path.name for path in tmp_path.iterdir()]
     assert len(left) == 1
