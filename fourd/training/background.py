@@ -14,7 +14,6 @@ from torch import Tensor
 from fourd.cameras import Camera
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews
-from fourd.raster import point_visibility
 from fourd.raster.arrays import render_points_numpy
 from fourd.seeding.contraction import Contraction
 from fourd.seeding.order import morton_order
@@ -31,11 +30,9 @@ KEPT_STEPS = 100
 """Depths and features of a plate are used so long: both change slowly."""
 SURFACE_LAYERS = 4
 MOST_REACH_PX = 16
-LEAST_WEIGHT = 1e-3
-"""Of the light of a pixel: what gives less anywhere does not show."""
-
-
-LEAST_RADIUS = 1.0
+HIDDEN_BEHIND = 9.0
+"""In spacings: a point that lies so far behind what a plate sees has no say in its colours, nor does it show."""
+LEAST_RADIUS = 0.6
 """In spacings."""
 
 
@@ -52,7 +49,6 @@ def new_background(
         replace(
             config.model,
             planes=config.background.planes,
-            # Cameras see most of a room from afar, where no hole shows between points that are too small.
             radius_range=(min(LEAST_RADIUS, 0.9 * config.model.radius_start), largest),
             residual=False,
             sh="mlp",
@@ -121,15 +117,18 @@ class Background:
         """Drop what is kept for a while, as a run that goes on from a checkpoint has to."""
         self._known.clear()
 
-    def hidden(self, layers: int) -> Tensor:
-        """(N,) bool, which points show in no plate, though they may lie within the picture."""
-        weight = torch.zeros(self.points.xyz.shape[0])
-        points = self.points
+    def hidden(self) -> Tensor:
+        """(N,) bool, which points no plate sees: they lie in no picture, or behind what does."""
+        xyz, spacing = self.points.xyz.double().numpy(), self.points.spacing.numpy()
+        hidden = np.ones(len(xyz), np.bool_)
         for index in self.plates:
             camera = self.camera(index)
-            seen = point_visibility(points.xyz, points.radius, points.density, camera, layers=layers, near=NEAR)
-            weight = torch.maximum(weight, seen)
-        return weight < LEAST_WEIGHT
+            pixels, depth = camera.project(xyz)
+            rows = np.flatnonzero(camera.holds(pixels, depth) & hidden)
+            column, row = np.minimum(pixels[rows].astype(np.intp), (camera.width - 1, camera.height - 1)).T
+            behind = depth[rows] - hiding_depth(self.points, camera)[row, column]
+            hidden[rows] = behind > HIDDEN_BEHIND * spacing[rows]
+        return torch.from_numpy(hidden)
 
     def sources(self, cameras: Sequence[int], *, fresh: bool = False, points: FramePoints | None = None) -> SourceViews:
         """Plates (indices of cameras) with what hides points in them.

@@ -26,9 +26,11 @@ class LossConfig:
     """Weight of the mean squared displacement, in units of the point spacing."""
     shadow: float = 1e-2
     """Weight of the mean squared difference from 1 of what shadows multiply the background's colours by."""
+    closed: float = 2e-2
+    """Weight of the squared transparency of a background seen from between its cameras, where no plate looks."""
 
     def __post_init__(self) -> None:
-        for name in ("perceptual", "stand_in", "mask", "residual", "shadow"):
+        for name in ("perceptual", "stand_in", "mask", "residual", "shadow", "closed"):
             value = getattr(self, name)
             require(value >= 0, f"{name}: expected 0 or more, got {value}")
 
@@ -62,7 +64,7 @@ class RateConfig:
 class BackgroundConfig:
     """The static part of a full scene."""
 
-    points: int = 150_000
+    points: int = 200_000
     """Points of the background, at most; a coarse shell where no plate looks comes on top."""
     seeding: Literal["ngp", "sfm"] = "ngp"
     """How they are found: ngp: a radiance field fitted to the plates, which stereo helps; sfm: stereo alone."""
@@ -105,7 +107,7 @@ class DensifyConfig:
     frame_every: int = 40
     """Steps of a frame between two rounds for its points; one that shows in none of them goes."""
     background_every: int = 250
-    """Steps between two rounds for the background's points; one that shows in no plate, though in its picture, goes."""
+    """Steps between two rounds for the background's points; one that lies behind others in every plate goes."""
     share: float = 0.1
     """Of the points that a round halves, at most."""
     growth: float = 1.25

@@ -15,6 +15,7 @@ from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews, project_points
 from fourd.training.background import Background, surface_depth
+from fourd.training.closing import transparency, vantage
 from fourd.training.config import TrainConfig
 from fourd.training.data import ViewStore
 from fourd.training.densify import densify, never_showed, note_gradients
@@ -117,6 +118,7 @@ class Stepper:
         if refinement is not None:
             terms["refinement"] = refinement.penalty(choice.target)
         terms |= self._shadow_term(time, choice, number)
+        terms |= self._closed_term(choice, number)
         _require_finite(terms, number)
         before = parts[0].free["xyz"].detach()
         self._apply(parts, terms, factor)
@@ -193,6 +195,16 @@ class Stepper:
         some = background.points.xyz[number % SHADOW_STRIDE :: SHADOW_STRIDE]
         return {"shadow": self.config.loss.shadow * background.model.shadow.departure(some, time)}
 
+    def _closed_term(self, choice: Choice, number: int) -> dict[str, Tensor]:
+        """What closes the background for cameras that stand elsewhere than those of its plates."""
+        background, weight = self.background, self.config.loss.closed
+        if background is None or weight == 0 or not choice.plate:
+            return {}
+        cameras = [background.camera(index) for index in background.plates]
+        draw = np.random.default_rng([self.config.seed, 4, number])
+        viewer = vantage(background.camera(choice.target), cameras, self.config.background.window_px // 2, draw)
+        return {"closed": weight * transparency(background, viewer, choice.layers, self.config.hidden_weight)}
+
     def _apply(self, parts: list[Part], terms: dict[str, Tensor], factor: float) -> None:
         torch.stack(list(terms.values())).sum().backward()
         for group in self.optimizer.param_groups:
@@ -224,7 +236,7 @@ class Stepper:
                 )
             static = self.background.points
             if self._behind(choice) is not None and int(static.age) % config.background_every == 0:
-                hidden = self.background.hidden(self.config.layers)
+                hidden = self.background.hidden()
                 densify(static, config, hidden, [*seed, BACKGROUND_SEED, int(static.age)])
                 self.background.forget()
 

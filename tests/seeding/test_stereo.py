@@ -246,6 +246,34 @@ def test_points_lie_evenly() -> None:
     assert distances[:, 1].max() < 1.6 * distances[:, 1].min()
 
 
+def test_another_camera_finds_no_gaps_in_a_floor() -> None:
+    """Catches a floor that is covered for the low camera that saw it alone: one that stands higher looks between."""
+    low, high = (
+        look_at(np.array([0, -4.0, z]), np.array([0, 4.0, 0]), np.array([0, 0, 1.0]), INTRINSICS, WIDTH, HEIGHT)
+        for z in (0.6, 1.0)
+    )
+    places = thinned([surface_of(low, np.ones(48 * 36, bool))], WHOLE, 600)[0]
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1.5, 1.5, 60), np.linspace(0, 5, 100)))
+    asked, _ = high.project(np.column_stack([x, y, np.zeros_like(x)]))
+    pixels, _ = high.project(places.xyz)
+    side = np.sqrt(WIDTH * HEIGHT / 2 / 600)
+    assert KDTree(pixels).query(asked)[0].max() < 1.5 * side
+
+
+def test_planes_across_an_edge_are_not_followed() -> None:
+    """Catches points strung along rays, where a cell's plane leads from something near to something far behind it."""
+    surface = surface_of(CAMERAS[1], np.ones(48 * 36, bool))
+    middle = surface.depths.inverse_depth.copy()
+    edge = np.arange(48 * 36) % 48 == 20
+    planes = surface.depths.planes.copy()
+    steep = 0.3 * middle[edge]
+    planes[edge] = np.column_stack([steep, 0 * steep, middle[edge] - steep * surface.depths.grid.pixels[edge, 0]])
+    broken = replace(surface, depths=replace(surface.depths, planes=planes))
+    places = thinned([broken], WHOLE, 3000)[0]
+    assert len(places.xyz) > 2000
+    assert np.abs(places.xyz[:, 2]).max() < 0.1
+
+
 def test_what_is_confirmed_comes_first() -> None:
     """Catches guesses of one picture that keep out what another has measured."""
     surfaces = [surface_of(camera(x), np.ones(48 * 36, bool)) for x in (0.0, 0.02)]

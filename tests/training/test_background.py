@@ -14,7 +14,7 @@ import torch
 from fourd.cameras import look_at
 from fourd.errors import UserError
 from fourd.model.appearance import blend
-from fourd.training.background import KEPT_STEPS, hiding_depth, surface_depth
+from fourd.training.background import KEPT_STEPS, hiding_depth, out_of_sight, surface_depth
 from fourd.training.frames import FramePoints
 from fourd.training.parts import Part, composite, rows_in_sight
 from fourd.training.run import Run, create_run, load_run
@@ -113,6 +113,24 @@ def test_a_floor_at_a_grazing_angle_hides_nothing_of_itself() -> None:
     assert (behind[shown] < 2 * 0.02).mean() > 0.95
     assert ((depth - surface_depth(floor, viewer)[row, column])[shown] < 2 * 0.02).mean() < 0.9
     assert (hiding_depth(floor, viewer)[row, column] < 1.3 * depth)[shown].mean() > 0.95
+
+
+def test_what_a_wall_hides_goes_and_a_floor_stays(run: Run) -> None:
+    """Catches pruning of floor that discs before it cover in every plate: another camera sees holes in it."""
+    background = load_run(run.folder).renderer.background
+    assert background is not None
+    around = background.points
+    x, y = torch.meshgrid(torch.arange(-3, 3, 0.1), torch.arange(-3, 3, 0.1), indexing="ij")
+    floor = torch.stack([x, y, torch.full_like(x, -0.3)], -1).reshape(-1, 3)
+    beyond = 1.8 * around.xyz[:200]
+    xyz = torch.cat([around.xyz, floor, beyond])
+    spacing = torch.cat([around.spacing, torch.full((len(floor),), 0.1), torch.full((200,), 0.01)])
+    background.points = FramePoints.fresh(xyz, spacing, 1.3, explicit_sh=False, rgb=torch.zeros(len(xyz), 3))
+    hidden = background.hidden()
+    pictures = [background.camera(index) for index in background.plates]
+    seen = ~out_of_sight(floor, pictures)
+    assert float(hidden[len(around.xyz) : -200][seen].float().mean()) < 0.02
+    assert hidden[-200:].all()
 
 
 def test_parts_apart_learn_nothing_of_each_other(ball_capture: Path, tmp_path: Path) -> None:

@@ -38,6 +38,17 @@ def test_adam_on_rows_is_torch_adam_on_those_rows() -> None:
     assert torch.equal(points.xyz[others], before[others])
 
 
+def test_colours_that_have_no_say_stay(rng: np.random.Generator) -> None:
+    """Catches speckle: next to nothing of a gradient, of changing sign, made as large steps as any other."""
+    xyz = torch.zeros(2, 3)
+    points = FramePoints.fresh(xyz, torch.full((2,), 0.01), 1.0, explicit_sh=False, rgb=torch.full((2, 3), 0.5))
+    for _ in range(300):
+        noise = torch.from_numpy(rng.normal(size=3)).float()
+        gradient = torch.stack([1e-8 * noise, 1e-5 * (points.free["rgb"][1] - 0.3)])
+        points.update(torch.tensor([0, 1]), {"rgb": gradient}, {"rgb": 0.005})
+    torch.testing.assert_close(points.free["rgb"], torch.tensor([[0.5] * 3, [0.3] * 3]), atol=0.02, rtol=0)
+
+
 def test_tensors_round_trip() -> None:
     points = fresh_points(torch.rand(4, 3), 0.01, explicit_sh=True)
     again = FramePoints.from_tensors(points.tensors())

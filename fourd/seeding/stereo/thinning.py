@@ -1,4 +1,4 @@
-"""Surfaces of several pictures to points: about one for every so many pixels of each picture."""
+"""Surfaces of several pictures to points: as far apart from each other as so many pixels of each picture."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ SAME_SURFACE = 0.05
 HALVINGS = 8
 FINEST_PX = 1.0
 """Side of the smallest squares."""
+LARGEST_CHANGE = 0.1
+"""Of the inverse depth from a cell's middle to its border: a plane that changes more is of no surface."""
+MOST_PARTS = 2
+"""Of a square along an axis. As deep as they are wide, parts would close any gap, but the many points that lie behind
+each other then show their upper halves alone: what is drawn on a floor moves up by half a point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +46,10 @@ class Samples:
 def thinned(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> list[Samples]:
     """Places on each picture's surface: at most ``points`` in all, by the smallest squares that give no more.
 
-    Every picture is laid out in squares of so many pixels. The middle of each is taken, where the picture (H, W) is
-    ``seen`` and no place taken before lies on the surface in that square; so near things get more points, and what many
-    pictures see gets no more than what one sees. What other pictures confirm is taken before what is guessed.
+    Every picture is laid out in squares of so many pixels; those of a surface seen at a grazing angle are halved, as a
+    camera that stands higher looks into the gaps else. The middle of each is taken, where the picture (H, W) is
+    ``seen`` and no place taken before lies on the surface there; so near things get more points, and what many pictures
+    see gets no more than what one sees. What other pictures confirm is taken before what is guessed.
     """
     chosen = _chosen(surfaces, seen, FINEST_PX, points)
     if _count(chosen) <= points:
@@ -68,24 +74,25 @@ def _count(chosen: Sequence[Samples]) -> int:
 
 def _chosen(surfaces: Sequence[Surface], seen: Sequence[Bools], side: float, most: int) -> list[Samples]:
     """Places to take for squares of ``side`` pixels; some of them, once there are more than ``most``."""
-    candidates = [_middles(surface, allowed, side) for surface, allowed in zip(surfaces, seen, strict=True)]
+    layouts = [_Layout.of(surface, side) for surface in surfaces]
+    candidates = [_middles(*each) for each in zip(surfaces, seen, layouts, strict=True)]
     taken = [np.zeros(len(places.xyz), bool) for places in candidates]
     for confirmed in (True, False):
-        for index, (surface, mine) in enumerate(zip(surfaces, candidates, strict=True)):
-            covered = np.zeros(_Squares.of(surface, side).count, bool)
+        for index, (surface, layout, mine) in enumerate(zip(surfaces, layouts, candidates, strict=True)):
+            covered = np.zeros(layout.count, bool)
             for other, rows in zip(candidates, taken, strict=True):
                 look = surface.look(other.xyz[rows])
-                covered[_Squares.of(surface, side).at(look.xy[np.abs(look.ratio - 1) < SAME_SURFACE])] = True
-            free = ~covered[_Squares.of(surface, side).at(mine.xy)]
+                covered[layout.at(look.xy[np.abs(look.ratio - 1) < SAME_SURFACE])] = True
+            free = ~covered[layout.at(mine.xy)]
             taken[index] |= free & ((mine.support > 0) == confirmed)
             if sum(int(rows.sum()) for rows in taken) > most:
                 return [places.only(rows) for places, rows in zip(candidates, taken, strict=True)]
     return [places.only(rows) for places, rows in zip(candidates, taken, strict=True)]
 
 
-def _middles(surface: Surface, seen: Bools, side: float) -> Samples:
-    """The middles of the squares on known cells."""
-    xy = _Squares.of(surface, side).middles()
+def _middles(surface: Surface, seen: Bools, layout: _Layout) -> Samples:
+    """The middles of the parts of squares on known cells."""
+    xy = layout.middles()
     last = (surface.camera.width - 1, surface.camera.height - 1)
     cells = surface.depths.grid.cells_at(xy)
     on = (cells >= 0) & surface.known[cells]
@@ -93,11 +100,9 @@ def _middles(surface: Surface, seen: Bools, side: float) -> Samples:
     on &= (xy > -0.5).all(axis=1) & (xy < np.add(last, 0.5)).all(axis=1)
     on &= seen[at_row, at_column]
     xy, cells = xy[on], cells[on]
-    inverse = (surface.depths.planes[cells] * np.column_stack([xy, np.ones(len(xy))])).sum(axis=1)
-    # A plane that is seen nearly edge on may reach infinity within its cell.
-    sound = inverse > 0.5 * surface.depths.inverse_depth[cells]
-    xy, cells = xy[sound], cells[sound]
-    return Samples(xy, surface.world(xy, inverse[sound]), surface.support[cells])
+    offset = xy - surface.depths.grid.pixels[cells, :2]
+    inverse = surface.depths.inverse_depth[cells] * (1 + (_slopes(surface, cells) * offset).sum(axis=1))
+    return Samples(xy, surface.world(xy, inverse), surface.support[cells])
 
 
 @dataclass(frozen=True)
@@ -113,10 +118,6 @@ class _Squares:
     width: int
     height: int
 
-    @staticmethod
-    def of(surface: Surface, side: float) -> _Squares:
-        return _Squares(side, surface.camera.width, surface.camera.height)
-
     @property
     def columns(self) -> int:
         return int(np.ceil(self.width / self.side)) + 1
@@ -125,16 +126,12 @@ class _Squares:
     def rows(self) -> int:
         return int(np.ceil(self.height / self.side))
 
-    @property
-    def count(self) -> int:
-        return self.rows * self.columns
-
-    def middles(self) -> Array:
-        """(count, 2) indices, of a square on the border in the part inside."""
+    def corners(self) -> tuple[Array, Array]:
+        """(N, 2) where squares begin and end within the picture, pixels."""
         column, row = (axis.ravel() for axis in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
         begins = np.stack([column * self.side - self._shift(row), row * self.side], axis=1)
         size = (self.width, self.height)
-        return np.asarray((np.clip(begins, 0, size) + np.clip(begins + self.side, 0, size)) / 2 - 0.5)
+        return np.clip(begins, 0, size), np.clip(begins + self.side, 0, size)
 
     def at(self, xy: Array) -> NDArray[np.intp]:
         """(M,) numbers of the squares of indices (M, 2); what a border cell has outside goes to the border's."""
@@ -144,3 +141,63 @@ class _Squares:
 
     def _shift(self, row: NDArray[np.intp]) -> Array:
         return np.asarray(row % 2 * (self.side / 2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Squares of a picture, cut into parts where its surface is steep.
+
+    Attributes:
+        squares: before they are cut.
+        begins, ends: (N, 2) of the squares, pixels.
+        parts: (N, 2) across and down.
+        first: (N,) number of each square's first part.
+        count: of parts in all.
+    """
+
+    squares: _Squares
+    begins: Array
+    ends: Array
+    parts: NDArray[np.intp]
+    first: NDArray[np.intp]
+    count: int
+
+    @staticmethod
+    def of(surface: Surface, side: float) -> _Layout:
+        squares = _Squares(side, surface.camera.width, surface.camera.height)
+        begins, ends = squares.corners()
+        parts = _parts(surface, (begins + ends) / 2 - 0.5)
+        counts = parts.prod(axis=1)
+        return _Layout(squares, begins, ends, parts, np.cumsum(counts) - counts, int(counts.sum()))
+
+    def middles(self) -> Array:
+        """(count, 2) indices."""
+        square = np.repeat(np.arange(len(self.parts)), self.parts.prod(axis=1))
+        number = np.arange(self.count) - self.first[square]
+        place = np.stack([number % self.parts[square, 0], number // self.parts[square, 0]], axis=1) + 0.5
+        size = self.ends[square] - self.begins[square]
+        return np.asarray(self.begins[square] + size * place / self.parts[square] - 0.5)
+
+    def at(self, xy: Array) -> NDArray[np.intp]:
+        """(M,) numbers of the parts that indices (M, 2) lie in."""
+        square = self.squares.at(xy)
+        size = np.maximum(self.ends[square] - self.begins[square], np.finfo(float).tiny)
+        place = (xy + 0.5 - self.begins[square]) / size * self.parts[square]
+        across, down = np.clip(place, 0, self.parts[square] - 1).astype(np.intp).T
+        return np.asarray(self.first[square] + down * self.parts[square, 0] + across, np.intp)
+
+
+def _parts(surface: Surface, xy: Array) -> NDArray[np.intp]:
+    """(M, 2) parts across and down of squares about indices (M, 2): the root of how steep the surface is."""
+    cells = np.maximum(surface.depths.grid.cells_at(xy), 0)
+    slopes = surface.camera.intrinsics[0, 0] * _slopes(surface, cells)
+    parts = np.minimum(np.sqrt(np.hypot(1, slopes)), MOST_PARTS)
+    return np.where(surface.known[cells][:, None], np.rint(parts), 1).astype(np.intp)
+
+
+def _slopes(surface: Surface, cells: NDArray[np.intp]) -> Array:
+    """(M, 2) relative change of the inverse depth a pixel, in cells (M,); 0 over an edge between near and far."""
+    inverse = np.maximum(surface.depths.inverse_depth[cells], np.finfo(np.float32).tiny).astype(np.float64)
+    slopes = surface.depths.planes[cells, :2] / inverse[:, None]
+    edge = np.abs(slopes).sum(axis=1) * surface.depths.grid.stride / 2 > LARGEST_CHANGE
+    return np.where(edge[:, None], 0.0, slopes)

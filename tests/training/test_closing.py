@@ -1,0 +1,59 @@
+"""A background that is closed from between its cameras too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.training.background import Background
+from fourd.training.closing import ASTRAY, transparency, vantage
+from fourd.training.frames import FramePoints
+from tests.captures import ring_cameras
+from tests.training.small import full_config, trained_run
+
+
+@pytest.fixture(scope="module")
+def background(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Background:
+    folder = tmp_path_factory.mktemp("closing")
+    run = trained_run(ball_capture, folder / "run", replace(full_config(folder / "shell.ply"), max_steps=1))
+    found = run.background(None)
+    assert found is not None
+    return found
+
+
+def test_viewers_stand_between_the_cameras(rng: np.random.Generator) -> None:
+    """Catches viewers outside the room, all in one place, or with pictures larger than what they are part of."""
+    cameras = ring_cameras(8, 64)
+    farthest = max(float(np.linalg.norm(camera.centre)) for camera in cameras)
+    viewers = [vantage(cameras[k % 8], cameras, 48, rng) for k in range(200)]
+    centres = np.array([viewer.centre for viewer in viewers])
+    assert np.linalg.norm(centres, axis=1).max() < (1 + 2 * ASTRAY) * farthest
+    assert (centres.std(axis=0)[:2] > 0.2 * farthest).all()
+    assert {(viewer.width, viewer.height) for viewer in viewers} == {(48, 48)}
+    assert (vantage(cameras[0], cameras, 500, rng).width, cameras[0].width) == (64, 64)
+    for k, viewer in enumerate(viewers):
+        np.testing.assert_array_equal(viewer.rotation, cameras[k % 8].rotation)
+
+
+def test_a_wall_with_holes_closes(background: Background) -> None:
+    """Catches a term that does not reach the radii, or that leaves holes that no plate shows as they are."""
+    y, z = torch.meshgrid(torch.arange(-2, 2, 0.1), torch.arange(-2, 2, 0.1), indexing="ij")
+    wall = torch.stack([torch.full_like(y, -1.0), y, z], -1).reshape(-1, 3)
+    # The spacing of a cloud twice as dense: so radii begin too small.
+    points = FramePoints.fresh(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
+    holed = Background(background.model, points, background.plates)
+    viewer = ring_cameras(8, 64)[0]
+    optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)
+    left = []
+    for _ in range(60):
+        loss = transparency(holed, viewer, 8, 0.0)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        left.append(float(loss.detach()))
+    assert left[0] > 0.05
+    assert left[-1] < 0.2 * left[0]
