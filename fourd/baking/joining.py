@@ -13,6 +13,8 @@ _ROWS = 2048  # a time: what they are multiplied in stays in the second cache
 def joined(moving: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> BakedFrame:
     """One frame of the points of both, ``moving``'s first, in new arrays that are read-only.
 
+    It keeps ``background`` as its ``still``, by which renderers know what they have already.
+
     Args:
         moving: N points.
         background: M points, with as many source views.
@@ -28,7 +30,7 @@ def joined(moving: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8]
             f"shadow: expected uint8 of shape ({background.point_count},), got {shadow.dtype} of {shadow.shape}"
         )
     arrays = [np.concatenate([getattr(part, item.name) for part in (moving, background)]) for item in ATTRIBUTES]
-    frame = BakedFrame(*arrays)
+    frame = BakedFrame(*arrays, still=background, shadowed=shadow is not None)
     if shadow is not None:
         _cast_shadow(frame.rgb[moving.point_count :], shadow)
     for array in arrays:

@@ -67,6 +67,8 @@ class BakedFrame:
         blend_weights: (N, V) float16, not negative, not normalised: shading normalises them over
             the few views that it picks.
         rgb: (N, V, 3) uint8, the point's colour in every source view.
+        still: M points, one object for all frames that end with these; None where frames have nothing in common.
+        shadowed: whether ``rgb`` of the last M points is not that of ``still``.
 
     Raises:
         ValueError: naming the array, when a shape or a dtype is wrong.
@@ -78,6 +80,8 @@ class BakedFrame:
     sh: NDArray[np.float16]
     blend_weights: NDArray[np.float16]
     rgb: NDArray[np.uint8]
+    still: BakedFrame | None = None
+    shadowed: bool = False
 
     def __post_init__(self) -> None:
         points = self.xyz.shape[0] if self.xyz.ndim else 0
@@ -96,6 +100,11 @@ class BakedFrame:
     def point_count(self) -> int:
         """N."""
         return int(self.xyz.shape[0])
+
+    @property
+    def moving_count(self) -> int:
+        """N - M: the first points, which no other frame has."""
+        return self.point_count - (0 if self.still is None else self.still.point_count)
 
     @property
     def view_count(self) -> int:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fourd.baking import SceneWriter, joined, open_scene
 from fourd.cameras import Camera, look_at
 from fourd.cli.main import main
-from fourd.viewer.gl.arrays import UploadedFrame
+from fourd.viewer.gl.arrays import ArrayTexture, UploadedFrame
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.discs import Discs
 from fourd.viewer.look import Look, Shot
@@ -112,6 +112,35 @@ def test_large_points_far_away_do_not_slow_sprites_down(context: moderngl.Contex
         assert discs.as_sprites == sprites
     for held in (discs, uploaded, canvas):
         held.release()
+
+
+def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a room sent to the GPU with every frame, and one left in the shadow or at the place of another frame."""
+    room = room_frame(3000, 6, seed=2, half=HALF)
+    shadow = np.where(room.xyz[:, 2] < 0, 70, 128).astype(np.uint8)
+    counts = (700, 760, 300, 750, 700, 700, 760, 300, 2000)
+    casts = (None, None, None, None, shadow, shadow, None, None, None)
+    frames = [joined(solid(count, seed=count), room, cast) for count, cast in zip(counts, casts, strict=True)]
+    sent: list[int] = []
+    write = ArrayTexture.write
+
+    def counted(texture: ArrayTexture, array: NDArray[np.generic], first: int = 0) -> None:
+        sent.append(array.nbytes)
+        write(texture, array, first)
+
+    monkeypatch.setattr(ArrayTexture, "write", counted)
+    shot = replace(shot_from("beside the ball"), look=Look(12))
+    renderer = make_renderer("peel", context)
+    for number, frame in enumerate(frames):
+        sent.clear()
+        picture = drawn(renderer, replace(shot, frame=frame), context)
+        # Two frames are held at a time, each with the room; colours come again in a shadow and after one.
+        again = room.nbytes if number in (0, 1, 8) else room.rgb.nbytes if number >= 4 else 0
+        assert sum(sent) == frame.nbytes - room.nbytes + again
+        alone = make_renderer("peel", context)
+        np.testing.assert_array_equal(picture, drawn(alone, replace(shot, frame=frame), context))
+        alone.release()
+    renderer.release()
 
 
 def test_a_session_plays_a_full_scene(tmp_path: Path) -> None:

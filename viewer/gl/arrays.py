@@ -29,15 +29,19 @@ class ArrayTexture:
         self._dtype = dtype
         self._texture: moderngl.Texture | None = None
 
-    def write(self, array: NDArray[np.generic]) -> None:
-        """Take the array's bytes, which must be whole texels. Raises UserError when they do not fit a texture."""
+    def write(self, array: NDArray[np.generic], first: int = 0) -> None:
+        """Take the array's bytes, whole texels, from texel ``first`` on; there must be room for them."""
         content = np.ascontiguousarray(array).reshape(-1, self._components)
-        texture = self.require_room(content.shape[0])
-        whole, rest = divmod(content.shape[0], TEXELS_A_ROW)
-        if whole:
-            texture.write(content[: whole * TEXELS_A_ROW], viewport=(0, 0, TEXELS_A_ROW, whole), alignment=1)
-        if rest:
-            texture.write(content[whole * TEXELS_A_ROW :], viewport=(0, whole, rest, 1), alignment=1)
+        texture, end = self._texture, first + content.shape[0]
+        assert texture is not None
+        while first < end:
+            row, column = divmod(first, TEXELS_A_ROW)
+            # Whole rows at once, and before and after them what there is of one.
+            whole = 0 if column else (end - first) // TEXELS_A_ROW
+            width = TEXELS_A_ROW if whole else min(end - first, TEXELS_A_ROW - column)
+            count = width * max(whole, 1)
+            texture.write(content[:count], viewport=(column, row, width, max(whole, 1)), alignment=1)
+            content, first = content[count:], first + count
 
     def use(self, location: int) -> None:
         """Bind to a texture unit."""
@@ -49,11 +53,11 @@ class ArrayTexture:
             self._texture.release()
             self._texture = None
 
-    def require_room(self, texels: int) -> moderngl.Texture:
-        """The texture, of so many texels at least; what it held is lost when it grows. Raises UserError."""
+    def require_room(self, texels: int) -> bool:
+        """Have room for so many texels; whether what it holds is still there. Raises UserError."""
         rows = -(-texels // TEXELS_A_ROW)
         if self._texture is not None and self._texture.height >= rows:
-            return self._texture
+            return True
         most = information(self._context)["GL_MAX_TEXTURE_SIZE"]
         if most < TEXELS_A_ROW or rows > most:
             raise UserError(
@@ -64,11 +68,14 @@ class ArrayTexture:
         size = (TEXELS_A_ROW, max(rows, 1))
         self._texture = self._context.texture(size, self._components, dtype=self._dtype, alignment=1)
         self._texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        return self._texture
+        return False
 
 
 class UploadedFrame:
-    """A frame's arrays where shaders can read them; the textures are used again for the next frame."""
+    """A frame's arrays where shaders can read them; the textures are used again for the next frame.
+
+    Points that the next frame has too lie behind room for those that it has not, and stay.
+    """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
         """float32 takes twice the memory and bandwidth, and is there to be compared with."""
@@ -83,25 +90,59 @@ class UploadedFrame:
             "rgb": ArrayTexture(context, 3, "f1"),
         }
         self.frame: BakedFrame | None = None
+        self._still: BakedFrame | None = None
+        self._shadowed = False
+        self._room = 0  # points before the still ones
 
     def load(self, frame: BakedFrame) -> None:
         """Upload unless it is there already."""
         if frame is self.frame:
             return
         self.frame = None  # not half of one, should a write fail
-        self._textures["xyz"].write(frame.xyz)
-        for name in ("radius", "density", "sh", "blend_weights"):
-            self._textures[name].write(getattr(frame, name).astype(self._number, copy=False))
-        self._textures["rgb"].write(frame.rgb)
+        kept = self._make_room(frame)
+        self._still = None
+        for name in self._textures:
+            self._write(name, frame, slice(0, frame.moving_count), 0)
+            if frame.still is not None and not (kept and (name != "rgb" or self._shows_still(frame))):
+                self._write(name, frame, slice(frame.moving_count, None), self._room)
+        self._still, self._shadowed = frame.still, frame.shadowed
         self.frame = frame
 
     def use(self) -> dict[str, int]:
-        """Bind all textures; returns the unit of each by name."""
+        """Bind all textures; returns what the shader is told: the unit of each by name, and where points lie."""
+        assert self.frame is not None
         for unit, texture in enumerate(self._textures.values()):
             texture.use(unit)
-        return {name: unit for unit, name in enumerate(self._textures)}
+        moving = self.frame.moving_count
+        gap = 0 if self.frame.still is None else self._room - moving
+        return {"moving": moving, "gap": gap, **{name: unit for unit, name in enumerate(self._textures)}}
 
     def release(self) -> None:
         for texture in self._textures.values():
             texture.release()
-        self.frame = None
+        self.frame = self._still = None
+
+    def _make_room(self, frame: BakedFrame) -> bool:
+        """Have room for all points; whether the still ones are there already."""
+        kept = frame.still is not None and frame.still is self._still and frame.moving_count <= self._room
+        if not kept:
+            # Frames differ in their points by a few: the largest need not come first.
+            self._room = frame.moving_count if frame.still is None else int(1.25 * frame.moving_count)
+        behind = 0 if frame.still is None else frame.still.point_count
+        for name, texture in self._textures.items():
+            kept &= texture.require_room((self._room + behind) * self._texels(name, frame))
+        return kept
+
+    def _shows_still(self, frame: BakedFrame) -> bool:
+        """Whether the still points' colours that are there are the frame's."""
+        return not (frame.shadowed or self._shadowed)
+
+    def _write(self, name: str, frame: BakedFrame, points: slice, first: int) -> None:
+        array = getattr(frame, name)[points]
+        if name not in ("xyz", "rgb"):
+            array = array.astype(self._number, copy=False)
+        self._textures[name].write(array, first * self._texels(name, frame))
+
+    def _texels(self, name: str, frame: BakedFrame) -> int:
+        """Of a point."""
+        return {"sh": 12, "blend_weights": frame.view_count, "rgb": frame.view_count}.get(name, 1)

@@ -9,6 +9,8 @@ uniform sampler2D sh;             // 12 texels a point: red's 16 terms, then gre
 uniform sampler2D blend_weights;  // `views` texels a point
 uniform sampler2D rgb;            // likewise
 uniform int views;
+uniform int moving;               // so many points lie first,
+uniform int gap;                  // and the others after so many that are not there
 
 uniform vec3 intrinsics_x;  // the first two rows of K
 uniform vec3 intrinsics_y;
@@ -29,6 +31,8 @@ in uint point;
 out vec4 disc;   // u, v, 1 / rho^2, rho; in pixels
 out vec4 paint;  // red, green, blue, density
 
+int place;  // of the point in the textures
+
 ivec2 at(int texel) { return ivec2(texel & (TEXELS_A_ROW - 1), texel / TEXELS_A_ROW); }
 
 float along(vec3 row, vec3 p, float offset) { return row.x * p.x + row.y * p.y + row.z * p.z + offset; }
@@ -45,7 +49,7 @@ vec3 harmonics(vec3 d) {
         -0.4570457994644658 * d.x * (4.0 * s.z - s.x - s.y), 1.445305721320277 * d.z * (s.x - s.y),
         -0.5900435899266435 * d.x * (s.x - 3.0 * s.y));
     vec3 sum = vec3(0.0);
-    int first = 12 * int(point);
+    int first = 12 * place;
     for (int k = 0; k < 4; ++k) {
         sum.r += dot(texelFetch(sh, at(first + k), 0), basis[k]);
         sum.g += dot(texelFetch(sh, at(first + 4 + k), 0), basis[k]);
@@ -58,7 +62,7 @@ vec3 blended() {
     vec3 sum = vec3(0.0), plain = vec3(0.0);
     float total = 0.0;
     for (int k = 0; k < chosen_count; ++k) {
-        int texel = int(point) * views + chosen[k];
+        int texel = place * views + chosen[k];
         float weight = texelFetch(blend_weights, at(texel), 0).r;
         vec3 colour = texelFetch(rgb, at(texel), 0).rgb;
         sum += weight * colour;
@@ -69,11 +73,12 @@ vec3 blended() {
 }
 
 void main() {
-    vec3 world = texelFetch(xyz, at(int(point)), 0).xyz;
+    place = int(point) < moving ? int(point) : int(point) + gap;
+    vec3 world = texelFetch(xyz, at(place), 0).xyz;
     vec3 p = vec3(along(rotation_x, world, translation.x), along(rotation_y, world, translation.y),
                   along(rotation_z, world, translation.z));
-    float rho = intrinsics_y.y * texelFetch(radius, at(int(point)), 0).r / p.z;
-    float dense = min(texelFetch(density, at(int(point)), 0).r, 1.0);
+    float rho = intrinsics_y.y * texelFetch(radius, at(place), 0).r / p.z;
+    float dense = min(texelFetch(density, at(place), 0).r, 1.0);
     bool seen = p.z >= near && dense > 0.0 && rho > 0.0 && rho < 1e18;
     if (!seen) {
         disc = vec4(-1.0, -1.0, 1.0, 0.0);
