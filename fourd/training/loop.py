@@ -34,7 +34,7 @@ from fourd.training.evaluate import judge
 from fourd.training.log import MetricsLog
 from fourd.training.losses import ImageLoss
 from fourd.training.lpips import LPIPS
-from fourd.training.memory import HeapTrimmer, keep_freed_memory
+from fourd.training.memory import FULL_RESIDENT_BYTES, RESIDENT_BYTES, HeapTrimmer, keep_freed_memory
 from fourd.training.render import Renderer
 from fourd.training.run import Run, drop_stale_points, points_folder
 from fourd.training.schedule import Sampler, budget_spent, rate_factor
@@ -96,7 +96,7 @@ class Trainer:
         return TrainSummary(self.done, self.seconds, self.psnr)
 
     def _loop(self, log: MetricsLog, show: Callable[[str], None]) -> None:
-        trimmer = HeapTrimmer()
+        trimmer = HeapTrimmer(RESIDENT_BYTES if self.background is None else FULL_RESIDENT_BYTES)
         last_save, last_validation = self.seconds, self.seconds
         while self._spent() < 1.0:
             started = time.monotonic()

@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 RESIDENT_BYTES = 1000 * 2**20
 """What a process may hold: an aim, for what is alive cannot be given back."""
 
+FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
+"""The same for a full scene, whose steps would begin with fresh memory else, every one of them."""
+
 LEAST_GROWTH_BYTES = 128 * 2**20
 """Between two trims: with less, every step would pay for the page faults of fresh memory."""
 
