@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 import numpy as np
@@ -80,6 +80,7 @@ class BakedFrame:
     sh: NDArray[np.float16]
     blend_weights: NDArray[np.float16]
     rgb: NDArray[np.uint8]
+    _: KW_ONLY
     still: BakedFrame | None = None
     shadowed: bool = False
 

@@ -20,7 +20,7 @@ ASTRAY = 0.15
 
 def vantage(camera: Camera, others: Sequence[Camera], side_px: int, draw: np.random.Generator) -> Camera:
     """Part of a picture, at most ``side_px`` square, seen as ``camera`` does from somewhere on the way to another."""
-    way = others[draw.integers(len(others))].centre - camera.centre
+    way = others[int(draw.integers(len(others)))].centre - camera.centre
     beside = draw.normal(size=3)
     beside *= ASTRAY * np.linalg.norm(way) * draw.random() / np.linalg.norm(beside)
     centre = camera.centre + draw.random() * way + beside

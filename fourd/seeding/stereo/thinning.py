@@ -18,8 +18,8 @@ SAME_SURFACE = 0.05
 HALVINGS = 8
 FINEST_PX = 1.0
 """Side of the smallest squares."""
-LARGEST_CHANGE = 0.1
-"""Of the inverse depth from a cell's middle to its border: a plane that changes more is of no surface."""
+CONTINUED = 0.05
+"""Of the inverse depth: a plane that misses the cells on both sides by more leads over an edge."""
 MOST_PARTS = 2
 """Of a square along an axis. As deep as they are wide, parts would close any gap, but the many points that lie behind
 each other then show their upper halves alone: what is drawn on a floor moves up by half a point."""
@@ -197,7 +197,22 @@ def _parts(surface: Surface, xy: Array) -> NDArray[np.intp]:
 
 def _slopes(surface: Surface, cells: NDArray[np.intp]) -> Array:
     """(M, 2) relative change of the inverse depth a pixel, in cells (M,); 0 over an edge between near and far."""
-    inverse = np.maximum(surface.depths.inverse_depth[cells], np.finfo(np.float32).tiny).astype(np.float64)
-    slopes = surface.depths.planes[cells, :2] / inverse[:, None]
-    edge = np.abs(slopes).sum(axis=1) * surface.depths.grid.stride / 2 > LARGEST_CHANGE
-    return np.where(edge[:, None], 0.0, slopes)
+    grid = surface.depths.grid
+    inverse = np.maximum(surface.depths.inverse_depth, np.finfo(np.float32).tiny).astype(np.float64)
+    slopes = surface.depths.planes[:, :2] / inverse[:, None]
+    edge = np.zeros(grid.shape, bool)
+    for axis, slope in ((1, slopes[:, 0]), (0, slopes[:, 1])):
+        edge |= _misses(inverse.reshape(grid.shape), slope.reshape(grid.shape) * grid.stride, axis) > CONTINUED
+    return np.where(edge.ravel()[cells, None], 0.0, slopes[cells])
+
+
+def _misses(inverse: Array, change: Array, axis: int) -> Array:
+    """(R, C) by how much planes miss the cells on both sides along an axis, at least, by ``inverse`` (R, C)."""
+    least = np.full_like(inverse, np.inf)
+    for step in (-1, 1):
+        miss = np.abs(np.roll(inverse, -step, axis) / inverse - 1 - step * change)
+        outer: list[slice | int] = [slice(None), slice(None)]
+        outer[axis] = -1 if step == 1 else 0
+        miss[tuple(outer)] = np.inf
+        least = np.minimum(least, miss)
+    return least if inverse.shape[axis] > 1 else np.zeros_like(inverse)
