@@ -96,7 +96,8 @@ def test_points_have_the_walls_colours(stage: Stage) -> None:
 def test_holes_have_no_points(stage: Stage) -> None:
     """Catches features and guesses made of what a hole was filled with."""
     found = stage.points
-    assert not in_hole(found.xyz[to_walls(found.xyz) < 0.05], margin=0.05).any()
+    # What lies off the wall may be seen beside the hole by a camera that looks along the wall.
+    assert not in_hole(found.xyz[to_walls(found.xyz) < 0.03], margin=0.05).any()
     assert (np.abs(found.rgb.astype(int) - MAGENTA).max(axis=1) > 12).all(), "walls have 20 to 235"
     assert in_hole(stage.points.xyz, margin=-0.3).any(), "the wall about it has some"
 
