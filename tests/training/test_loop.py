@@ -141,8 +141,11 @@ def test_kill_at_any_moment_leaves_a_run_that_goes_on(ball_capture: Path, tmp_pa
     run = tmp_path / "run"
     command = [sys.executable, "-m", "fourd.cli.main", "train", str(ball_capture), "--out", str(run)]
     first = ["--test-views", "03", "--config", str(overlay), "--max-steps", "2000"]
-    for delay in (6.0, 7.3, 8.1):
+    for delay in (0.1, 1.3, 2.1):
         process = subprocess.Popen([*command, *(first if not run.exists() else ["--resume"])])
+        known = set(run.glob("checkpoints/*"))
+        while set(run.glob("checkpoints/*")) <= known and process.poll() is None:
+            time.sleep(0.01)
         time.sleep(delay)
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
