@@ -114,39 +114,56 @@ def make_scene(
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
     remove_unfinished_of(out)
-    stages = Stages(work, console)
-    run = work / "run"
+    stages, run = Stages(work, console), work / "run"
+    capture, inputs = _prepared(stages, capture, settings, train)
+    carve_key = _seeded(stages, capture, run, settings, train, inputs)
+    train_key = _key(carve_key, asdict(train))
+    stages.run(
+        "train",
+        train_key,
+        lambda: _train(capture, run, train, lpips, console),
+        run / "checkpoints",
+        lambda: _remove(run, keep=STAGES),
+    )
+    stages.run("export", train_key, lambda: bake_run(load_run(run), out, console), out, lambda: None)
+
+
+def _prepared(stages: Stages, capture: Path, settings: MakeSettings, train: TrainConfig) -> tuple[Path, str]:
+    """Import, check and matte: the folder of the capture to train on, and a key of what was in it."""
+    console, track = stages.console, Tracker(stages.console).track
     if not _is_usable(capture):
-        source, capture = capture, work / CAPTURE
+        source, capture = capture, stages.folder / CAPTURE
         key = fingerprint(source, SOURCE_PATTERNS)
         stages.run("import", key, lambda: _bring_in(source, capture, console), capture, lambda: _remove(capture))
     inputs = fingerprint(capture)
-    training = asdict(train)
-    matte_selection = Selection(capture, train.views, train.frames)
-    track = Tracker(console).track
     stages.run("check", inputs, lambda: _check(capture, track), capture, lambda: None)
     if not camera_folders(capture / "masks"):
-        matte_key = _key(inputs, asdict(settings.mattes), train.views, train.frames)
+        selection = Selection(capture, train.views, train.frames)
         stages.run(
             "mattes",
-            matte_key,
-            lambda: make_all(matte_selection, settings.mattes, settings.workers, track, plates=True),
+            _key(inputs, asdict(settings.mattes), train.views, train.frames),
+            lambda: make_all(selection, settings.mattes, settings.workers, track, plates=True),
             capture / SHEET,
             lambda: None,
         )
+    return capture, inputs
+
+
+def _seeded(stages: Stages, capture: Path, run: Path, settings: MakeSettings, train: TrainConfig, inputs: str) -> str:
+    """Correct cameras where that is wanted, carve, and find a full scene's background: a key of what was carved."""
+    track, say = Tracker(stages.console).track, told_by(stages.console)
+    training = asdict(train)
     selection = {name: training[name] for name in ("views", "test_views", "frames", "image_scale", "points")}
     carve_key = _key(inputs, fingerprint(capture, MATTE_PATTERNS), selection)
     if train.refine.cameras:
-        refine = training["refine"]
-        carve_key = _key(carve_key, {name: refine[name] for name in ADJUSTED_BY})
+        carve_key = _key(carve_key, {name: training["refine"][name] for name in ADJUSTED_BY})
         stages.run(
             "cameras",
             carve_key,
-            lambda: adjust_run_cameras(capture, run, train, track, told_by(console)),
+            lambda: adjust_run_cameras(capture, run, train, track, say),
             run / CALIBRATION / START,
             lambda: _remove(run),
         )
-    train_key = _key(carve_key, training)
     stages.run(
         "carve",
         carve_key,
@@ -157,19 +174,12 @@ def make_scene(
     if train.scene == "full":
         stages.run(
             "background",
-            _key(carve_key, train.seed, *(asdict(train.background)[name] for name in DECIDING)),
-            lambda: seed_run(capture, run, train, settings.workers, track, told_by(console)),
+            _key(carve_key, train.seed, *(training["background"][name] for name in DECIDING)),
+            lambda: seed_run(capture, run, train, settings.workers, track, say),
             run / BACKGROUND / POINTS,
             lambda: _remove(run / BACKGROUND),
         )
-    stages.run(
-        "train",
-        train_key,
-        lambda: _train(capture, run, train, lpips, console),
-        run / "checkpoints",
-        lambda: _remove(run, keep=STAGES),
-    )
-    stages.run("export", train_key, lambda: bake_run(load_run(run), out, console), out, lambda: None)
+    return carve_key
 
 
 def fingerprint(capture: Path, patterns: Sequence[str] = INPUT_PATTERNS) -> str:

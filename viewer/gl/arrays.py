@@ -100,10 +100,11 @@ class UploadedFrame:
             return
         self.frame = None  # not half of one, should a write fail
         kept = self._make_room(frame)
+        recoloured = frame.shadowed or self._shadowed
         self._still = None
         for name in self._textures:
             self._write(name, frame, slice(0, frame.moving_count), 0)
-            if frame.still is not None and not (kept and (name != "rgb" or self._shows_still(frame))):
+            if frame.still is not None and (not kept or (name == "rgb" and recoloured)):
                 self._write(name, frame, slice(frame.moving_count, None), self._room)
         self._still, self._shadowed = frame.still, frame.shadowed
         self.frame = frame
@@ -132,10 +133,6 @@ class UploadedFrame:
         for name, texture in self._textures.items():
             kept &= texture.require_room((self._room + behind) * self._texels(name, frame))
         return kept
-
-    def _shows_still(self, frame: BakedFrame) -> bool:
-        """Whether the still points' colours that are there are the frame's."""
-        return not (frame.shadowed or self._shadowed)
 
     def _write(self, name: str, frame: BakedFrame, points: slice, first: int) -> None:
         array = getattr(frame, name)[points]

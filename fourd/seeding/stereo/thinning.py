@@ -1,4 +1,4 @@
-"""Surfaces of several pictures to points: as far apart from each other as so many pixels of each picture."""
+"""Surfaces of several pictures to points: about one for every so many pixels of each picture."""
 
 from __future__ import annotations
 
@@ -51,16 +51,17 @@ def thinned(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> 
     ``seen`` and no place taken before lies on the surface there; so near things get more points, and what many pictures
     see gets no more than what one sees. What other pictures confirm is taken before what is guessed.
     """
-    chosen = _chosen(surfaces, seen, FINEST_PX, points)
+    sloped = [_Sloped(surface, _slopes(surface)) for surface in surfaces]
+    chosen = _chosen(sloped, seen, FINEST_PX, points)
     if _count(chosen) <= points:
         return chosen
     pixels = sum(surface.camera.width * surface.camera.height for surface in surfaces)
     low, high = np.log(FINEST_PX), np.log(max(np.sqrt(pixels / points), 2 * FINEST_PX))
-    while _count(chosen := _chosen(surfaces, seen, float(np.exp(high)), points)) > points:
+    while _count(chosen := _chosen(sloped, seen, float(np.exp(high)), points)) > points:
         low, high = high, high + np.log(2)
     for _ in range(HALVINGS):
         middle = (low + high) / 2
-        found = _chosen(surfaces, seen, float(np.exp(middle)), points)
+        found = _chosen(sloped, seen, float(np.exp(middle)), points)
         if _count(found) > points:
             low = middle
         else:
@@ -72,16 +73,24 @@ def _count(chosen: Sequence[Samples]) -> int:
     return sum(len(places.xyz) for places in chosen)
 
 
-def _chosen(surfaces: Sequence[Surface], seen: Sequence[Bools], side: float, most: int) -> list[Samples]:
+@dataclass(frozen=True, eq=False)
+class _Sloped:
+    """A picture's surface with its slopes (N, 2), see :func:`_slopes`."""
+
+    surface: Surface
+    slopes: Array
+
+
+def _chosen(sloped: Sequence[_Sloped], seen: Sequence[Bools], side: float, most: int) -> list[Samples]:
     """Places to take for squares of ``side`` pixels; some of them, once there are more than ``most``."""
-    layouts = [_Layout.of(surface, side) for surface in surfaces]
-    candidates = [_middles(*each) for each in zip(surfaces, seen, layouts, strict=True)]
+    layouts = [_Layout.of(each, side) for each in sloped]
+    candidates = [_middles(*each) for each in zip(sloped, seen, layouts, strict=True)]
     taken = [np.zeros(len(places.xyz), bool) for places in candidates]
     for confirmed in (True, False):
-        for index, (surface, layout, mine) in enumerate(zip(surfaces, layouts, candidates, strict=True)):
+        for index, (each, layout, mine) in enumerate(zip(sloped, layouts, candidates, strict=True)):
             covered = np.zeros(layout.count, bool)
             for other, rows in zip(candidates, taken, strict=True):
-                look = surface.look(other.xyz[rows])
+                look = each.surface.look(other.xyz[rows])
                 covered[layout.at(look.xy[np.abs(look.ratio - 1) < SAME_SURFACE])] = True
             free = ~covered[layout.at(mine.xy)]
             taken[index] |= free & ((mine.support > 0) == confirmed)
@@ -90,8 +99,9 @@ def _chosen(surfaces: Sequence[Surface], seen: Sequence[Bools], side: float, mos
     return [places.only(rows) for places, rows in zip(candidates, taken, strict=True)]
 
 
-def _middles(surface: Surface, seen: Bools, layout: _Layout) -> Samples:
+def _middles(sloped: _Sloped, seen: Bools, layout: _Layout) -> Samples:
     """The middles of the parts of squares on known cells."""
+    surface = sloped.surface
     xy = layout.middles()
     last = (surface.camera.width - 1, surface.camera.height - 1)
     cells = surface.depths.grid.cells_at(xy)
@@ -101,7 +111,7 @@ def _middles(surface: Surface, seen: Bools, layout: _Layout) -> Samples:
     on &= seen[at_row, at_column]
     xy, cells = xy[on], cells[on]
     offset = xy - surface.depths.grid.pixels[cells, :2]
-    inverse = surface.depths.inverse_depth[cells] * (1 + (_slopes(surface, cells) * offset).sum(axis=1))
+    inverse = surface.depths.inverse_depth[cells] * (1 + (sloped.slopes[cells] * offset).sum(axis=1))
     return Samples(xy, surface.world(xy, inverse), surface.support[cells])
 
 
@@ -163,10 +173,10 @@ class _Layout:
     count: int
 
     @staticmethod
-    def of(surface: Surface, side: float) -> _Layout:
-        squares = _Squares(side, surface.camera.width, surface.camera.height)
+    def of(sloped: _Sloped, side: float) -> _Layout:
+        squares = _Squares(side, sloped.surface.camera.width, sloped.surface.camera.height)
         begins, ends = squares.corners()
-        parts = _parts(surface, (begins + ends) / 2 - 0.5)
+        parts = _parts(sloped, (begins + ends) / 2 - 0.5)
         counts = parts.prod(axis=1)
         return _Layout(squares, begins, ends, parts, np.cumsum(counts) - counts, int(counts.sum()))
 
@@ -187,23 +197,24 @@ class _Layout:
         return np.asarray(self.first[square] + down * self.parts[square, 0] + across, np.intp)
 
 
-def _parts(surface: Surface, xy: Array) -> NDArray[np.intp]:
+def _parts(sloped: _Sloped, xy: Array) -> NDArray[np.intp]:
     """(M, 2) parts across and down of squares about indices (M, 2): the root of how steep the surface is."""
+    surface = sloped.surface
     cells = np.maximum(surface.depths.grid.cells_at(xy), 0)
-    slopes = surface.camera.intrinsics[0, 0] * _slopes(surface, cells)
+    slopes = surface.camera.intrinsics[0, 0] * sloped.slopes[cells]
     parts = np.minimum(np.sqrt(np.hypot(1, slopes)), MOST_PARTS)
     return np.where(surface.known[cells][:, None], np.rint(parts), 1).astype(np.intp)
 
 
-def _slopes(surface: Surface, cells: NDArray[np.intp]) -> Array:
-    """(M, 2) relative change of the inverse depth a pixel, in cells (M,); 0 over an edge between near and far."""
+def _slopes(surface: Surface) -> Array:
+    """(N, 2) relative change of the cells' inverse depth a pixel; 0 over an edge between near and far."""
     grid = surface.depths.grid
     inverse = np.maximum(surface.depths.inverse_depth, np.finfo(np.float32).tiny).astype(np.float64)
     slopes = surface.depths.planes[:, :2] / inverse[:, None]
     edge = np.zeros(grid.shape, bool)
     for axis, slope in ((1, slopes[:, 0]), (0, slopes[:, 1])):
         edge |= _misses(inverse.reshape(grid.shape), slope.reshape(grid.shape) * grid.stride, axis) > CONTINUED
-    return np.where(edge.ravel()[cells, None], 0.0, slopes[cells])
+    return np.where(edge.ravel()[:, None], 0.0, slopes)
 
 
 def _misses(inverse: Array, change: Array, axis: int) -> Array:
