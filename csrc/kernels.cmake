@@ -23,6 +23,9 @@ set_source_files_properties(${FOURD_KERNELS}/hashgrid/cpu/encode.cpp ${FOURD_KER
   PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
 set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_baseline.cpp
   PROPERTIES COMPILE_OPTIONS "${FOURD_TOLERANT}")
+# Nothing that may trap is asked for, so that choices between numbers need no branches; the bits stay the same.
+set(FOURD_EXACT -fno-trapping-math -fno-math-errno)
+set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_baseline.cpp PROPERTIES COMPILE_OPTIONS "${FOURD_EXACT}")
 # Each instruction set has its own copy of the tile kernels; which one runs is decided at run time.
 if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64|amd64")
   target_compile_definitions(fourd_kernels PRIVATE FOURD_X86)
@@ -32,7 +35,8 @@ if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64|amd64")
     ${FOURD_KERNELS}/points/cpu/tiles_avx2.cpp
     ${FOURD_KERNELS}/points/cpu/tiles_avx512.cpp
     ${FOURD_KERNELS}/shade/cpu/shade_avx2.cpp)
-  set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_avx2.cpp PROPERTIES COMPILE_OPTIONS "-mavx2")
+  set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_avx2.cpp PROPERTIES
+    COMPILE_OPTIONS "-mavx2;${FOURD_EXACT}")
   set_source_files_properties(${FOURD_KERNELS}/shade/cpu/shade_avx2.cpp PROPERTIES
     COMPILE_OPTIONS "-mavx2;-mfma;-mf16c;${FOURD_TOLERANT}")
   set_source_files_properties(${FOURD_KERNELS}/blend/cpu/runs_avx2.cpp PROPERTIES
@@ -41,7 +45,7 @@ if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64|amd64")
     COMPILE_OPTIONS "-mavx512f;-mavx512dq;-mavx512vl;-mfma;-mprefer-vector-width=512;${FOURD_TOLERANT}")
   # GCC 12 takes the undefined vectors in its own AVX-512 header for mistakes of ours (GCC bug 105593).
   set_source_files_properties(${FOURD_KERNELS}/points/cpu/tiles_avx512.cpp PROPERTIES
-    COMPILE_OPTIONS "-mavx512f;-mavx512dq;-mavx512vl;-Wno-maybe-uninitialized;-Wno-uninitialized")
+    COMPILE_OPTIONS "-mavx512f;-mavx512dq;-mavx512vl;${FOURD_EXACT};-Wno-maybe-uninitialized;-Wno-uninitialized")
 endif()
 set_target_properties(fourd_kernels PROPERTIES POSITION_INDEPENDENT_CODE ON)
 target_include_directories(fourd_kernels PUBLIC ${FOURD_KERNELS})

@@ -6,6 +6,8 @@
 #include <memory>
 #include <type_traits>
 
+#include "common/pages.h"
+
 namespace fourd {
 
 template <typename T>
@@ -14,7 +16,9 @@ class Buffer {
 
   public:
     Buffer() = default;
-    explicit Buffer(std::size_t size) : data_(new T[size]), size_(size) {}
+    explicit Buffer(std::size_t size) : data_(new T[size]), size_(size) {
+        prefer_huge_pages(data_.get(), size * sizeof(T));
+    }
 
     // Makes room for at least size elements; what was there is lost when it must grow.
     void require(std::size_t size) {

@@ -26,6 +26,8 @@ class Player {
               const points::Canvas& canvas);
 
   private:
+    void shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end);
+
     points::Workspace space_;
     Sizes sizes_;
     Buffer<float> colour_;

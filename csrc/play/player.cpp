@@ -37,14 +37,23 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     sizes_.require(count);
     colour_.require(3 * count);
     Team team(settings.threads);
-    in_runs(count, team, [&](std::size_t begin, std::size_t end) {
-        sizes_.convert(frame, begin, end);
-        shade::shade_some(frame.points, shading, begin, end, colour_.data());
-    });
+    in_runs(count, team, [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
     const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
     space_.fill(cloud, settings, team);
+    in_runs(count, team, [&](std::size_t begin, std::size_t end) { shade_visible(frame, shading, begin, end); });
     const points::TileKernels& kernels = points::tile_kernels(settings.simd);
-    team.run(space_.bins.tiles(), [&](int index, int) { kernels.draw(space_.tile(settings, 3, index), canvas); });
+    team.run(space_.bins.tiles(), [&](int index, int) { kernels.draw(space_.tile(cloud, settings, index), canvas); });
+}
+
+// Points lie in the order of their places in space: those that no pixel sees come in stretches.
+void Player::shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end) {
+    constexpr std::size_t kStretch = 64;
+    for (std::size_t first = begin; first < end; first += kStretch) {
+        const std::size_t last = std::min(end, first + kStretch);
+        std::size_t tiles = 0;
+        for (std::size_t i = first; i < last; ++i) tiles += space_.bins.reach(i).count();
+        if (tiles > 0) shade::shade_some(frame.points, shading, first, last, colour_.data());
+    }
 }
 
 std::size_t DepthSorter::sort(const Frame& frame, const points::Settings& settings, std::uint32_t* out) {

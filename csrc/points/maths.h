@@ -43,14 +43,19 @@ struct SplatGradient {
 // The coordinate of a pixel's centre, whose index is exact in float32.
 FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
 
-// The indices of the pixel centres within reach of centre, clipped to [0, size); empty if first > last.
+// The indices of the pixel centres within reach of centre, clipped to [0, size); empty if first > last. Numbers are clipped
+// before they are rounded, so that nothing here branches and compilers make vectors of it.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
     // A hit is decided in float32 to about 4e-7 of rho^2; the margin keeps this range a superset.
     const double reach = static_cast<double>(rho) * (1.0 + 1e-6);
-    const double low = ceil(static_cast<double>(centre) - reach - 0.5);
-    const double high = floor(static_cast<double>(centre) + reach - 0.5);
-    *first = low > 0.0 ? (low < size ? static_cast<int>(low) : size) : 0;
-    *last = high < size - 1 ? (high > -1.0 ? static_cast<int>(high) : -1) : size - 1;
+    double low = static_cast<double>(centre) - reach - 0.5, high = static_cast<double>(centre) + reach - 0.5;
+    low = low > 0.0 ? low : 0.0;
+    low = low < size ? low : size;
+    high = high < size - 1 ? high : size - 1;
+    high = high > -1.0 ? high : -1.0;
+    const int from = static_cast<int>(low), to = static_cast<int>(high);  // rounded towards 0
+    *first = from + (from < low ? 1 : 0);
+    *last = to - (to > high ? 1 : 0);
 }
 
 // A point as a pixel sees it; a hit where alpha is above 0.
@@ -65,36 +70,50 @@ FOURD_HD static inline PixelTouch touch_pixel(const Splat& splat, float x, float
     return {dx, dy, square, falloff, splat.density * falloff};
 }
 
-// Projects a point. Returns false if it is culled: nearer than near, outside the image, of no size
-// or density, or with any number that is not finite. Guards are written so that NaN fails them.
-FOURD_HD static inline bool project(const Pinhole& camera, float near, const float* xyz, float radius,
-                                    float density, Splat* out) {
+// A point in the image, and whether it is to be seen there; the rest is of no use where it is not.
+struct Projection {
+    float u, v, inverse_square, density, z, rho;
+    int left, right, top, bottom;
+    bool visible;
+};
+
+// Projects a point. It is culled if it is nearer than near, outside the image, of no size or density, or has any
+// number that is not finite. Guards are written so that NaN fails them.
+FOURD_HD static inline Projection project(const Pinhole& camera, float near, const float* xyz, float radius,
+                                          float density) {
     const float largest = 3.402823466e38f;
     const float* r = camera.rotation;
     const float* k = camera.intrinsics;
     const float x = r[0] * xyz[0] + r[1] * xyz[1] + r[2] * xyz[2] + camera.translation[0];
     const float y = r[3] * xyz[0] + r[4] * xyz[1] + r[5] * xyz[2] + camera.translation[1];
     const float z = r[6] * xyz[0] + r[7] * xyz[1] + r[8] * xyz[2] + camera.translation[2];
-    if (!(z >= near && z <= largest)) return false;
-    if (!(radius > 0.0f && radius <= largest)) return false;
-    if (!(density > 0.0f && density <= largest)) return false;
-    out->u = (k[0] * x + k[1] * y) / z + k[2];
-    out->v = (k[3] * x + k[4] * y) / z + k[5];
-    if (!(out->u >= -largest && out->u <= largest && out->v >= -largest && out->v <= largest)) return false;
-    out->rho = k[4] * radius / z;
-    out->inverse_square = 1.0f / (out->rho * out->rho);
-    if (!(out->inverse_square > 0.0f && out->inverse_square <= largest)) return false;
-    out->density = density < 1.0f ? density : 1.0f;
-    out->z = z;
+    Projection out;
+    out.u = (k[0] * x + k[1] * y) / z + k[2];
+    out.v = (k[3] * x + k[4] * y) / z + k[5];
+    out.rho = k[4] * radius / z;
+    out.inverse_square = 1.0f / (out.rho * out.rho);
+    out.density = density < 1.0f ? density : 1.0f;
+    out.z = z;
     int first_column, last_column, first_row, last_row;
-    pixel_range(out->u, out->rho, camera.width, &first_column, &last_column);
-    pixel_range(out->v, out->rho, camera.height, &first_row, &last_row);
-    if (first_column > last_column || first_row > last_row) return false;
-    out->left = static_cast<std::uint16_t>(first_column / kBlock);
-    out->right = static_cast<std::uint16_t>(last_column / kBlock);
-    out->top = static_cast<std::uint16_t>(first_row / kBlock);
-    out->bottom = static_cast<std::uint16_t>(last_row / kBlock);
-    return true;
+    pixel_range(out.u, out.rho, camera.width, &first_column, &last_column);
+    pixel_range(out.v, out.rho, camera.height, &first_row, &last_row);
+    out.left = first_column / kBlock;
+    out.right = last_column / kBlock;
+    out.top = first_row / kBlock;
+    out.bottom = last_row / kBlock;
+    // & and not &&: without branches.
+    out.visible = (z >= near) & (z <= largest) & (radius > 0.0f) & (radius <= largest) & (density > 0.0f) &
+                  (density <= largest) & (out.u >= -largest) & (out.u <= largest) & (out.v >= -largest) &
+                  (out.v <= largest) & (out.inverse_square > 0.0f) & (out.inverse_square <= largest) &
+                  (first_column <= last_column) & (first_row <= last_row);
+    return out;
+}
+
+// What is kept of a visible point.
+FOURD_HD static inline Splat splat_of(const Projection& at) {
+    return {at.u, at.v, at.inverse_square, at.density, at.z, at.rho,
+            static_cast<std::uint16_t>(at.left), static_cast<std::uint16_t>(at.right),
+            static_cast<std::uint16_t>(at.top), static_cast<std::uint16_t>(at.bottom)};
 }
 
 // Carries a splat's gradient back to the point it was projected from.

@@ -3,6 +3,7 @@
 #include <vector>
 
 #include "common/buffer.h"
+#include "common/pages.h"
 #include "common/team.h"
 #include "planes/cpu/runs.h"
 
@@ -134,6 +135,7 @@ void sample(const Query& query, float* out) {
     const Loops loops = loops_for(query);
     Team team(query.threads);
     Planned planned(query, team.size());
+    prefer_huge_pages(out, query.count * query.plane_count * query.features * sizeof(float));
     for_all_runs(query, team, [&](std::size_t begin, int count, int worker) {
         loops.sample(planned.plan(), begin, count, planned.places(worker), out);
     });
@@ -148,7 +150,10 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;
-        for (int k = first; k < last; ++k) std::memset(grad_planes[k], 0, size_of(query, k) * sizeof(float));
+        for (int k = first; k < last; ++k) {
+            prefer_huge_pages(grad_planes[k], size_of(query, k) * sizeof(float));
+            std::memset(grad_planes[k], 0, size_of(query, k) * sizeof(float));
+        }
         for_runs(0, query.count, [&](std::size_t begin, int count) {
             loops.scatter(planned.plan(), begin, count, planned.places(worker), first, last, gradient, grad_planes);
         });

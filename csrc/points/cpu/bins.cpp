@@ -5,14 +5,20 @@
 namespace fourd::points {
 namespace {
 
-constexpr int kBlocksPerSide = kTile / kBlock;
+struct KeyRange {
+    std::uint32_t low = ~0u, high = 0;
 
-// Calls visit(tile) for each tile that a splat reaches.
+    void add(std::uint32_t from, std::uint32_t to) {
+        low = std::min(low, from);
+        high = std::max(high, to);
+    }
+};
+
+// Calls visit(tile) for each tile of a reach.
 template <typename Visit>
-void for_each_tile(const Splat& splat, int columns, Visit visit) {
-    const int left = splat.left / kBlocksPerSide, right = splat.right / kBlocksPerSide;
-    for (int row = splat.top / kBlocksPerSide; row <= splat.bottom / kBlocksPerSide; ++row) {
-        for (int column = left; column <= right; ++column) visit(row * columns + column);
+void for_each_tile(const Reach& reach, int columns, Visit visit) {
+    for (int row = reach.top; row <= reach.bottom; ++row) {
+        for (int column = reach.left; column <= reach.right; ++column) visit(row * columns + column);
     }
 }
 
@@ -32,8 +38,8 @@ std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& set
     std::vector<Run> runs = split(cloud.count, team.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         Run& run = runs[part];
-        run.end = run.begin + kernels.project(cloud, settings, run.begin, run.end, unsorted_.data(),
-                                              items_.data() + run.begin);
+        run.end = run.begin + kernels.project(cloud, settings, run.begin, run.end, splats_.data(),
+                                              reaches_.data(), items_.data() + run.begin);
     });
     visible_ = 0;
     for (const Run& run : runs) visible_ += run.end - run.begin;
@@ -71,13 +77,15 @@ void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift
 
 // Sorts the runs of items_ by key, stably; they end up side by side.
 void Bins::sort(std::vector<Run> runs, Team& team) {
-    std::uint32_t low = ~0u, high = 0;
-    for (const Run& run : runs) {
-        for (std::size_t i = run.begin; i < run.end; ++i) {
-            low = std::min(low, items_[i].key);
-            high = std::max(high, items_[i].key);
-        }
-    }
+    std::vector<KeyRange> ranges(runs.size());
+    team.run(static_cast<int>(runs.size()), [&](int part, int) {
+        KeyRange here;
+        for (std::size_t i = runs[part].begin; i < runs[part].end; ++i) here.add(items_[i].key, items_[i].key);
+        ranges[part] = here;
+    });
+    KeyRange all;
+    for (const KeyRange& range : ranges) all.add(range.low, range.high);
+    const std::uint32_t low = all.low, high = all.high;
     int bits = 0;
     while (visible_ > 0 && bits < 32 && ((high - low) >> bits) != 0) ++bits;
     constexpr int kMostBits = 12;  // a histogram of 4096 counters stays in the first cache
@@ -89,30 +97,26 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// Lays the splats side by side in their order, so that all that follows reads straight through.
-void Bins::rank_splats(Team& team) {
-    constexpr std::size_t kAhead = 16;
-    const std::vector<Run> runs = split(visible_, team.size());
+// Counts each part's entries by tile, and lays the reaches side by side in the order of ranks.
+std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team& team) {
+    constexpr std::size_t kAhead = 32;
+    const std::size_t count = static_cast<std::size_t>(tiles());
+    std::vector<std::size_t> counts(runs.size() * count, 0);
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
+        std::size_t* here = counts.data() + part * count;
         for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
-            if (rank + kAhead < runs[part].end) __builtin_prefetch(unsorted_.data() + items_[rank + kAhead].point);
-            points_[rank] = items_[rank].point;
-            splats_[rank] = unsorted_[items_[rank].point];
+            if (rank + kAhead < runs[part].end) __builtin_prefetch(&reaches_[items_[rank + kAhead].point]);
+            const Reach reach = reaches_[items_[rank].point];
+            ranked_reaches_[rank] = reach;
+            for_each_tile(reach, columns_, [&](int tile) { ++here[tile]; });
         }
     });
+    return counts;
 }
 
-// Counts each part's entries by tile, then lets each part write its own after those before it.
-void Bins::fill_tiles(Team& team) {
+// Lets each part write its entries after those of the parts before it. places: what count_entries counted.
+void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
-    const std::vector<Run> runs = split(visible_, team.size());
-    std::vector<std::size_t> places(runs.size() * count, 0);
-    team.run(static_cast<int>(runs.size()), [&](int part, int) {
-        std::size_t* counts = places.data() + part * count;
-        for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
-            for_each_tile(splats_[rank], columns_, [&](int tile) { ++counts[tile]; });
-        }
-    });
     std::size_t total = 0;
     for (std::size_t tile = 0; tile < count; ++tile) {
         tile_begin_[tile] = total;
@@ -128,26 +132,15 @@ void Bins::fill_tiles(Team& team) {
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         std::size_t* place = places.data() + part * count;
         for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
-            for_each_tile(splats_[rank], columns_,
-                          [&](int tile) { entries_[place[tile]++] = static_cast<std::uint32_t>(rank); });
+            const std::uint32_t point = items_[rank].point;
+            for_each_tile(ranked_reaches_[rank], columns_, [&](int tile) { entries_[place[tile]++] = point; });
         }
     });
 }
 
-std::size_t Bins::reach(std::size_t rank) const {
-    const Splat& splat = splats_[rank];
-    const int across = splat.right / kBlocksPerSide - splat.left / kBlocksPerSide + 1;
-    return static_cast<std::size_t>(across) * (splat.bottom / kBlocksPerSide - splat.top / kBlocksPerSide + 1);
-}
-
-std::size_t Bins::place(std::size_t rank, int column, int row) const {
-    const Splat& splat = splats_[rank];
-    const int left = splat.left / kBlocksPerSide, across = splat.right / kBlocksPerSide - left + 1;
-    return static_cast<std::size_t>(row - splat.top / kBlocksPerSide) * across + (column - left);
-}
-
 void Bins::sort_points(const Cloud& cloud, const Settings& settings, Team& team) {
-    unsorted_.require(cloud.count);
+    splats_.require(cloud.count);
+    reaches_.require(cloud.count);
     items_.require(cloud.count);
     spare_.require(cloud.count);
     sort(project_all(cloud, settings, team), team);
@@ -156,17 +149,17 @@ void Bins::sort_points(const Cloud& cloud, const Settings& settings, Team& team)
 void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
     columns_ = (settings.camera.width + kTile - 1) / kTile;
     rows_ = (settings.camera.height + kTile - 1) / kTile;
-    splats_.require(cloud.count);
-    points_.require(cloud.count);
+    ranked_reaches_.require(cloud.count);
     tile_begin_.require(static_cast<std::size_t>(tiles()) + 1);
     sort_points(cloud, settings, team);
-    rank_splats(team);
-    fill_tiles(team);
+    const std::vector<Run> runs = split(visible_, team.size());
+    fill_tiles(runs, count_entries(runs, team), team);
 }
 
 std::size_t Bins::bytes() const {
-    return sizeof(Splat) * (unsorted_.size() + splats_.size()) + sizeof(Item) * (items_.size() + spare_.size()) +
-           sizeof(std::uint32_t) * (points_.size() + entries_.size()) + sizeof(std::size_t) * tile_begin_.size();
+    return sizeof(Splat) * splats_.size() + sizeof(Reach) * (reaches_.size() + ranked_reaches_.size()) +
+           sizeof(Item) * (items_.size() + spare_.size()) + sizeof(std::uint32_t) * entries_.size() +
+           sizeof(std::size_t) * tile_begin_.size();
 }
 
 }  // namespace fourd::points

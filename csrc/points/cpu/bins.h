@@ -11,7 +11,7 @@
 
 namespace fourd::points {
 
-// Visible points are known by their rank: 0 is the nearest, ties are in the order of their indices.
+// A visible point's rank is its place from near to far: 0 is the nearest, ties are in the order of their indices.
 // The buffers are kept from one picture to the next, and may be larger than what they hold.
 class Bins {
   public:
@@ -25,14 +25,10 @@ class Bins {
     int columns() const { return columns_; }  // tiles across
     int tiles() const { return columns_ * rows_; }
     std::size_t visible() const { return visible_; }  // how many points are
-    const Splat* splats() const { return splats_.data(); }             // by rank
-    const std::uint32_t* points() const { return points_.data(); }     // by rank: the point's index
+    const Splat* splats() const { return splats_.data(); }                // by point; of visible ones
+    const Reach& reach(std::size_t point) const { return reaches_[point]; }
     const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,) into entries
-    const std::uint32_t* entries() const { return entries_.data(); }   // ranks of each tile's points, ascending
-
-    // How many tiles a point reaches, and which of them a tile is for it, counted row by row.
-    std::size_t reach(std::size_t rank) const;
-    std::size_t place(std::size_t rank, int column, int row) const;
+    const std::uint32_t* entries() const { return entries_.data(); }      // each tile's points, by rank
 
     std::size_t bytes() const;  // of memory that is kept
 
@@ -47,14 +43,15 @@ class Bins {
     std::vector<Run> project_all(const Cloud& cloud, const Settings& settings, Team& team);
     void radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team);
     void sort(std::vector<Run> runs, Team& team);
-    void rank_splats(Team& team);
-    void fill_tiles(Team& team);
+    std::vector<std::size_t> count_entries(const std::vector<Run>& runs, Team& team);
+    void fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team);
 
     int columns_ = 0, rows_ = 0;
     std::size_t visible_ = 0;
-    Buffer<Splat> unsorted_, splats_;
+    Buffer<Splat> splats_;
+    Buffer<Reach> reaches_, ranked_reaches_;  // by point, by rank
     Buffer<Item> items_, spare_;
-    Buffer<std::uint32_t> points_, entries_;
+    Buffer<std::uint32_t> entries_;
     Buffer<std::size_t> tile_begin_;
 };
 

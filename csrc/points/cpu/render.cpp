@@ -8,12 +8,12 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 4096;
 
-// Calls work(begin, end) for parts of the ranks.
+// Calls work(begin, end) for parts of the points.
 template <typename Work>
-void for_ranks(const Bins& bins, Team& team, const Work& work) {
-    team.run(static_cast<int>((bins.visible() + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
+void for_points(std::size_t count, Team& team, const Work& work) {
+    team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
         const std::size_t begin = task * kPointsPerTask;
-        work(begin, std::min(bins.visible(), begin + kPointsPerTask));
+        work(begin, std::min(count, begin + kPointsPerTask));
     });
 }
 
@@ -29,25 +29,22 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-void clear(const Cloud& cloud, const CloudGradient& out) {
-    std::fill_n(out.xyz, 3 * cloud.count, 0.0f);
-    std::fill_n(out.features, cloud.channels * cloud.count, 0.0f);
-    std::fill_n(out.radius, cloud.count, 0.0f);
-    std::fill_n(out.density, cloud.count, 0.0f);
-}
-
 // Sums a point's slots in order and carries them to the point.
 void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& space,
-                     std::size_t rank, const CloudGradient& out) {
-    const int width = 5 + cloud.channels;
+                     std::size_t point, const CloudGradient& out) {
+    const std::size_t channels = static_cast<std::size_t>(cloud.channels), width = 5 + channels;
     float total[5 + 32] = {};
-    for (std::size_t slot = space.slots[rank]; slot < space.slots[rank + 1]; ++slot) {
-        for (int k = 0; k < width; ++k) total[k] += space.sums[slot * width + k];
+    for (std::size_t slot = space.slots[point]; slot < space.slots[point + 1]; ++slot) {
+        for (std::size_t k = 0; k < width; ++k) total[k] += space.sums[slot * width + k];
     }
-    const std::size_t point = space.bins.points()[rank];
-    std::memcpy(out.features + point * cloud.channels, total + 5, cloud.channels * sizeof(float));
+    std::memcpy(out.features + point * channels, total + 5, channels * sizeof(float));
+    if (space.slots[point] == space.slots[point + 1]) {
+        std::fill_n(out.xyz + 3 * point, 3, 0.0f);
+        out.radius[point] = out.density[point] = 0.0f;
+        return;
+    }
     const SplatGradient gradient = {total[0], total[1], total[2], total[3], total[4]};
-    project_backward(settings.camera, space.bins.splats()[rank], gradient, cloud.density[point], out.xyz + 3 * point,
+    project_backward(settings.camera, space.bins.splats()[point], gradient, cloud.density[point], out.xyz + 3 * point,
                      out.radius + point, out.density + point);
 }
 
@@ -56,14 +53,6 @@ void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspa
 void Workspace::fill(const Cloud& cloud, const Settings& settings, Team& team) {
     made_from = Fingerprint();
     bins.fill(cloud, settings, team);
-    const std::size_t channels = static_cast<std::size_t>(cloud.channels);
-    features.require(bins.visible() * channels);
-    for_ranks(bins, team, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t rank = begin; rank < end; ++rank) {
-            const float* from = cloud.features + channels * bins.points()[rank];
-            std::copy_n(from, channels, features.data() + channels * rank);
-        }
-    });
 }
 
 void Workspace::fill_again(const Cloud& cloud, const Settings& settings, Team& team) {
@@ -71,27 +60,27 @@ void Workspace::fill_again(const Cloud& cloud, const Settings& settings, Team& t
     fill(cloud, settings, team);
 }
 
-std::size_t Workspace::assign_slots() {
-    slots.require(bins.visible() + 1);
+std::size_t Workspace::assign_slots(std::size_t count) {
+    slots.require(count + 1);
     std::size_t total = 0;
-    for (std::size_t rank = 0; rank < bins.visible(); ++rank) {
-        slots[rank] = total;
-        total += bins.reach(rank);
+    for (std::size_t point = 0; point < count; ++point) {
+        slots[point] = total;
+        total += bins.reach(point).count();
     }
-    slots[bins.visible()] = total;
+    slots[count] = total;
     return total;
 }
 
 void Workspace::slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const {
     out.require(tile.count);
     for (std::size_t entry = 0; entry < tile.count; ++entry) {
-        const std::uint32_t rank = tile.entries[entry];
-        out[entry] = slots[rank] + bins.place(rank, tile.column / kTile, tile.row / kTile);
+        const std::uint32_t point = tile.entries[entry];
+        out[entry] = slots[point] + bins.reach(point).place(tile.column / kTile, tile.row / kTile);
     }
 }
 
 std::size_t Workspace::bytes() const {
-    std::size_t total = bins.bytes() + sizeof(float) * (features.size() + sums.size()) + sizeof(std::size_t) * slots.size();
+    std::size_t total = bins.bytes() + sizeof(float) * sums.size() + sizeof(std::size_t) * slots.size();
     for (const Scratch& scratch : scratches) {
         total += sizeof(std::size_t) * scratch.slots.size() + sizeof(float) * scratch.transmittance.size() +
                  sizeof(std::uint64_t) * scratch.tags.size();
@@ -99,13 +88,13 @@ std::size_t Workspace::bytes() const {
     return total;
 }
 
-Tile Workspace::tile(const Settings& settings, int channels, int index) const {
+Tile Workspace::tile(const Cloud& cloud, const Settings& settings, int index) const {
     Tile out;
     out.splats = bins.splats();
-    out.features = features.data();
+    out.features = cloud.features;
     out.entries = bins.entries() + bins.tile_begin()[index];
     out.count = bins.tile_begin()[index + 1] - bins.tile_begin()[index];
-    out.channels = channels;
+    out.channels = cloud.channels;
     out.layers = settings.layers;
     out.transmittance_min = settings.transmittance_min;
     out.column = index % bins.columns() * kTile;
@@ -133,7 +122,7 @@ void render(const Cloud& cloud, const Settings& settings, Workspace& space, cons
     space.fill(cloud, settings, team);
     space.made_from = fingerprint(cloud, settings);
     team.run(space.bins.tiles(),
-             [&](int index, int) { kernels.render(space.tile(settings, cloud.channels, index), out); });
+             [&](int index, int) { kernels.render(space.tile(cloud, settings, index), out); });
 }
 
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
@@ -142,10 +131,10 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
     Team team(settings.threads);
     space.fill_again(cloud, settings, team);
     const std::size_t width = 5 + cloud.channels;
-    space.sums.require(space.assign_slots() * width);
+    space.sums.require(space.assign_slots(cloud.count) * width);
     space.scratches.resize(team.size());
     team.run(space.bins.tiles(), [&](int index, int worker) {
-        const Tile tile = space.tile(settings, cloud.channels, index);
+        const Tile tile = space.tile(cloud, settings, index);
         Workspace::Scratch& scratch = space.scratches[worker];
         space.slots_of_tile(tile, scratch.slots);
         for (std::size_t entry = 0; entry < tile.count; ++entry) {
@@ -157,9 +146,8 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
         kernels.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data(), visits},
                                 scratch.slots.data(), space.sums.data());
     });
-    clear(cloud, out);
-    for_ranks(space.bins, team, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t rank = begin; rank < end; ++rank) gather_gradient(cloud, settings, space, rank, out);
+    for_points(cloud.count, team, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t point = begin; point < end; ++point) gather_gradient(cloud, settings, space, point, out);
     });
 }
 
@@ -167,22 +155,21 @@ void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, 
     const TileKernels& kernels = tile_kernels(settings.simd);
     Team team(settings.threads);
     space.fill(cloud, settings, team);
-    space.sums.require(space.assign_slots());
+    space.sums.require(space.assign_slots(cloud.count));
     space.scratches.resize(team.size());
     team.run(space.bins.tiles(), [&](int index, int worker) {
-        const Tile tile = space.tile(settings, 0, index);
+        const Tile tile = space.tile(cloud, settings, index);
         Workspace::Scratch& scratch = space.scratches[worker];
         space.slots_of_tile(tile, scratch.slots);
         for (std::size_t entry = 0; entry < tile.count; ++entry) space.sums[scratch.slots[entry]] = 0.0f;
         kernels.visibility(tile, scratch.slots.data(), space.sums.data());
     });
-    std::fill_n(out, cloud.count, 0.0f);
-    for (std::size_t rank = 0; rank < space.bins.visible(); ++rank) {
+    for (std::size_t point = 0; point < cloud.count; ++point) {
         float best = 0.0f;
-        for (std::size_t slot = space.slots[rank]; slot < space.slots[rank + 1]; ++slot) {
+        for (std::size_t slot = space.slots[point]; slot < space.slots[point + 1]; ++slot) {
             best = std::max(best, space.sums[slot]);
         }
-        out[space.bins.points()[rank]] = best;
+        out[point] = best;
     }
 }
 

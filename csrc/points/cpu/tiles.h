@@ -17,10 +17,22 @@ struct Item {
     std::uint32_t point;
 };
 
+// The tiles that a point reaches, the last ones included; none of a point that is not visible.
+struct Reach {
+    std::uint16_t left, right, top, bottom;
+
+    std::size_t across() const { return static_cast<std::size_t>(right - left + 1); }
+    std::size_t count() const { return across() * static_cast<std::size_t>(bottom - top + 1); }
+    // Which of them a tile is, counted row by row.
+    std::size_t place(int column, int row) const {
+        return static_cast<std::size_t>(row - top) * across() + static_cast<std::size_t>(column - left);
+    }
+};
+
 struct Tile {
-    const Splat* splats;           // by rank
-    const float* features;         // by rank, channels each
-    const std::uint32_t* entries;  // ranks of the tile's points, nearest first
+    const Splat* splats;           // by point
+    const float* features;         // by point, channels each
+    const std::uint32_t* entries;  // the tile's points, nearest first; ties in the order of their indices
     std::size_t count;             // of entries
     int channels;
     int layers;
@@ -40,9 +52,9 @@ struct Visits {
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 struct TileKernels {
-    // Projects points begin to end into splats, by index, and lists the visible ones; returns how many.
+    // Projects points begin to end into splats and reaches, by point, and lists the visible ones; returns how many.
     std::size_t (*project)(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end,
-                           Splat* splats, Item* items);
+                           Splat* splats, Reach* reaches, Item* items);
 
     void (*render)(const Tile& tile, const Image& out);
 

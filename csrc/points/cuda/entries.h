@@ -103,12 +103,10 @@ struct ProjectPoint {
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t point) const {
-        Splat splat{};
-        const bool visible =
-            project(camera, near, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point], &splat);
+        const Projection at = project(camera, near, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point]);
         std::uint32_t key = kCulled;
-        if (visible) memcpy(&key, &splat.z, sizeof key);
-        to.by_point[point] = splat;
+        if (at.visible) memcpy(&key, &at.z, sizeof key);
+        to.by_point[point] = at.visible ? splat_of(at) : Splat{};
         to.keys[point] = key;
         to.values[point] = static_cast<std::uint32_t>(point);
     }
