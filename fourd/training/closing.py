@@ -14,6 +14,9 @@ from fourd.raster import render_points
 from fourd.training.background import Background
 from fourd.training.parts import NEAR, rows_in_sight
 
+LAYERS = 64
+"""Of a picture that is asked for holes: more than lie over one another on a floor seen at a grazing angle. Where the
+last of too few layers leaves light, a gradient asks for larger discs, of which still fewer fit."""
 ASTRAY = 0.15
 """A viewer stands so far beside the line between two cameras, at most, as a share of the line's length."""
 
@@ -29,14 +32,14 @@ def vantage(camera: Camera, others: Sequence[Camera], side_px: int, draw: np.ran
     return replace(camera, translation=-camera.rotation @ centre).cropped(int(left), int(top), width, height)
 
 
-def transparency(background: Background, viewer: Camera, layers: int, hidden_weight: float) -> Tensor:
+def transparency(background: Background, viewer: Camera, hidden_weight: float) -> Tensor:
     """The mean square of what is left to see behind a background, differentiable in its model alone.
 
     Points keep their places: those are for the plates to say.
     """
     points, model = background.points, background.model
-    rows = rows_in_sight([points], viewer, layers, hidden_weight)[0]
+    rows = rows_in_sight([points], viewer, LAYERS, hidden_weight)[0]
     xyz = points.xyz[rows]
     radius, density = model.geometry(model.point_features(xyz, 0.0), points.spacing[rows])
-    alpha = render_points(xyz, torch.ones(len(rows), 1), radius, density, viewer, layers=layers, near=NEAR).alpha
+    alpha = render_points(xyz, torch.ones(len(rows), 1), radius, density, viewer, layers=LAYERS, near=NEAR).alpha
     return (1 - alpha).square().mean()

@@ -84,6 +84,9 @@ class BackgroundConfig:
     """Up to so much around the matte is looked at in a frame's step."""
     xyz_rate: float = 0.02
     """Learning rate of the background's points, times their spacing."""
+    least_layers: int = 12
+    """A full scene's steps draw K from this to layers. Fewer cut off floors that are seen at a grazing angle: gradients,
+    which do not see what was cut off, then ask for larger discs, of which more are cut off, until all is a blur."""
     encoder_every: int = 8
     """The background's image CNN learns in every n-th step that looks at a plate."""
     shadow: bool = False
@@ -95,6 +98,7 @@ class BackgroundConfig:
         require(self.window_px >= 16, f"window_px: expected at least 16, got {self.window_px}")
         require(self.margin_px >= 0, f"margin_px: expected 0 or more, got {self.margin_px}")
         require(self.xyz_rate >= 0, f"xyz_rate: expected 0 or more, got {self.xyz_rate}")
+        require(self.least_layers >= 1, f"least_layers: expected at least 1, got {self.least_layers}")
         require(self.encoder_every >= 1, f"encoder_every: expected at least 1, got {self.encoder_every}")
 
 
@@ -186,7 +190,8 @@ class TrainConfig:
     layers: int = 15
     """Points composited a pixel while training (K)."""
     least_layers: int = 8
-    """Each step draws K from this to layers, so that surfaces close within the fewer layers of an exported scene."""
+    """Each step draws K from this to layers, so that surfaces close within the fewer layers of an exported scene; in a
+    full scene from background.least_layers."""
     crop: Literal["mask", "full"] = "mask"
     """Train on the box of the matte with a margin, or on whole images."""
     random_background: bool = True

@@ -40,6 +40,7 @@ class Sampler:
         self._config = config
         self._training = training
         self._frames = frames
+        self._least_layers = config.least_layers if config.scene == "object" else config.background.least_layers
         self._pools = {
             target: source_pool(cameras, target, training, config.neighbour_pool, focus) for target in training
         }
@@ -56,7 +57,7 @@ class Sampler:
         count = min(self._config.model.neighbours, len(pool))
         sources = sorted(draw.choice(len(pool), size=count, replace=False).tolist())
         background = draw.random(3) if self._config.random_background else np.zeros(3)
-        layers = int(draw.integers(min(self._config.least_layers, self._config.layers), self._config.layers + 1))
+        layers = int(draw.integers(min(self._least_layers, self._config.layers), self._config.layers + 1))
         chosen = [pool[i] for i in sources]
         choice = Choice(frame, target, chosen, background.astype(np.float32), layers)
         if self._config.scene == "object":

@@ -203,7 +203,7 @@ class Stepper:
         cameras = [background.camera(index) for index in background.plates]
         draw = np.random.default_rng([self.config.seed, 4, number])
         viewer = vantage(background.camera(choice.target), cameras, self.config.background.window_px // 2, draw)
-        return {"closed": weight * transparency(background, viewer, choice.layers, self.config.hidden_weight)}
+        return {"closed": weight * transparency(background, viewer, self.config.hidden_weight)}
 
     def _apply(self, parts: list[Part], terms: dict[str, Tensor], factor: float) -> None:
         torch.stack(list(terms.values())).sum().backward()

@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 import torch
 
+from fourd.cameras import look_at
 from fourd.training.background import Background
 from fourd.training.closing import ASTRAY, transparency, vantage
 from fourd.training.frames import FramePoints
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
+
+CENTRE = np.array([[0, 0, 32.0], [0, 0, 32], [0, 0, 0]])
+"""Of a picture of 64 x 64, as part of its intrinsics."""
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +43,26 @@ def test_viewers_stand_between_the_cameras(rng: np.random.Generator) -> None:
         np.testing.assert_array_equal(viewer.rotation, cameras[k % 8].rotation)
 
 
+def test_a_floor_of_many_layers_is_not_asked_for_larger_discs(background: Background) -> None:
+    """Catches a gradient against the slope: of few layers it asks for larger discs, and fewer of them fit then."""
+    x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
+    floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
+    points = FramePoints.fresh(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
+    dense = Background(background.model, points, background.plates)
+    viewer = look_at(
+        np.array([3.0, 0, 0.2]), np.zeros(3), np.array([0.0, 0, 1]), np.diag([80.0, 80, 1]) + CENTRE, 64, 64
+    )
+    radius_bias = dense.model.geometry_head.layers[-1].bias
+    asked = torch.autograd.grad(transparency(dense, viewer, 0.0), radius_bias)[0][0]
+    slope = []
+    with torch.no_grad():
+        for change in (-0.05, 0.05):
+            radius_bias[0] += change
+            slope.append(float(transparency(dense, viewer, 0.0)) / 0.1 * (1 if change > 0 else -1))
+            radius_bias[0] -= change
+    assert float(asked) == pytest.approx(sum(slope), rel=0.2, abs=1e-4)
+
+
 def test_a_wall_with_holes_closes(background: Background) -> None:
     """Catches a term that does not reach the radii, or that leaves holes that no plate shows as they are."""
     y, z = torch.meshgrid(torch.arange(-2, 2, 0.1), torch.arange(-2, 2, 0.1), indexing="ij")
@@ -50,7 +74,7 @@ def test_a_wall_with_holes_closes(background: Background) -> None:
     optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)
     left = []
     for _ in range(60):
-        loss = transparency(holed, viewer, 8, 0.0)
+        loss = transparency(holed, viewer, 0.0)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,13 @@ def test_choices_depend_on_seed_and_step_alone() -> None:
     np.testing.assert_array_equal(late.background, whole[9].background)
     other = [sampler(4).choose(step) for step in range(10)]
     assert [c.target for c in other] != [c.target for c in whole]
+
+
+@pytest.mark.parametrize(("scene", "least"), [("object", 8), ("full", 12)])
+def test_full_scenes_draw_more_layers(scene: Literal["object", "full"], least: int) -> None:
+    """Catches few layers on a floor, whose discs then grow until it is a blur."""
+    made = Sampler(TrainConfig(seed=3, scene=scene), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
+    assert {made.choose(step).layers for step in range(200)} == set(range(least, 16))
 
 
 def test_rates_warm_up_and_end_at_the_final_share() -> None:
