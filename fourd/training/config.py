@@ -85,8 +85,8 @@ class BackgroundConfig:
     xyz_rate: float = 0.02
     """Learning rate of the background's points, times their spacing."""
     least_layers: int = 12
-    """A full scene's steps draw K from this to layers. Fewer cut off floors that are seen at a grazing angle: gradients,
-    which do not see what was cut off, then ask for larger discs, of which more are cut off, until all is a blur."""
+    """A full scene's steps draw K from this to layers. Fewer cut off floors that are seen at a grazing angle: gradients
+    do not see what was cut off and ask for larger discs, of which more are cut off, until all is a blur."""
     encoder_every: int = 8
     """The background's image CNN learns in every n-th step that looks at a plate."""
     shadow: bool = False
