@@ -52,6 +52,7 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     for backward in (False, True):
         yield _composite(65_536, camera(512, 512), 15, backward)
     yield _play(262_144, camera(1920, 1080), 12)
+    yield _play(262_144, camera(1920, 1080), 12, ordered=True)
     yield _play(1_000_000, camera(1920, 1080), 12)
     yield lookup(65_536, CPU)
     yield sampling(65_536, CPU)
@@ -128,11 +129,12 @@ def _composite(count: int, view: Camera, layers: int, backward: bool, reference:
     return Case(name, composite(cloud, view, layers, backward), rivals)
 
 
-def _play(count: int, view: Camera, layers: int) -> Case:
-    frame, scene = baked_figure(count)
+def _play(count: int, view: Camera, layers: int, *, ordered: bool = False) -> Case:
+    frame, scene = baked_figure(count, ordered=ordered)
     player = Player()
     out = player.draw(frame, view, scene, layers=layers)
-    name = f"play {count:,} points, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
+    order = ", in the order of space" if ordered else ""
+    name = f"play {count:,} points{order}, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
     return Case(name, lambda: player.draw(frame, view, scene, layers=layers, out=out))
 
 

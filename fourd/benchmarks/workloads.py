@@ -9,6 +9,7 @@ from torch import Tensor
 
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera, look_at
+from fourd.seeding.order import morton_order
 
 SEED = 4
 RADIUS_IN_SPACINGS = 1.3
@@ -44,10 +45,15 @@ def camera(width: int, height: int, angle: float = 0.0) -> Camera:
     return look_at(centre, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, width, height)
 
 
-def baked_figure(count: int, views: int = 17) -> tuple[BakedFrame, SceneManifest]:
-    """The figure as a baked frame that ``views`` source cameras in a ring see, and its scene."""
+def baked_figure(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
+    """The figure as a baked frame that ``views`` source cameras in a ring see, and its scene.
+
+    ``ordered`` points lie in the order of space, as a run's do; else in no order.
+    """
     rng = np.random.default_rng(SEED + 2)
     xyz, radius, density = figure_points(count)
+    if ordered:
+        xyz = xyz[morton_order(xyz)]
     frame = BakedFrame(
         xyz=xyz,
         radius=radius.astype(np.float16),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fourd.baking.player import Player
+from fourd.baking.scene import ATTRIBUTES, BakedFrame
 from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
 from fourd.kernels.loading import native
@@ -42,6 +43,21 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monk
         picture = player.draw(frame, camera, described, layers=layers, background=background)
         truth = expected(frame, camera, described, layers, background)
         assert picture.shape == truth.shape
+        assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
+
+
+def test_a_part_of_a_picture_is_that_part() -> None:
+    """Catches points in the picture that are not shaded, or as they were for the camera before."""
+    described, whole = manifest(views=6), ring(4)[1].resized(128, 128)
+    frame = random_frame(6000, 6, seed=3)
+    order = np.argsort(frame.xyz[:, 0], kind="stable")
+    arrays = {attribute.name: getattr(frame, attribute.name)[order] for attribute in ATTRIBUTES}
+    frame, player = BakedFrame(**arrays), Player()
+    player.draw(frame, ring(4)[3].resized(128, 128), described)
+    for left, top in ((0, 0), (90, 40), (60, 100)):
+        camera = whole.cropped(left, top, 20, 24)
+        truth = expected(frame, camera, described, described.layers, (0.0, 0.0, 0.0))
+        picture = player.draw(frame, camera, described)
         assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
 
 

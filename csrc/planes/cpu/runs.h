@@ -11,7 +11,8 @@
 
 namespace fourd::planes {
 
-constexpr int kRun = 64;  // points whose places between samples stay in the first-level cache
+constexpr int kRun = 64;   // points whose places between samples stay in the first-level cache
+constexpr int kAhead = 4;  // so many points ahead memory is asked for
 
 // Planes share sides: a coordinate is placed once among each number of samples, not once a plane.
 struct Axis {
@@ -27,6 +28,8 @@ struct Plan {
     int axis_count;
     const int* across;  // by plane: index into axes
     const int* down;
+    const int* large;   // planes that do not fit into a core's caches, ascending
+    int large_count;
     const std::uint32_t* order;
 };
 
@@ -53,6 +56,26 @@ FOURD_INLINE void place_run(const Plan& plan, std::size_t begin, int count, cons
             out.low[axis * kRun + i] = place.low;
             out.share[axis * kRun + i] = place.share;
             out.slope[axis * kRun + i] = place.slope;
+        }
+    }
+}
+
+// Asks for the samples around a run's point i, in those of the planes first to last (not included) that are large;
+// values are the planes' or arrays like them.
+template <typename Values>
+FOURD_INLINE void prefetch_samples(const Plan& plan, const Places& places, int i, int first, int last,
+                                   const Values& values) {
+    const Query& query = *plan.query;
+    const std::size_t pair = 2 * static_cast<std::size_t>(query.features) - 1;
+    for (int j = 0; j < plan.large_count; ++j) {
+        const int k = plan.large[j];
+        if (k < first || k >= last) continue;
+        const std::size_t columns = static_cast<std::size_t>(query.planes[k].columns);
+        const std::size_t row = static_cast<std::size_t>(places.low[plan.down[k] * kRun + i]);
+        const float* at = values(k) + (row * columns + places.low[plan.across[k] * kRun + i]) * query.features;
+        for (int rows = 0; rows < 2; ++rows, at += columns * query.features) {
+            __builtin_prefetch(at);
+            __builtin_prefetch(at + pair);
         }
     }
 }
@@ -135,7 +158,9 @@ FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, con
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
     place_run(plan, begin, count, places);
+    const auto values = [&](int k) FOURD_ALWAYS { return query.planes[k].values; };
     for (int i = 0; i < count; ++i) {
+        if (i + kAhead < count) prefetch_samples(plan, places, i + kAhead, 0, query.plane_count, values);
         float* to = out + width * plan.order[begin + i];
         for (int k = 0; k < query.plane_count; ++k, to += features) {
             const Plane& plane = query.planes[k];
@@ -152,7 +177,9 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
     place_run(plan, begin, count, places);
+    const auto values = [&](int k) FOURD_ALWAYS { return query.planes[k].values; };
     for (int i = 0; i < count; ++i) {
+        if (i + kAhead < count) prefetch_samples(plan, places, i + kAhead, 0, query.plane_count, values);
         const float* from = gradient + width * plan.order[begin + i];
         float total[4][Features > 0 ? Features : kMostFeatures] = {};  // by coordinate and feature
         for (int k = 0; k < query.plane_count; ++k, from += features) {
@@ -175,13 +202,14 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
 template <int Features>
 FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const Places& places, int first, int last,
                               const float* gradient, float* const* out) {
-    constexpr int kAhead = 4;
     const Query& query = *plan.query;
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
     place_run(plan, begin, count, places);
+    const auto values = [&](int k) FOURD_ALWAYS { return out[k]; };
     for (int i = 0; i < count; ++i) {
         if (i + kAhead < count) {
+            prefetch_samples(plan, places, i + kAhead, first, last, values);
             const float* ahead = gradient + width * plan.order[begin + i + kAhead];
             for (int f = first * features; f < last * features; f += 16) __builtin_prefetch(ahead + f);
         }

@@ -11,6 +11,7 @@ namespace fourd::planes {
 namespace {
 
 constexpr std::size_t kPointsPerTask = 16 * kRun;
+constexpr std::size_t kCachedBytes = 1 << 20;
 constexpr int kCellBits = 5;  // a cell of this order spans 16 x 16 samples of a plane with 512
 
 // A copy of each loop for each instruction set, for 8 features, which is usual, and for any number.
@@ -50,6 +51,10 @@ Loops loops_for(const Query& query) {
     return usual ? loops_baseline_8 : loops_baseline_any;
 }
 
+std::size_t bytes_of(const Query& query, int k) {
+    return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features * sizeof(float);
+}
+
 // The coordinate's cell on a grid of 2^kCellBits over [-1, 1].
 std::uint32_t cell_of(float coordinate) {
     return static_cast<std::uint32_t>(between(coordinate, (1 << kCellBits) + 1).low);
@@ -78,11 +83,15 @@ class Planned {
             across_.push_back(axis_of({query.planes[k].across, query.planes[k].columns}));
             down_.push_back(axis_of({query.planes[k].down, query.planes[k].rows}));
         }
+        for (int k = 0; k < query.plane_count; ++k) {
+            if (bytes_of(query, k) > kCachedBytes) large_.push_back(k);
+        }
         const std::size_t room = axes_.size() * kRun;
         low_ = Buffer<int>(workers * room);
         share_ = Buffer<float>(workers * room);
         slope_ = Buffer<float>(workers * room);
-        plan_ = {&query, axes_.data(), static_cast<int>(axes_.size()), across_.data(), down_.data(), order_.data()};
+        plan_ = {&query,       axes_.data(),  static_cast<int>(axes_.size()),  across_.data(),
+                 down_.data(), large_.data(), static_cast<int>(large_.size()), order_.data()};
     }
 
     const Plan& plan() const { return plan_; }
@@ -102,7 +111,7 @@ class Planned {
     }
 
     std::vector<Axis> axes_;
-    std::vector<int> across_, down_;
+    std::vector<int> across_, down_, large_;
     Buffer<std::uint32_t> order_;
     Buffer<int> low_;
     Buffer<float> share_, slope_;
@@ -123,10 +132,6 @@ void for_all_runs(const Query& query, Team& team, const Work& work) {
         for_runs(begin, std::min(query.count, begin + kPointsPerTask),
                  [&](std::size_t from, int count) { work(from, count, worker); });
     });
-}
-
-std::size_t size_of(const Query& query, int k) {
-    return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features;
 }
 
 }  // namespace
@@ -151,8 +156,8 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;
         for (int k = first; k < last; ++k) {
-            prefer_huge_pages(grad_planes[k], size_of(query, k) * sizeof(float));
-            std::memset(grad_planes[k], 0, size_of(query, k) * sizeof(float));
+            prefer_huge_pages(grad_planes[k], bytes_of(query, k));
+            std::memset(grad_planes[k], 0, bytes_of(query, k));
         }
         for_runs(0, query.count, [&](std::size_t begin, int count) {
             loops.scatter(planned.plan(), begin, count, planned.places(worker), first, last, gradient, grad_planes);

@@ -32,11 +32,10 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[3].value), 24));
     _mm512_storeu_si512(to, packed);
 }
-inline __m256 halved(Lanes a) {
-    return _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
-}
-inline __m256 halved_by_max(Lanes a) {
-    return _mm256_max_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
+// Lane i with i + 8, then i + 4.
+inline __m128 quartered(Lanes a) {
+    const __m256 half = _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
+    return _mm_add_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps(half, 1));
 }
 
 #else
@@ -131,9 +130,18 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
 
 #undef FOURD_PER_PART
 
+#if defined(__AVX__)
+inline __m128 quartered(Lanes a) {
+    const __m256 half = (__m256)(a.part[0] + a.part[1]);
+    return _mm_add_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps(half, 1));
+}
+#elif defined(__SSE2__)
+inline __m128 quartered(Lanes a) { return (__m128)((a.part[0] + a.part[2]) + (a.part[1] + a.part[3])); }
 #endif
 
-// The sum and the largest of the sixteen: lane i with i + 8, then i + 4, i + 2, i + 1.
+#endif
+
+// The sum of the sixteen: lane i with i + 8, then i + 4, i + 2, i + 1.
 inline float sum(Lanes a) {
     float v[16];
     store(v, a);
@@ -142,6 +150,23 @@ inline float sum(Lanes a) {
     }
     return v[0];
 }
+
+// The same of some Lanes, four at a time.
+inline void store_sums(const Lanes* from, int count, float* to) {
+    int k = 0;
+#if defined(__SSE2__)
+    for (; k + 4 <= count; k += 4) {
+        const __m128 a = quartered(from[k]), b = quartered(from[k + 1]);
+        const __m128 c = quartered(from[k + 2]), d = quartered(from[k + 3]);
+        const __m128 ab = _mm_add_ps(_mm_unpacklo_ps(a, b), _mm_unpackhi_ps(a, b));
+        const __m128 cd = _mm_add_ps(_mm_unpacklo_ps(c, d), _mm_unpackhi_ps(c, d));
+        _mm_storeu_ps(to + k, _mm_add_ps(_mm_movelh_ps(ab, cd), _mm_movehl_ps(cd, ab)));
+    }
+#endif
+    for (; k < count; ++k) to[k] = sum(from[k]);
+}
+
+// The largest of the sixteen.
 inline float largest(Lanes a) {
     float v[16];
     store(v, a);

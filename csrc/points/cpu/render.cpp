@@ -29,15 +29,17 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-// Sums a point's slots in order and carries them to the point.
-void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& space,
-                     std::size_t point, const CloudGradient& out) {
-    const std::size_t channels = static_cast<std::size_t>(cloud.channels), width = 5 + channels;
-    float total[5 + 32] = {};
+// Sums a point's slots in order and carries them to the point. Channels is their number, or 0 for what the cloud says.
+template <int Channels>
+void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& space, std::size_t point,
+                     const CloudGradient& out) {
+    const std::size_t channels = static_cast<std::size_t>(Channels > 0 ? Channels : cloud.channels);
+    const std::size_t width = 5 + channels;
+    float total[5 + (Channels > 0 ? Channels : 32)] = {};
     for (std::size_t slot = space.slots[point]; slot < space.slots[point + 1]; ++slot) {
         for (std::size_t k = 0; k < width; ++k) total[k] += space.sums[slot * width + k];
     }
-    std::memcpy(out.features + point * channels, total + 5, channels * sizeof(float));
+    for (std::size_t c = 0; c < channels; ++c) out.features[point * channels + c] = total[5 + c];
     if (space.slots[point] == space.slots[point + 1]) {
         std::fill_n(out.xyz + 3 * point, 3, 0.0f);
         out.radius[point] = out.density[point] = 0.0f;
@@ -137,9 +139,6 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
         const Tile tile = space.tile(cloud, settings, index);
         Workspace::Scratch& scratch = space.scratches[worker];
         space.slots_of_tile(tile, scratch.slots);
-        for (std::size_t entry = 0; entry < tile.count; ++entry) {
-            std::fill_n(space.sums.data() + scratch.slots[entry] * width, width, 0.0f);
-        }
         const std::size_t visits = count_visits(tile);
         scratch.transmittance.require(16 * visits);
         scratch.tags.require(visits);
@@ -147,7 +146,10 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
                                 scratch.slots.data(), space.sums.data());
     });
     for_points(cloud.count, team, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t point = begin; point < end; ++point) gather_gradient(cloud, settings, space, point, out);
+        const auto gather = cloud.channels == 3   ? gather_gradient<3>
+                            : cloud.channels == 4 ? gather_gradient<4>
+                                                  : gather_gradient<0>;
+        for (std::size_t point = begin; point < end; ++point) gather(cloud, settings, space, point, out);
     });
 }
 

@@ -61,7 +61,7 @@ struct TileKernels {
     // Three channels over a background, as bytes.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // sums: by slot, one SplatGradient and the features' gradient (5 + channels floats), zero before.
+    // sums: by slot, one SplatGradient and the features' gradient (5 + channels floats).
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 
