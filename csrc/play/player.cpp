@@ -51,7 +51,7 @@ void Player::shade_visible(const Frame& frame, const shade::Settings& shading, s
     for (std::size_t first = begin; first < end; first += kStretch) {
         const std::size_t last = std::min(end, first + kStretch);
         std::size_t tiles = 0;
-        for (std::size_t i = first; i < last; ++i) tiles += space_.bins.reach(i).count();
+        for (std::size_t i = first; i < last; ++i) tiles += points::tile_count(space_.bins.reach(i));
         if (tiles > 0) shade::shade_some(frame.points, shading, first, last, colour_.data());
     }
 }

@@ -35,6 +35,25 @@ struct alignas(16) Splat {
     std::uint16_t left, right, top, bottom;  // blocks of kBlock x kBlock pixels that can hold a hit, within the image
 };
 
+// The tiles that a point reaches, the last ones included; none where right is left of left.
+struct Reach {
+    std::uint16_t left, right, top, bottom;
+};
+
+FOURD_HD static inline Reach reach_of(const Splat& splat) {
+    constexpr int blocks = kTile / kBlock;
+    return {static_cast<std::uint16_t>(splat.left / blocks), static_cast<std::uint16_t>(splat.right / blocks),
+            static_cast<std::uint16_t>(splat.top / blocks), static_cast<std::uint16_t>(splat.bottom / blocks)};
+}
+
+FOURD_HD static inline std::uint64_t tiles_across(const Reach& reach) {
+    return static_cast<std::uint64_t>(reach.right - reach.left + 1);
+}
+
+FOURD_HD static inline std::uint64_t tile_count(const Reach& reach) {
+    return tiles_across(reach) * static_cast<std::uint64_t>(reach.bottom - reach.top + 1);
+}
+
 // Gradients of a point's pixels, summed: of alpha times (dx, dy, distance^2, falloff), and of depth.
 struct SplatGradient {
     float dx, dy, square, falloff, z;

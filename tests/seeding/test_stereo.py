@@ -246,6 +246,20 @@ def test_points_lie_evenly() -> None:
     assert distances[:, 1].max() < 1.6 * distances[:, 1].min()
 
 
+def test_another_camera_finds_no_gaps_in_a_floor() -> None:
+    """Catches a floor that is covered for the low camera that saw it alone: one that stands higher looks between."""
+    low, high = (
+        look_at(np.array([0, -4.0, z]), np.array([0, 4.0, 0]), np.array([0, 0, 1.0]), INTRINSICS, WIDTH, HEIGHT)
+        for z in (0.6, 1.0)
+    )
+    places = thinned([surface_of(low, np.ones(48 * 36, bool))], WHOLE, 600)[0]
+    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1.5, 1.5, 60), np.linspace(0, 5, 100)))
+    asked, _ = high.project(np.column_stack([x, y, np.zeros_like(x)]))
+    pixels, _ = high.project(places.xyz)
+    side = np.sqrt(WIDTH * HEIGHT / 2 / 600)
+    assert KDTree(pixels).query(asked)[0].max() < 1.5 * side
+
+
 def test_another_camera_finds_no_long_gaps_in_a_floor() -> None:
     """Catches rows on a floor that are far apart, as the low camera that saw it shows them side by side."""
     target, up = np.array([0, 4.0, 0]), np.array([0, 0, 1.0])

@@ -120,8 +120,9 @@ def test_what_a_wall_hides_goes_and_a_floor_stays(run: Run) -> None:
     background = load_run(run.folder).renderer.background
     assert background is not None
     around = background.points
-    x, y = torch.meshgrid(torch.arange(-1.5, 1.5, 0.1), torch.arange(-1.5, 1.5, 0.1), indexing="ij")
-    floor = torch.stack([x, y, torch.full_like(x, -0.3)], -1).reshape(-1, 3)
+    x, y = torch.meshgrid(torch.arange(-3, 3, 0.1), torch.arange(-3, 3, 0.1), indexing="ij")
+    # Cameras stand 0.4 above it and more: closer than a disc's radius, one disc hides all others.
+    floor = torch.stack([x, y, torch.full_like(x, -0.6)], -1).reshape(-1, 3)
     beyond = 1.8 * around.xyz[:200]
     xyz = torch.cat([around.xyz, floor, beyond])
     spacing = torch.cat([around.spacing, torch.full((len(floor),), 0.1), torch.full((200,), 0.01)])

@@ -67,7 +67,7 @@ std::size_t Workspace::assign_slots(std::size_t count) {
     std::size_t total = 0;
     for (std::size_t point = 0; point < count; ++point) {
         slots[point] = total;
-        total += bins.reach(point).count();
+        total += tile_count(bins.reach(point));
     }
     slots[count] = total;
     return total;
@@ -77,7 +77,9 @@ void Workspace::slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const 
     out.require(tile.count);
     for (std::size_t entry = 0; entry < tile.count; ++entry) {
         const std::uint32_t point = tile.entries[entry];
-        out[entry] = slots[point] + bins.reach(point).place(tile.column / kTile, tile.row / kTile);
+        const Reach& reach = bins.reach(point);
+        const std::size_t column = tile.column / kTile - reach.left, row = tile.row / kTile - reach.top;
+        out[entry] = slots[point] + row * tiles_across(reach) + column;
     }
 }
 

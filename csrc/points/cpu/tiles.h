@@ -17,18 +17,6 @@ struct Item {
     std::uint32_t point;
 };
 
-// The tiles that a point reaches, the last ones included; none of a point that is not visible.
-struct Reach {
-    std::uint16_t left, right, top, bottom;
-
-    std::size_t across() const { return static_cast<std::size_t>(right - left + 1); }
-    std::size_t count() const { return across() * static_cast<std::size_t>(bottom - top + 1); }
-    // Which of them a tile is, counted row by row.
-    std::size_t place(int column, int row) const {
-        return static_cast<std::size_t>(row - top) * across() + static_cast<std::size_t>(column - left);
-    }
-};
-
 struct Tile {
     const Splat* splats;           // by point
     const float* features;         // by point, channels each

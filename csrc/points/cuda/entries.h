@@ -20,19 +20,6 @@ struct Tiles {
 
 inline Tiles tiles_of(int width, int height) { return {(width + kTile - 1) / kTile, (height + kTile - 1) / kTile}; }
 
-// The tiles that a splat reaches.
-struct Reach {
-    int left, top, columns, rows;
-
-    FOURD_DEVICE std::uint64_t count() const { return static_cast<std::uint64_t>(columns) * rows; }
-};
-
-FOURD_DEVICE static inline Reach reach_of(const Splat& splat) {
-    constexpr int blocks = kTile / kBlock;
-    const int left = splat.left / blocks, top = splat.top / blocks;
-    return {left, top, splat.right / blocks - left + 1, splat.bottom / blocks - top + 1};
-}
-
 // The arrays of the workspace. A point's rank is its place by depth, ties by index; culled points come last.
 struct Entries {
     std::size_t count;      // of points
@@ -124,7 +111,7 @@ struct RankPoint {
         }
         const Splat splat = to.by_point[to.points[rank]];
         to.splats[rank] = splat;
-        to.reach[rank] = to.depths[rank] == kCulled ? 0 : reach_of(splat).count();
+        to.reach[rank] = to.depths[rank] == kCulled ? 0 : tile_count(reach_of(splat));
     }
 };
 
@@ -140,8 +127,9 @@ struct EmitEntry {
             rank = static_cast<std::uint32_t>(lower_bound(to.begin, to.count + 1, std::uint64_t{entry} + 1) - 1);
             const Reach reach = reach_of(to.splats[rank]);
             const std::uint64_t place = entry - to.begin[rank];
-            const int row = reach.top + static_cast<int>(place / reach.columns);
-            const int column = reach.left + static_cast<int>(place % reach.columns);
+            const std::uint64_t across = tiles_across(reach);
+            const int row = reach.top + static_cast<int>(place / across);
+            const int column = reach.left + static_cast<int>(place % across);
             tile = static_cast<std::uint32_t>(row) * to.tiles.columns + column;
         }
         to.keys[entry] = tile;
