@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.text import Text
 
 Item = TypeVar("Item")
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 """Is told what was found, a line each."""
 
 LINE_SECONDS = 30.0
@@ -31,12 +31,12 @@ class Track(Protocol):
         """The same items, which are ``count``; ``what`` is done with them."""
 
 
-def untold(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
+def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
     """The items, without a bar."""
     return items
 
 
-def told_by(console: Console) -> Say:
+def console_log(console: Console) -> Log:
     """Prints lines as they are."""
 
     def told(line: str) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera, look_at
 from fourd.capture import write_calibration
-from fourd.raster.arrays import render_points_numpy
+from fourd.ops.points.arrays import render_points_numpy
 
 
 def ring_cameras(count: int, size: int) -> list[Camera]:

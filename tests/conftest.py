@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.kernels.gpu import cuda_missing
-from fourd.kernels.loading import native
+from fourd.ops.gpu import cuda_missing
+from fourd.ops.loading import native
 from tests.captures import write_ball_capture
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fourd.baking import open_scene
 from fourd.capture import open_capture
 from fourd.files import atomic_path
-from fourd.viewer.paths import orbit
+from fourd.viewer.navigation.paths import orbit
 
 ROOT = Path(__file__).parent.parent
 HEIGHT = 360

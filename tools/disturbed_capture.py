@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fourd.calibration.perturbation import disturbed, pose_errors
 from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, read_calibration, write_calibration
-from fourd.capture.disturbing import disturbed, pose_errors
 
 
 def make(capture: Path, out: Path, degrees: float, metres: float, seed: int) -> None:

@@ -33,8 +33,8 @@ if not fourd.__file__.startswith(os.getcwd()):
 if not has_gpu():
     sys.exit("gpu_check: expected a CUDA device and its kernels, found none")
 PYTHON
-tests=(tests/raster/test_gpu.py tests/model/test_plane_lookup.py tests/model/test_source_sampling.py
-  tests/seeding/test_hash_grid.py tests/baking/test_gpu_player.py)
+tests=(tests/ops/test_points_cuda.py tests/ops/test_planes.py tests/ops/test_sources.py
+  tests/ops/test_hashgrid.py tests/baking/test_gpu_player.py)
 if [ "${1:-}" = sanitize ]; then
   # One process under the tool at a time: torch's own allocations are pooled, so that only ours are judged by place.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 \
@@ -45,7 +45,7 @@ fi
 "$python" "$OLDPWD/tools/gpu_table.py"
 # OpenGL by EGL on the same card, where Python has what it takes.
 if "$python" -c "import moderngl, tyro, OpenGL, scipy" 2>/dev/null; then
-  "$python" -m pytest -q tests/viewer/test_renderers.py
+  "$python" -m pytest -q tests/viewer/rendering/test_renderers.py
   for size in "1920 1080" "3840 2160"; do "$python" "$OLDPWD/tools/viewer_table.py" --size $size; done
 else
   echo "gpu_check: without moderngl, tyro, PyOpenGL and scipy, OpenGL is neither tested nor timed"

@@ -22,12 +22,12 @@ from fourd.baking import BakedFrame, SceneManifest, open_scene
 from fourd.baking.shade import shade_reference
 from fourd.benchmarks.workloads import baked_figure, camera
 from fourd.cameras import Camera
-from fourd.raster.arrays import render_points_numpy
+from fourd.ops.points.arrays import render_points_numpy
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import driver, offscreen_context
-from fourd.viewer.look import Look, Shot
-from fourd.viewer.paths import fit
-from fourd.viewer.renderers import RENDERERS, Renderer, RendererName, make_renderer
+from fourd.viewer.navigation.paths import fit
+from fourd.viewer.rendering.display_settings import Look, Shot
+from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 
 LAYERS = (15, 12, 8)
 TURN = 1e-4  # radians between pictures: another camera each time, so that everything is done anew

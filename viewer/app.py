@@ -15,14 +15,14 @@ from rich.console import Console
 
 from fourd.errors import UserError
 from fourd.viewer import controls
-from fourd.viewer.flight import Flight, Recorder, Stop
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import driver
-from fourd.viewer.look import Look, Shot
+from fourd.viewer.navigation.recorded_path import Flight, Recorder, Stop
+from fourd.viewer.navigation.saved_views import RememberedViews, default_file
+from fourd.viewer.output.png import write_png
 from fourd.viewer.panel import draw_panel, draw_progress
-from fourd.viewer.png import write_png
-from fourd.viewer.remembered import RememberedViews, default_file
-from fourd.viewer.renderers import Chosen, Renderer, RendererName, choose, make_renderer
+from fourd.viewer.rendering.display_settings import Look, Shot
+from fourd.viewer.rendering.renderers import Chosen, Renderer, RendererName, choose, make_renderer
 from fourd.viewer.session import OpenScene, Session
 from fourd.viewer.timings import Timings
 from fourd.viewer.window import Window
@@ -137,7 +137,7 @@ class App:
         """Write the recorded path as an MP4 of the window's size."""
         if self.flight is None or self.session.scene is None:
             return
-        from fourd.viewer.video import write_video
+        from fourd.viewer.output.video import write_video
 
         path, flight = free_name(self.session.scene.path.stem, ".mp4"), self.flight
         self._stop = False

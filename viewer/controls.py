@@ -6,7 +6,7 @@ import math
 
 from imgui_bundle import imgui
 
-from fourd.viewer.pose import Pose
+from fourd.viewer.navigation.pose import Pose
 from fourd.viewer.session import Session
 
 HELP = (

@@ -14,15 +14,15 @@ from rich.progress import track
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.viewer.flight import load_flight
-from fourd.viewer.look import Look, Shot
-from fourd.viewer.paths import PathKind, camera_path, fit
-from fourd.viewer.png import write_png
-from fourd.viewer.renderers import RendererName
+from fourd.viewer.navigation.paths import PathKind, camera_path, fit
+from fourd.viewer.navigation.recorded_path import load_flight
+from fourd.viewer.output.png import write_png
+from fourd.viewer.output.video import write_video
+from fourd.viewer.playback.sources import open_source
+from fourd.viewer.rendering.display_settings import Look, Shot
+from fourd.viewer.rendering.offscreen import Studio
+from fourd.viewer.rendering.renderers import RendererName
 from fourd.viewer.session import OpenScene
-from fourd.viewer.sources import open_source
-from fourd.viewer.studio import Studio
-from fourd.viewer.video import write_video
 
 DEFAULT_SIZE = (1280, 720)
 LEAST_STEPS = 120

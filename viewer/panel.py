@@ -9,9 +9,9 @@ import numpy as np
 from imgui_bundle import imgui, implot
 
 from fourd.viewer.controls import HELP
-from fourd.viewer.look import LARGEST_SCALE, SMALLEST_SCALE
-from fourd.viewer.pose import NARROWEST, WIDEST
-from fourd.viewer.renderers import RENDERERS
+from fourd.viewer.navigation.pose import NARROWEST, WIDEST
+from fourd.viewer.rendering.display_settings import LARGEST_SCALE, SMALLEST_SCALE
+from fourd.viewer.rendering.renderers import RENDERERS
 from fourd.viewer.timings import PARTS
 
 if TYPE_CHECKING:

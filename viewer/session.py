@@ -12,12 +12,12 @@ import numpy as np
 from fourd.baking import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.viewer.look import Look, Shot
-from fourd.viewer.playback import Playback
-from fourd.viewer.pose import Pose, between, facing, pose_of
-from fourd.viewer.sources import RunSource, open_source
-from fourd.viewer.stream import RING_BYTES, FrameSource, FrameStream
-from fourd.viewer.up import estimate_up
+from fourd.viewer.navigation.pose import Pose, between, facing, pose_of
+from fourd.viewer.navigation.up_direction import estimate_up
+from fourd.viewer.playback.clock import Playback
+from fourd.viewer.playback.prefetch import RING_BYTES, FrameSource, FrameStream
+from fourd.viewer.playback.sources import RunSource, open_source
+from fourd.viewer.rendering.display_settings import Look, Shot
 
 GLIDE_SECONDS = 0.7
 _LOOK_EVERY = 1.0

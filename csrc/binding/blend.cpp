@@ -1,4 +1,4 @@
-// The blend MLP's Python face: fourd/model/blend_logits.py says what is computed.
+// The blend MLP's Python face: fourd/ops/blend/op.py says what is computed.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>

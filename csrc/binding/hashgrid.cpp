@@ -1,4 +1,4 @@
-// The hash grid's Python face: fourd/seeding/hash_grid.py says what is computed.
+// The hash grid's Python face: fourd/ops/hashgrid/op.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -50,7 +50,7 @@ void encode_backward(const PointsIn& coordinates, const RowsIn& table, const std
 void bind_hashgrid(nb::module_& module) {
     module.def("encode_hash_grid", &encode, nb::arg("coordinates"), nb::arg("table"), nb::arg("resolutions"),
                nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               "See fourd.seeding.hash_grid for what it computes.");
+               "See fourd.ops.hashgrid.op for what it computes.");
     module.def("encode_hash_grid_backward", &encode_backward, nb::arg("coordinates"), nb::arg("table"),
                nb::arg("resolutions"), nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"),
                nb::arg("gradient"), nb::arg("out_table").none(), nb::arg("out_coordinates").none());

@@ -1,5 +1,5 @@
 // The arguments of the hash grid's functions, checked and converted; on the CPU and on a GPU. Values are checked by
-// fourd/seeding/hash_grid.py, shapes here, since a wrong one would read past an array.
+// fourd/ops/hashgrid/op.py, shapes here, since a wrong one would read past an array.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -1,5 +1,5 @@
 // The arguments of K-Planes' functions, checked and converted; on the CPU and on a GPU. Values are checked by
-// fourd/model/plane_lookup.py, shapes here, since a wrong one would read past an array.
+// fourd/ops/planes/op.py, shapes here, since a wrong one would read past an array.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -1,4 +1,4 @@
-// K-Planes' Python face: fourd/model/plane_lookup.py says what is computed.
+// K-Planes' Python face: fourd/ops/planes/op.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -45,7 +45,7 @@ void sample_planes_backward(const Arguments::Coordinates& coordinates, const std
 
 void bind_planes(nb::module_& module) {
     module.def("sample_planes", &sample_planes, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
-               nb::arg("threads"), nb::arg("simd"), nb::arg("out"), "See fourd.model.plane_lookup for what it computes.");
+               nb::arg("threads"), nb::arg("simd"), nb::arg("out"), "See fourd.ops.planes.op for what it computes.");
     module.def("sample_planes_backward", &sample_planes_backward, nb::arg("coordinates"), nb::arg("planes"),
                nb::arg("axes"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("out_planes"),
                nb::arg("out_coordinates").none());

@@ -1,5 +1,5 @@
 // The arguments of the point renderer's functions, checked and converted; on the CPU and on a GPU. Values are checked
-// by fourd/raster/validation.py, shapes here, since a wrong one would read past an array.
+// by fourd/ops/points/validation.py, shapes here, since a wrong one would read past an array.
 #pragma once
 
 #include <nanobind/nanobind.h>

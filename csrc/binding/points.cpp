@@ -1,4 +1,4 @@
-// The point renderer's Python face: fourd/raster/native.py says what is computed.
+// The point renderer's Python face: fourd/ops/points/op.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

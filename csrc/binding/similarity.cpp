@@ -1,4 +1,4 @@
-// Structural similarity's Python face: fourd/training/similarity.py says what is computed.
+// Structural similarity's Python face: fourd/ops/similarity/op.py says what is computed.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>

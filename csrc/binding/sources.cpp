@@ -1,4 +1,4 @@
-// Source views sampled on the CPU: fourd/model/source_sampling.py says what is computed.
+// Source views sampled on the CPU: fourd/ops/sources/op.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

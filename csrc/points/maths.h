@@ -1,5 +1,5 @@
 // The point renderer's maths, the same for every backend. The order of operations is a contract:
-// fourd/raster/reference.py computes the same float32 numbers, so that both agree on every hit.
+// fourd/ops/points/reference.py computes the same float32 numbers, so that both agree on every hit.
 //
 // Everything here is static: these functions are compiled once per instruction set, and the
 // linker must not merge a version that needs AVX-512 into code that runs everywhere.

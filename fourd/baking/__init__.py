@@ -1,7 +1,7 @@
 """Baked scenes: the `.4dv` file, and rendering it without torch and without the model."""
 
+from fourd.baking.combine import joined
 from fourd.baking.container import SceneReader, SceneWriter
-from fourd.baking.joining import joined
 from fourd.baking.rendering import RenderedImage, Scene, open_scene
 from fourd.baking.scene import BakedFrame, SceneBackground, SceneManifest
 from fourd.baking.shade import shade, shade_reference

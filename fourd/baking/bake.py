@@ -21,8 +21,8 @@ from fourd.model import PointModel
 from fourd.model.appearance import with_say
 from fourd.model.point_model import PointFeatures
 from fourd.model.sources import HIDDEN_SPACINGS, SourceViews, sample_sources
-from fourd.training.frames import FramePoints
 from fourd.training.parts import NEAR
+from fourd.training.points.frame_store import FramePoints
 from fourd.training.run import Run, TrainedRun
 from fourd.training.step import with_depth
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.joining import joined
+from fourd.baking.combine import joined
 from fourd.baking.manifest import ManifestError, NewerVersionError, manifest_from_json, manifest_to_json
 from fourd.baking.scene import (
     ATTRIBUTES,

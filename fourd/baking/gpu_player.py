@@ -14,8 +14,8 @@ from fourd.baking.player import HIDDEN
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import shading_arguments
 from fourd.cameras import Camera
-from fourd.kernels.gpu import gpu_of
-from fourd.raster.validation import camera_numbers, check_points
+from fourd.ops.gpu import gpu_of
+from fourd.ops.points.validation import camera_numbers, check_points
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import shading_arguments
 from fourd.cameras import Camera
-from fourd.kernels.loading import native, simd_name, thread_count
-from fourd.raster.validation import camera_numbers, check_points
+from fourd.ops.loading import native, simd_name, thread_count
+from fourd.ops.points.validation import camera_numbers, check_points
 
 HIDDEN = 1e-3
 """Light below a quarter of a byte's step: what lies behind it cannot be seen."""

@@ -15,7 +15,7 @@ from fourd.baking.container import SceneReader
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import shade
 from fourd.cameras import Camera
-from fourd.raster.arrays import render_points_numpy
+from fourd.ops.points.arrays import render_points_numpy
 
 CACHE_BYTES = 256 << 20
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera, nearest_views
-from fourd.kernels.loading import simd_name, thread_count
+from fourd.ops.loading import simd_name, thread_count
 
 _CHUNK = 1 << 15
 Floats64 = NDArray[np.float64]

@@ -15,11 +15,11 @@ from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
 from fourd.benchmarks.workloads import baked_figure, camera, figure, planes
 from fourd.cameras import Camera
-from fourd.model.plane_lookup import sample_planes, sample_planes_reference
 from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
+from fourd.ops.planes.op import sample_planes, sample_planes_reference
+from fourd.ops.similarity.op import similarity
 from fourd.raster import render_points
-from fourd.training.metrics import ssim
-from fourd.training.similarity import similarity
+from fourd.training.evaluation.metrics import ssim
 
 CPU = torch.device("cpu")
 Lookup = Callable[[Tensor, list[Tensor], list[int]], Tensor]

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import torch
 
-from fourd.kernels.gpu import cuda_missing
-from fourd.kernels.loading import native, simd_name, thread_count
+from fourd.ops.gpu import cuda_missing
+from fourd.ops.loading import native, simd_name, thread_count
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from rich.console import Console
 
 from fourd.benchmarks.timing import Work
-from fourd.capture.synth import make_synthetic
+from fourd.synth import make_synthetic
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.memory import keep_freed_memory

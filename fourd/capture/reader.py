@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, read_calibration
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
+from fourd.capture.frame_sources import FrameSource, Picture, PictureSource, VideoSource
 from fourd.capture.layout import (
     MATTES,
     VIDEOS,
@@ -28,7 +29,6 @@ from fourd.capture.layout import (
     pictures,
     videos_in,
 )
-from fourd.capture.sources import FrameSource, Picture, PictureSource, VideoSource
 from fourd.capture.video import VideoReader
 from fourd.capture.video_list import Video, common_frames, list_videos
 from fourd.errors import UserError

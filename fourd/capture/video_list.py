@@ -45,7 +45,7 @@ class Video:
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
     """The videos of ``capture``/videos by camera, as videos.json or else .fourd/videos.json has them.
 
-    Those that both lack are indexed now; :func:`fourd.capture.indexing.index_capture` keeps that.
+    Those that both lack are indexed now; :func:`fourd.capture.video_index.index_capture` keeps that.
 
     Args:
         capture: the capture's folder.

@@ -12,23 +12,22 @@ from rich.console import Console
 from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
 
-COMMANDS = (
-    "make",
-    "import",
-    "synth",
-    "check",
-    "matte",
-    "carve",
-    "train",
-    "eval",
-    "export",
-    "render",
-    "view",
-    "bench",
-    "info",
-)
-MODULES = {"import": "import_"}
-"""Where a command's file cannot have its name."""
+COMMANDS = {
+    "make": "runs.make",
+    "import": "captures.import_",
+    "synth": "captures.synth",
+    "check": "captures.check",
+    "matte": "captures.matte",
+    "carve": "captures.carve",
+    "train": "runs.train",
+    "eval": "runs.eval",
+    "export": "runs.export",
+    "render": "scenes.render",
+    "view": "scenes.view",
+    "bench": "scenes.bench",
+    "info": "scenes.info",
+}
+"""Each command's module below :mod:`fourd.cli`."""
 
 USERS_DISK = (
     errno.ENOSPC,
@@ -111,7 +110,7 @@ def _run(command: str, words: list[str]) -> int:
         near = difflib.get_close_matches(command, COMMANDS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "see fourd --help"
         raise UserError(f"expected a command among {', '.join(COMMANDS)}, got '{command}'; {hint}")
-    module = importlib.import_module(f"fourd.cli.{MODULES.get(command, command)}")
+    module = importlib.import_module(f"fourd.cli.{COMMANDS[command]}")
     with one_line_of_usage():
         arguments = tyro.cli(
             module.Arguments,

@@ -21,8 +21,8 @@ from fourd.capture import Capture
 from fourd.capture.layout import MATTES, evenly_spread
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.selection import Selection
+from fourd.parallel import spread
 from fourd.progress import Track
-from fourd.spreading import spread
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]

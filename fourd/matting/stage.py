@@ -18,15 +18,15 @@ from fourd.capture import Capture
 from fourd.capture.layout import MATTES, evenly_spread
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
-from fourd.matting.by_motion import fine_background, matting_cameras
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, given_screen
+from fourd.matting.motion.mattes import fine_background, matting_cameras
+from fourd.matting.motion.sampling import take_sample
+from fourd.matting.motion.saved_model import load_matter, save_subject
+from fourd.matting.motion.subject import learn_subject
 from fourd.matting.rvm import load_rvm
-from fourd.matting.sampling import take_sample
-from fourd.matting.saved import load_matter, save_subject
 from fourd.matting.selection import Selection
-from fourd.matting.subject import learn_subject
+from fourd.parallel import blocks, spread
 from fourd.progress import Track
-from fourd.spreading import blocks, spread
 
 Picture = NDArray[np.uint8]
 

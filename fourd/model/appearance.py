@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from fourd.model.blend_logits import LOGIT_RANGE, blend_logits
 from fourd.model.config import ModelConfig
-from fourd.model.harmonics import SH_TERMS, sh_basis
+from fourd.model.spherical_harmonics import SH_TERMS, sh_basis
+from fourd.ops.blend.op import LOGIT_RANGE, blend_logits
 
 LEAST_TRUST = 1e-3
 """A view that is trusted less at a point has no say there. Bounds the ratio of weights that float16 has to hold."""

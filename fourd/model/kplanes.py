@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from fourd.model.config import PlanesConfig
-from fourd.model.plane_lookup import sample_planes
+from fourd.ops.planes.op import sample_planes
 
 SPACE_PAIRS = ((0, 1), (0, 2), (1, 2))
 TIME_PAIRS = ((0, 3), (1, 3), (2, 3))

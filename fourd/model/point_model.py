@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from fourd.background.contraction import LIMIT, Contraction
 from fourd.cameras import Camera
 from fourd.model.appearance import BlendHead, HarmonicsHead, ImageEncoder, blend, harmonics_colour
 from fourd.model.config import ModelConfig, PlanesConfig
@@ -16,7 +17,6 @@ from fourd.model.kplanes import KPlanes
 from fourd.model.shadow import Shadow, ShadowField
 from fourd.model.shared_linear import shared_linear
 from fourd.model.sources import HIDDEN_SPACINGS, SourceSamples, SourceViews, sample_sources
-from fourd.seeding.contraction import LIMIT, Contraction
 
 RGB = 3
 

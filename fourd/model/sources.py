@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.cameras import Camera
-from fourd.kernels.gpu import cuda_missing
-from fourd.model.source_sampling import MOST_VIEWS_GPU, sample
-from fourd.raster.validation import camera_numbers
+from fourd.ops.gpu import cuda_missing
+from fourd.ops.points.validation import camera_numbers
+from fourd.ops.sources.op import MOST_VIEWS_GPU, sample
 
 HIDDEN_SPACINGS = 1.0
 """A hidden point loses its say over so many distances to its neighbours, once it is twice as far behind."""

@@ -1,7 +1,7 @@
 """Differentiable renderers. Points first: :func:`render_points` and :func:`point_visibility`.
 
 torch is loaded when one of this package's names is first used, not on import, so that
-:mod:`fourd.raster.arrays` serves programs that have no use for torch.
+:mod:`fourd.ops.points.arrays` serves programs that have no use for torch.
 """
 
 from __future__ import annotations

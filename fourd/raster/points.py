@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
-from fourd.kernels.gpu import cuda_missing
-from fourd.raster.validation import camera_numbers, check_background, check_points
+from fourd.ops.gpu import cuda_missing
+from fourd.ops.points.validation import camera_numbers, check_background, check_points
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]
 
@@ -82,11 +82,11 @@ def render_points(
     if background is not None:
         check_background(background, camera, features.shape[1])
     if chosen == "reference":
-        from fourd.raster.reference import render_points_reference
+        from fourd.ops.points.reference import render_points_reference
 
         image = render_points_reference(xyz, features, radius, density, camera, layers, near)
     else:
-        from fourd.raster import native
+        from fourd.ops.points import op as native
 
         numbers = camera_numbers(camera)
         size = (camera.width, camera.height)
@@ -118,10 +118,10 @@ def point_visibility(
     """
     chosen = _check({"xyz": xyz, "radius": radius, "density": density}, camera, layers, near, backend)
     if chosen == "reference":
-        from fourd.raster.reference import point_visibility_reference
+        from fourd.ops.points.reference import point_visibility_reference
 
         return point_visibility_reference(xyz, radius, density, camera, layers, near)
-    from fourd.raster import native
+    from fourd.ops.points import op as native
 
     size = (camera.width, camera.height)
     return native.visibility(xyz, radius, density, camera_numbers(camera), *size, layers, near, threads)

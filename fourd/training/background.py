@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from torch import Tensor
 
+from fourd.background.contraction import Contraction
+from fourd.background.plates import PlateView
 from fourd.cameras import Camera
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews
-from fourd.raster.arrays import render_points_numpy
-from fourd.seeding.contraction import Contraction
-from fourd.seeding.order import morton_order
-from fourd.seeding.plates import PlateView
-from fourd.seeding.ply import CarvedPoints
+from fourd.morton import morton_order
+from fourd.ops.points.arrays import render_points_numpy
+from fourd.ply import CarvedPoints
+from fourd.training.cameras.rig import Rig
 from fourd.training.config import TrainConfig
-from fourd.training.frames import FramePoints
 from fourd.training.parts import NEAR
-from fourd.training.rig import Rig
-from fourd.training.spacing import spacings
+from fourd.training.points.frame_store import FramePoints
+from fourd.training.points.spacing import spacings
 
 STEP_PX = 32
 KEPT_STEPS = 100

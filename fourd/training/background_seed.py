@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from fourd.background.from_stereo import triangulated
+from fourd.background.plates import PlateView, has_plate, read_plates
+from fourd.background.radiance.from_radiance import field_points
+from fourd.background.shell import gaze_centre, seen_share, surroundings
+from fourd.background.stillness import restless
 from fourd.capture import Capture
 from fourd.errors import UserError
 from fourd.matting.plates import FOLDER, make_plates
 from fourd.matting.selection import Selection
-from fourd.progress import Say, Track
-from fourd.seeding import CarvedPoints, read_ply, write_ply
-from fourd.seeding.plates import PlateView, has_plate, read_plates
-from fourd.seeding.radiance.points import field_points
-from fourd.seeding.stillness import restless
-from fourd.seeding.surroundings import gaze_centre, seen_share, surroundings
-from fourd.seeding.triangulation import triangulated
+from fourd.ply import CarvedPoints, read_ply, write_ply
+from fourd.progress import Log, Track
 from fourd.training.config import TrainConfig
 
 BACKGROUND = "background"
@@ -27,7 +27,7 @@ DECIDING = ("points", "seeding", "seeds", "radiance")
 
 
 def seed_background(
-    capture: Capture, training: list[int], folder: Path, train: TrainConfig, workers: int, track: Track, say: Say
+    capture: Capture, training: list[int], folder: Path, train: TrainConfig, workers: int, track: Track, log: Log
 ) -> None:
     """Write ``folder/background/points.ply`` from the training views' plates, which are made where there are none.
 
@@ -44,13 +44,13 @@ def seed_background(
     if train.background.seeds is not None:
         points = _brought(train.background.seeds, wanted, train.seed)
     else:
-        plates = run_plates(capture, training, folder, say)
-        _say_what_moves(restless(capture, training, plates), say)
-        points = _found(plates, train, workers, track, say)
+        plates = run_plates(capture, training, folder, log)
+        _say_what_moves(restless(capture, training, plates), log)
+        points = _found(plates, train, workers, track, log)
         cameras = [plate.camera for plate in plates]
         shell = surroundings(points, cameras, gaze_centre(cameras))
         share = seen_share(points, gaze_centre(cameras), cameras)
-        say(
+        log(
             f"surroundings: the plates show {share:.0%} of the directions about the scene; "
             f"{len(shell.xyz)} points stand for the rest, their colours continued from around"
         )
@@ -58,31 +58,31 @@ def seed_background(
     write_ply(target, points.xyz, points.rgb)
 
 
-def _say_what_moves(shares: dict[str, float], say: Say) -> None:
+def _say_what_moves(shares: dict[str, float], log: Log) -> None:
     if shares:
         worst = max(shares, key=lambda name: shares[name])
         others = f" (and {len(shares) - 1} more)" if len(shares) > 1 else ""
-        say(
+        log(
             f"background: up to {shares[worst]:.0%} of what camera '{worst}'{others} sees beside the subject changes "
             "over time; a static background keeps its mean, in which what moves is blurred: let the mattes hold it too"
         )
 
 
-def _found(plates: tuple[PlateView, ...], train: TrainConfig, workers: int, track: Track, say: Say) -> CarvedPoints:
+def _found(plates: tuple[PlateView, ...], train: TrainConfig, workers: int, track: Track, log: Log) -> CarvedPoints:
     """Points of what the plates show, in the way that the config asks for."""
     wanted, seed = train.background.points, train.seed
     if train.background.seeding == "sfm":
-        return triangulated(plates, wanted, seed=seed, workers=workers, say=say, track=track)
+        return triangulated(plates, wanted, seed=seed, workers=workers, log=log, track=track)
     radiance = train.background.radiance
-    return field_points(plates, wanted, radiance, seed=seed, workers=workers, say=say, track=track)
+    return field_points(plates, wanted, radiance, seed=seed, workers=workers, log=log, track=track)
 
 
 def run_plates(
-    capture: Capture, training: list[int], folder: Path, say: Say = lambda line: None
+    capture: Capture, training: list[int], folder: Path, log: Log = lambda line: None
 ) -> tuple[PlateView, ...]:
     """The plates of a run's training views: the run's own where it had to make them, else the capture's."""
     made = folder / BACKGROUND / PLATES
-    return read_plates(capture, training, say, made=made if made.exists() else capture.path / FOLDER)
+    return read_plates(capture, training, log, made=made if made.exists() else capture.path / FOLDER)
 
 
 def _brought(path: Path, wanted: int, seed: int) -> CarvedPoints:

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from fourd.background.radiance.config import RadianceConfig
 from fourd.model.config import ModelConfig, PlanesConfig, require
-from fourd.seeding.radiance.config import RadianceConfig
 
 
 @dataclass(frozen=True)

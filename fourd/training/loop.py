@@ -19,7 +19,7 @@ from safetensors.torch import save_file
 from fourd.errors import UserError
 from fourd.files import atomic_path
 from fourd.training.background_seed import BACKGROUND
-from fourd.training.calibration import write_corrected
+from fourd.training.cameras.calibration import write_corrected
 from fourd.training.checkpoints import (
     checkpoint_path,
     latest_checkpoint,
@@ -30,12 +30,12 @@ from fourd.training.checkpoints import (
     unpack_optimizer,
 )
 from fourd.training.config import TrainConfig
-from fourd.training.evaluate import judge
+from fourd.training.evaluation.render import Renderer
+from fourd.training.evaluation.scores import judge
 from fourd.training.log import MetricsLog
-from fourd.training.losses import ImageLoss
-from fourd.training.lpips import LPIPS
+from fourd.training.losses.image import ImageLoss
+from fourd.training.losses.lpips import LPIPS
 from fourd.training.memory import FULL_RESIDENT_BYTES, RESIDENT_BYTES, HeapTrimmer, keep_freed_memory
-from fourd.training.render import Renderer
 from fourd.training.run import Run, drop_stale_points, points_folder
 from fourd.training.schedule import Sampler, budget_spent, rate_factor
 from fourd.training.step import Stepper

@@ -12,7 +12,7 @@ from fourd.cameras import Camera
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews
 from fourd.raster import PointRender, point_visibility, render_points
-from fourd.training.frames import FramePoints
+from fourd.training.points.frame_store import FramePoints
 
 NEAR = 0.01
 

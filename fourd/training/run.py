@@ -16,26 +16,27 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 from scipy.spatial import cKDTree
 
+from fourd.background.contraction import Contraction, around_cameras
 from fourd.capture import Capture, open_capture
 from fourd.capture.layout import chosen_views
+from fourd.carving import Bounds, carve_capture
 from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
-from fourd.progress import Say, Track, untold
-from fourd.seeding import Bounds, carve_capture, read_ply, write_ply
-from fourd.seeding.contraction import Contraction, around_cameras
-from fourd.seeding.order import morton_order
+from fourd.morton import morton_order
+from fourd.ply import read_ply, write_ply
+from fourd.progress import Log, Track, untracked
 from fourd.training.background import Background, new_background
 from fourd.training.background_seed import BACKGROUND, POINTS, run_plates, seed_background
-from fourd.training.calibration import CALIBRATION, adjust_run, begun_with
+from fourd.training.cameras.calibration import CALIBRATION, adjust_run, begun_with
+from fourd.training.cameras.refinement import Refinement
+from fourd.training.cameras.rig import Rig
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
-from fourd.training.data import ViewStore
-from fourd.training.frames import FramePoints, FrameStore
-from fourd.training.refinement import Refinement
-from fourd.training.render import Renderer
-from fourd.training.rig import Rig
+from fourd.training.evaluation.render import Renderer
+from fourd.training.points.frame_store import FramePoints, FrameStore
+from fourd.training.views import ViewStore
 
 CONFIG_NAME = "config.yaml"
 STAGES = ("hull", BACKGROUND, CALIBRATION)
@@ -167,7 +168,9 @@ class TrainedRun:
     renderer: Renderer
 
 
-def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track = untold, workers: int = 1) -> Bounds:
+def carve_run(
+    capture_path: Path, folder: Path, train: TrainConfig, track: Track = untracked, workers: int = 1
+) -> Bounds:
     """Carve the training views of the selection into ``folder/hull``; goes on where an earlier call stopped.
 
     Held-out views are not carved from: they must not shape what they judge.
@@ -185,17 +188,17 @@ def carve_run(capture_path: Path, folder: Path, train: TrainConfig, track: Track
     return carve_capture(seeing, folder / "hull", points=train.points, track=track, workers=workers)
 
 
-def adjust_run_cameras(capture_path: Path, folder: Path, train: TrainConfig, track: Track, say: Say) -> None:
+def adjust_run_cameras(capture_path: Path, folder: Path, train: TrainConfig, track: Track, log: Log) -> None:
     """Where the config refines cameras, write those that the run begins with into ``folder/calibration/start``."""
     if train.refine.cameras:
         capture, training, _ = _open_views(capture_path, train)
-        adjust_run(capture, training, folder, train.refine, track, say)
+        adjust_run(capture, training, folder, train.refine, track, log)
 
 
-def seed_run(capture_path: Path, folder: Path, train: TrainConfig, workers: int, track: Track, say: Say) -> None:
+def seed_run(capture_path: Path, folder: Path, train: TrainConfig, workers: int, track: Track, log: Log) -> None:
     """Find the points of a full scene's background in ``folder/background``; goes on where an earlier call stopped."""
     capture, training, _ = _open_views(capture_path, train, folder)
-    seed_background(capture, training, folder, train, workers, track, say)
+    seed_background(capture, training, folder, train, workers, track, log)
 
 
 def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
@@ -222,28 +225,28 @@ def create_run(
     folder: Path,
     train: TrainConfig,
     points_from: Path | None = None,
-    track: Track = untold,
+    track: Track = untracked,
     workers: int = 1,
-    say: Say = lambda line: None,
+    log: Log = lambda line: None,
 ) -> Run:
     """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
 
     With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved; else ``workers``
     processes carve. A full scene's background is seeded too. A folder that holds these alone is taken over, as an
-    interrupted call leaves one. ``say`` is told what was found. Raises
+    interrupted call leaves one. ``log`` is told what was found. Raises
     UserError when ``folder`` exists and is not a run, or is a run already.
     """
     if (folder / CONFIG_NAME).exists():
         raise UserError(f"{folder}: expected a new folder, got a run; add --resume to go on with it, or name another")
     if folder.exists() and (not folder.is_dir() or any(entry.name not in STAGES for entry in folder.iterdir())):
         raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
-    adjust_run_cameras(capture_path, folder, train, track, say)
+    adjust_run_cameras(capture_path, folder, train, track, log)
     if points_from is None:
         bounds = carve_run(capture_path, folder, train, track, workers)
     else:
         bounds = adopt_points(points_from, capture_path, folder, train)
     if train.scene == "full":
-        seed_run(capture_path, folder, train, workers, track, say)
+        seed_run(capture_path, folder, train, workers, track, log)
     capture, _, _ = _open_views(capture_path, train, folder)
     first = read_ply(folder / "hull" / f"{capture.frame_numbers[0]:06d}.ply").xyz
     reach = around_cameras(capture.cameras, bounds.centre).radius

@@ -15,15 +15,15 @@ from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews, project_points
 from fourd.training.background import Background, surface_depth
-from fourd.training.closing import transparency, vantage
+from fourd.training.cameras.refinement import Refinement
 from fourd.training.config import TrainConfig
-from fourd.training.data import ViewStore
-from fourd.training.densify import densify, never_showed, note_gradients
-from fourd.training.frames import FramePoints
-from fourd.training.losses import ImageLoss
+from fourd.training.losses.background_opacity import transparency, vantage
+from fourd.training.losses.image import ImageLoss
 from fourd.training.parts import Part, composite, evaluate, rows_in_sight
-from fourd.training.refinement import Refinement
+from fourd.training.points.densification import densify, never_showed, note_gradients
+from fourd.training.points.frame_store import FramePoints
 from fourd.training.schedule import Choice
+from fourd.training.views import ViewStore
 
 BACKGROUND_SEED = 2**31
 """No frame has this number."""

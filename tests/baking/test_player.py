@@ -9,8 +9,8 @@ from fourd.baking.player import Player
 from fourd.baking.scene import ATTRIBUTES, BakedFrame
 from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
-from fourd.kernels.loading import native
-from fourd.raster.arrays import render_points_numpy
+from fourd.ops.loading import native
+from fourd.ops.points.arrays import render_points_numpy
 from tests.baking.scenes import manifest, random_frame, ring
 
 

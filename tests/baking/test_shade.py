@@ -10,7 +10,7 @@ import torch
 
 from fourd.baking.scene import BakedFrame
 from fourd.baking.shade import chosen_views, sh_basis, shade, shade_reference
-from fourd.model import harmonics
+from fourd.model import spherical_harmonics as harmonics
 from tests.baking.scenes import manifest, random_frame, ring
 
 

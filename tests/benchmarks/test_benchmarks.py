@@ -16,7 +16,7 @@ from fourd.benchmarks.report import Row, markdown, to_json
 from fourd.benchmarks.timing import Clock, Timing
 from fourd.benchmarks.workloads import baked_figure, camera, figure, planes
 from fourd.cli.main import main
-from fourd.model.plane_lookup import sample_planes
+from fourd.ops.planes.op import sample_planes
 
 
 def test_the_figure_is_a_closed_surface_in_the_middle_of_the_picture() -> None:

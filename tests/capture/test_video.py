@@ -10,13 +10,13 @@ import av
 import numpy as np
 import pytest
 
-from fourd.capture.indexing import index_capture
 from fourd.capture.layout import videos_in
 from fourd.capture.matroska import SEGMENT, missing_bytes
 from fourd.capture.video import VideoReader, index_video
+from fourd.capture.video_index import index_capture
 from fourd.capture.video_list import KEPT, NAME, Video, aligned, common_frames, list_videos, write_video_list
 from fourd.errors import UserError
-from fourd.progress import untold
+from fourd.progress import untracked
 from tests.capture.films import KEYFRAMES_EVERY, number_of, write_film
 
 KINDS = [("film.mp4", "libx264"), ("film.webm", "libvpx-vp9")]
@@ -206,17 +206,17 @@ def test_a_video_that_was_replaced_is_indexed_again(tmp_path: Path) -> None:
 def test_a_capture_without_a_list_is_indexed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches whole videos read again by each process that opens a capture which no import wrote."""
     paths = [write_film(tmp_path / "videos" / f"{name}.mp4") for name in "ab"]
-    index_capture(tmp_path, ["a"], untold)
+    index_capture(tmp_path, ["a"], untracked)
     indexed = []
     monkeypatch.setattr(
         "fourd.capture.video_list.index_video", lambda path: (indexed.append(path), index_video(path))[1]
     )
-    index_capture(tmp_path, None, untold)
+    index_capture(tmp_path, None, untracked)
     assert indexed == paths[1:]
     assert {name: video.index.frames for name, video in list_videos(tmp_path).items()} == {"a": 40, "b": 40}
     assert indexed == paths[1:]
     write_film(paths[0], range(35))
-    index_capture(tmp_path, None, untold)
+    index_capture(tmp_path, None, untracked)
     assert list_videos(tmp_path)["a"].index.frames == 35
     assert indexed == [paths[1], paths[0]]
     (tmp_path / KEPT).write_text("{")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fourd.cli.main import main
-from fourd.cli.train import Arguments, overlaid
+from fourd.cli.runs.train import Arguments, overlaid
 from fourd.errors import UserError
 
 

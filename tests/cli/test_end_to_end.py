@@ -15,7 +15,7 @@ from fourd.baking import BakedFrame, SceneReader, SceneWriter, open_scene
 from fourd.baking.scene import ATTRIBUTES
 from fourd.capture import open_capture
 from fourd.cli.main import main
-from fourd.seeding import write_ply
+from fourd.ply import write_ply
 from tests.captures import sphere
 
 OVERLAY = """\

@@ -13,12 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
+from fourd.calibration.image_sizes import size_hypotheses
+from fourd.calibration.principal_points import centre_hypotheses
 from fourd.capture import open_capture, read_calibration, write_calibration
-from fourd.capture.mirroring import centre_hypotheses
-from fourd.capture.resizing import size_hypotheses
 from fourd.cli.main import main
-from tests.capture.rooms import Room, room_cameras
-from tests.capture.test_importing import write_source
+from tests.calibration.rooms import Room, room_cameras
+from tests.importing.test_importer import write_source
 
 BALANCE = Path(__file__).parents[2].parent / "shared" / "captures" / "balance"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.matting.agreement import NOWHERE, Cells
+from fourd.matting.motion.agreement import NOWHERE, Cells
 from tests.captures import ring_cameras
 
 SIZE = 48

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.matting.background import Background, commonest
-from fourd.matting.colours import BINS, Colours
+from fourd.matting.motion.background_model import Background, commonest
+from fourd.matting.motion.colour_models import BINS, Colours
 
 
 def test_the_colour_of_most_weight_wins_though_few_frames_show_it(rng: np.random.Generator) -> None:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fourd.cameras import Camera
-from fourd.matting.colours import Colours
-from fourd.matting.learner import Learner
-from fourd.matting.sampling import CameraSample
-from fourd.matting.swept import MOVING, Swept
+from fourd.matting.motion.colour_models import Colours
+from fourd.matting.motion.learner import Learner
+from fourd.matting.motion.motion_extent import MOVING, Swept
+from fourd.matting.motion.sampling import CameraSample
 
 FRAMES, SIZE = 12, 64
 FOOT, INNER = np.s_[32:44, 28:40], np.s_[34:42, 30:38]

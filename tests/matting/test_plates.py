@@ -12,7 +12,7 @@ import pytest
 from fourd.capture import open_capture
 from fourd.matting.plates import FOLDER, clean_plate, make_plates
 from fourd.matting.selection import Selection
-from fourd.progress import untold
+from fourd.progress import untracked
 from tests.matting.captures import unmasked
 
 
@@ -58,12 +58,12 @@ def test_what_a_matte_missed_leaves_no_ghost(walked: Path, tmp_path: Path) -> No
 def test_plates_are_made_once_and_again_for_another_key(walked: Path) -> None:
     """Catches plates of an older input that are kept, and work that is done twice."""
     selection = Selection(walked)
-    assert make_plates(selection, "a", 1, untold) == 8
-    assert make_plates(selection, "a", 1, untold) == 0
-    assert make_plates(selection, "b", 1, untold) == 8
+    assert make_plates(selection, "a", 1, untracked) == 8
+    assert make_plates(selection, "a", 1, untracked) == 0
+    assert make_plates(selection, "b", 1, untracked) == 8
     matte = walked / "masks" / "03" / "000004.png"
     cv2.imwrite(str(matte), np.zeros((64, 64), np.uint8))
-    assert make_plates(selection, "b", 1, untold) == 1, "a matte was mended by hand"
+    assert make_plates(selection, "b", 1, untracked) == 1, "a matte was mended by hand"
     written = cv2.imread(str(walked / FOLDER / "00.png"), cv2.IMREAD_UNCHANGED)
     assert written.shape == (64, 64, 4)
     assert written[54, 54, 3] == 0

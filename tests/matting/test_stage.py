@@ -13,7 +13,7 @@ from fourd.capture import Capture, open_capture
 from fourd.errors import UserError
 from fourd.matting.selection import CACHE_FRAMES, Selection
 from fourd.matting.stage import LEARNED, MATTES, SHEET, MatteSettings, make_mattes
-from fourd.progress import untold
+from fourd.progress import untracked
 from tests.matting.captures import overlaps, unmasked
 
 
@@ -25,7 +25,7 @@ def contents(capture: Path) -> dict[str, bytes]:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ball capture with the mattes that fourd made. Not to be changed by tests."""
     capture = unmasked(tmp_path_factory.mktemp("made"), frames=6, size=96)
-    assert make_mattes(Selection(capture), MatteSettings(), 1, untold) == 6
+    assert make_mattes(Selection(capture), MatteSettings(), 1, untracked) == 6
     return capture
 
 
@@ -60,11 +60,11 @@ def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) 
     half = made / MATTES / "03" / ".unfinished-000005-killed.png"
     half.write_bytes(b"half")
     times = {path: path.stat().st_mtime_ns for path in made.glob(".fourd/mattes/*/[!.]*")}
-    assert make_mattes(Selection(made), MatteSettings(), 1, untold) == 1
+    assert make_mattes(Selection(made), MatteSettings(), 1, untracked) == 1
     assert not half.exists()
     assert contents(made) == before
     assert all(path.stat().st_mtime_ns == time for path, time in times.items())
-    assert make_mattes(Selection(made), MatteSettings(), 1, untold) == 0
+    assert make_mattes(Selection(made), MatteSettings(), 1, untracked) == 0
 
 
 @pytest.mark.slow
@@ -73,7 +73,7 @@ def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
     before = contents(made)
     for path in made.glob(".fourd/mattes/*/*"):
         path.unlink()
-    assert make_mattes(Selection(made), MatteSettings(), 2, untold) == 6
+    assert make_mattes(Selection(made), MatteSettings(), 2, untracked) == 6
     assert contents(made) == before
 
 
@@ -97,14 +97,14 @@ def test_a_capture_is_opened_once(made: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_other_settings_begin_anew(tmp_path: Path) -> None:
     """Catches mattes of an older seed or input beside new ones, and a sheet that shows them still."""
     capture = unmasked(tmp_path, frames=3, size=64)
-    assert make_mattes(Selection(capture), MatteSettings(), 1, untold) == 3
+    assert make_mattes(Selection(capture), MatteSettings(), 1, untracked) == 3
     assert (capture / ".fourd" / LEARNED).exists()
     (capture / SHEET).write_bytes(b"of these")
-    assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untold) == 3
+    assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untracked) == 3
     assert not (capture / SHEET).exists()
     picture = capture / "images" / "00" / "000001.png"
     picture.write_bytes(picture.read_bytes() + b"\0")
-    assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untold) == 3
+    assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untracked) == 3
 
 
 def test_a_capture_in_which_nothing_moves_is_told(tmp_path: Path) -> None:
@@ -115,7 +115,7 @@ def test_a_capture_in_which_nothing_moves_is_told(tmp_path: Path) -> None:
         for path in folder.iterdir():
             path.write_bytes(first)
     with pytest.raises(UserError, match=r"expected a subject that moves, got nothing that changes.*chroma"):
-        make_mattes(Selection(capture), MatteSettings(), 1, untold)
+        make_mattes(Selection(capture), MatteSettings(), 1, untracked)
 
 
 def test_views_that_disagree_on_where_are_told(tmp_path: Path, rng: np.random.Generator) -> None:
@@ -128,4 +128,4 @@ def test_views_that_disagree_on_where_are_told(tmp_path: Path, rng: np.random.Ge
             picture[corner : corner + 16, corner : corner + 16] = rng.integers(0, 255, (16, 16, 3))
             assert cv2.imwrite(str(path), picture)
     with pytest.raises(UserError, match=r"expected views that agree on where something moves, got none.*fourd check"):
-        make_mattes(Selection(capture), MatteSettings(), 1, untold)
+        make_mattes(Selection(capture), MatteSettings(), 1, untracked)

@@ -11,8 +11,8 @@ import torch
 from fourd.cameras import Camera, look_at
 from fourd.model import ModelConfig, PlanesConfig, PointModel
 from fourd.model.appearance import BlendHead, ImageEncoder, blend
-from fourd.model.harmonics import sh_basis
 from fourd.model.sources import SourceViews, project_points, sample_sources
+from fourd.model.spherical_harmonics import sh_basis
 
 SMALL = ModelConfig(planes=PlanesConfig(levels=2, features=4, base_resolution=8), hidden=16)
 INTRINSICS = np.array([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])

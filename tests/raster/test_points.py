@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
-from fourd.kernels.loading import native
+from fourd.ops.loading import native
+from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
 from fourd.raster import point_visibility, render_points
-from fourd.raster.arrays import point_visibility_numpy, render_points_numpy
 from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
 
 NEAR = 0.01
@@ -203,8 +203,8 @@ def test_visibility_equals_reference(rng: np.random.Generator) -> None:
 
 def test_custom_ops_keep_torch_s_rules(rng: np.random.Generator) -> None:
     """Catches an op that torch.compile or autograd would take wrongly: shapes, mutation, registration."""
-    from fourd.raster import native
-    from fourd.raster.validation import camera_numbers
+    from fourd.ops.points import op as native
+    from fourd.ops.points.validation import camera_numbers
 
     camera = turned_camera(20, 14)
     cloud = random_cloud(rng, 30, 3)

@@ -15,8 +15,8 @@ from fourd.cameras import look_at
 from fourd.errors import UserError
 from fourd.model.appearance import blend
 from fourd.training.background import KEPT_STEPS, hiding_depth, out_of_sight, surface_depth
-from fourd.training.frames import FramePoints
 from fourd.training.parts import Part, composite, rows_in_sight
+from fourd.training.points.frame_store import FramePoints
 from fourd.training.run import Run, create_run, load_run
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run

@@ -18,9 +18,9 @@ import torch
 from safetensors.torch import load_file
 
 from fourd.errors import UserError
-from fourd.seeding import read_ply, write_ply
+from fourd.ply import read_ply, write_ply
 from fourd.training.loop import Trainer
-from fourd.training.losses import ImageLoss
+from fourd.training.losses.image import ImageLoss
 from fourd.training.run import create_run, load_run, open_run
 from fourd.training.step import StepResult
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps

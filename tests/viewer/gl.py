@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from fourd.errors import UserError
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import offscreen_context
-from fourd.viewer.look import Shot
-from fourd.viewer.renderers import Renderer
+from fourd.viewer.rendering.display_settings import Shot
+from fourd.viewer.rendering.renderers import Renderer
 
 
 def contexts() -> Iterator[moderngl.Context]:

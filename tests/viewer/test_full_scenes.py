@@ -18,16 +18,16 @@ from fourd.cli.main import main
 from fourd.viewer.gl.arrays import ArrayTexture, UploadedFrame
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.discs import Discs
-from fourd.viewer.look import Look, Shot
-from fourd.viewer.orders import ExactOrders
-from fourd.viewer.renderers import RENDERERS, RendererName, make_renderer
+from fourd.viewer.playback.sources import open_source
+from fourd.viewer.rendering.depth_order import ExactOrders
+from fourd.viewer.rendering.display_settings import Look, Shot
+from fourd.viewer.rendering.offscreen import Studio
+from fourd.viewer.rendering.renderers import RENDERERS, RendererName, make_renderer
 from fourd.viewer.session import OpenScene, Session
-from fourd.viewer.sources import open_source
-from fourd.viewer.studio import Studio
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame, write_full_scene, write_scene
 from tests.viewer.gl import contexts, drawn
+from tests.viewer.rendering.test_renderers import reference, require_parity
 from tests.viewer.shells import solid
-from tests.viewer.test_renderers import reference, require_parity
 
 HALF = 20.0
 SIZE = (64, 48)

@@ -19,10 +19,10 @@ from PIL import Image
 from fourd.baking import SceneWriter, open_scene
 from fourd.baking.scene import FORMAT_VERSION
 from fourd.cli.main import main
-from fourd.viewer.flight import Flight, Stop
-from fourd.viewer.pose import pose_of
-from fourd.viewer.renderers import RENDERERS
-from fourd.viewer.studio import Studio
+from fourd.viewer.navigation.pose import pose_of
+from fourd.viewer.navigation.recorded_path import Flight, Stop
+from fourd.viewer.rendering.offscreen import Studio
+from fourd.viewer.rendering.renderers import RENDERERS
 from tests.baking.scenes import manifest, random_frame
 from tests.viewer.gl import require_gl
 from tests.viewer.screen import screen

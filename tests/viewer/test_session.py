@@ -11,10 +11,10 @@ import pytest
 
 from fourd.baking import SceneReader
 from fourd.errors import UserError
-from fourd.viewer.look import Look
+from fourd.viewer.playback.sources import RunSource, open_source
+from fourd.viewer.rendering.display_settings import Look
+from fourd.viewer.rendering.offscreen import Studio
 from fourd.viewer.session import GLIDE_SECONDS, OpenScene, Session
-from fourd.viewer.sources import RunSource, open_source
-from fourd.viewer.studio import Studio
 from tests.baking.scenes import manifest, random_frame, write_scene
 from tests.training.small import SMALL, train, trained_run, with_steps
 

@@ -15,7 +15,7 @@ from fourd.errors import UserError
 from fourd.viewer.gl.arrays import UploadedFrame
 from fourd.viewer.gl.context import information
 from fourd.viewer.gl.shaders import TEXELS_A_ROW, program, set_uniforms
-from fourd.viewer.look import Shot
+from fourd.viewer.rendering.display_settings import Shot
 
 _BYTES_A_DISC = 32
 _DISCS_A_ROW = TEXELS_A_ROW // 2

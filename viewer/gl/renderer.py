@@ -9,8 +9,8 @@ import moderngl
 from fourd.viewer.gl.arrays import Precision, UploadedFrame
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.techniques import Technique
-from fourd.viewer.look import Shot
-from fourd.viewer.orders import Orders
+from fourd.viewer.rendering.depth_order import Orders
+from fourd.viewer.rendering.display_settings import Shot
 
 
 class GLRenderer:

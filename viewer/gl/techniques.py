@@ -9,7 +9,7 @@ import moderngl
 from fourd.viewer.gl.arrays import Precision
 from fourd.viewer.gl.discs import Discs
 from fourd.viewer.gl.pictures import FullPass, Pictures, PixelCount, largest, over, replace, under
-from fourd.viewer.look import Shot
+from fourd.viewer.rendering.display_settings import Shot
 
 _NONE = 1e9  # as in the shaders
 

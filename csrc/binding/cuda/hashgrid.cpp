@@ -1,4 +1,4 @@
-// The hash grid on a GPU: fourd/seeding/hash_grid.py says what is computed.
+// The hash grid on a GPU: fourd/ops/hashgrid/op.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

@@ -1,4 +1,4 @@
-// K-Planes on a GPU: fourd/model/plane_lookup.py says what is computed.
+// K-Planes on a GPU: fourd/ops/planes/op.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

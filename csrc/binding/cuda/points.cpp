@@ -1,4 +1,4 @@
-// The point renderer on a GPU: fourd/raster/gpu.py gives memory and stream.
+// The point renderer on a GPU: fourd/ops/points/cuda.py gives memory and stream.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>

@@ -1,4 +1,4 @@
-// Source views sampled on a GPU: fourd/model/source_sampling.py says what is computed.
+// Source views sampled on a GPU: fourd/ops/sources/op.py says what is computed.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

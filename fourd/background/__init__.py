@@ -1,0 +1,1 @@
+"""Clean plates to the first points of a static background."""

@@ -1,0 +1,145 @@
+"""Features of clean plates, matched along known epipolar lines and triangulated by COLMAP with the cameras as given."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pycolmap
+from numpy.typing import NDArray
+
+from fourd.background.plates import PlateView
+from fourd.background.stereo.features import (
+    IMAGES,
+    Features,
+    Quiet,
+    extract,
+    fundamental_matrix,
+    likely_pairs,
+    read_features,
+    write_pictures,
+)
+from fourd.cameras import Camera
+from fourd.parallel import cores
+from fourd.progress import Track
+
+Array = NDArray[np.float64]
+
+EPIPOLAR_PX = 1.5
+RATIO = 0.85
+LEAST_LIKENESS = 0.5
+LEAST_ANGLE_DEG = 2.0
+MOST_ERROR_PX = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class SparsePoints:
+    """Triangulated points.
+
+    Attributes:
+        xyz: (N, 3) float64, world units.
+        seen: (N, V) bool, by which plates' features.
+    """
+
+    xyz: Array
+    seen: NDArray[np.bool_]
+
+    @property
+    def sure(self) -> NDArray[np.bool_]:
+        """(N,) those that three plates or more agree on; of two, half are chance on textures that repeat."""
+        return self.seen.sum(axis=1) >= 3
+
+
+def sparse_points(plates: Sequence[PlateView], seed: int, track: Track) -> SparsePoints:
+    """Triangulate what two plates or more show, at most 2 px from where it projects, at 2 degrees or more."""
+    cameras = [plate.camera for plate in plates]
+    with tempfile.TemporaryDirectory(prefix="fourd-plates-") as name, Quiet():
+        folder = Path(name)
+        database = folder / "database.db"
+        names = write_pictures(folder, plates)
+        batch = cores()
+        batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
+        for some in track(batches, len(batches), "features"):
+            extract(folder, database, some)
+        with closing(pycolmap.Database.open(database)) as store:
+            images = sorted(store.read_all_images(), key=lambda image: image.name)
+            features = [read_features(store, image.image_id) for image in images]
+            pairs = likely_pairs(cameras)
+            for i, j in track(pairs, len(pairs), "matches"):
+                found = _guided(features[i], features[j], cameras[i], cameras[j])
+                if len(found):
+                    geometry = pycolmap.TwoViewGeometry()
+                    geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+                    geometry.inlier_matches = found
+                    store.write_matches(images[i].image_id, images[j].image_id, found)
+                    store.write_two_view_geometry(images[i].image_id, images[j].image_id, geometry)
+            known = _known(store, images, cameras)
+        (folder / "model").mkdir()
+        model = pycolmap.triangulate_points(
+            known, database, folder / IMAGES, folder / "model", True, _options(seed), False
+        )
+    return _points(model, len(plates))
+
+
+def _guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
+    """(M, 2) features that are each other's nearest of those on the epipolar lines, clearly nearer than the next."""
+    if min(len(first.xy), len(second.xy)) < 2:
+        return np.zeros((0, 2), np.uint32)
+    fundamental = fundamental_matrix(camera, other)
+    here, there = (np.column_stack([f.xy, np.ones(len(f.xy))]) for f in (first, second))
+    lines_there, lines_here = here @ fundamental.T, there @ fundamental
+    for lines in (lines_there, lines_here):
+        lines /= np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)[:, None]
+    likeness = first.descriptors @ second.descriptors.T
+    for a, b in ((lines_there, there), (here, lines_here)):
+        likeness[np.abs(a.astype(np.float32) @ b.astype(np.float32).T) > EPIPOLAR_PX] = -1
+    best = likeness.argmax(axis=1)
+    mutual = likeness.argmax(axis=0)[best] == np.arange(len(best))
+    nearest = np.partition(likeness, -2, axis=1)[:, -2:]
+    apart = np.sqrt(np.maximum(2 - 2 * nearest, 0))
+    kept = np.flatnonzero(mutual & (nearest[:, 1] > LEAST_LIKENESS) & (apart[:, 1] < RATIO * apart[:, 0]))
+    return np.column_stack([kept, best[kept]]).astype(np.uint32)
+
+
+def _known(store: Any, images: list[Any], cameras: Sequence[Camera]) -> Any:
+    """A reconstruction that has the cameras and no points; the database gets the intrinsics too."""
+    known = pycolmap.Reconstruction()
+    for image, camera in zip(images, cameras, strict=True):
+        lens = store.read_camera(image.camera_id)
+        k = camera.intrinsics
+        # COLMAP's first pixel has its centre at (0.5, 0.5), as this project's has.
+        lens.params = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
+        store.update_camera(lens)
+        known.add_camera_with_trivial_rig(lens)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(camera.rotation), camera.translation)
+        placed = pycolmap.Image(name=image.name, image_id=image.image_id, camera_id=image.camera_id)
+        known.add_image_with_trivial_frame(placed, pose)
+    return known
+
+
+def _options(seed: int) -> Any:
+    options = pycolmap.IncrementalPipelineOptions()
+    options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
+    options.num_threads = options.mapper.num_threads = 1
+    options.min_num_matches = 1
+    options.extract_colors = False
+    options.fix_existing_frames = options.mapper.fix_existing_frames = True
+    options.ba_refine_focal_length = options.ba_refine_principal_point = options.ba_refine_extra_params = False
+    options.triangulation.ignore_two_view_tracks = False
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = LEAST_ANGLE_DEG
+    options.mapper.filter_max_reproj_error = MOST_ERROR_PX
+    return options
+
+
+def _points(model: Any, plates: int) -> SparsePoints:
+    numbers = {identity: int(Path(image.name).stem) for identity, image in model.images.items()}
+    points = [point for _, point in sorted(model.points3D.items())]
+    seen = np.zeros((len(points), plates), bool)
+    for row, point in enumerate(points):
+        seen[row, [numbers[element.image_id] for element in point.track.elements]] = True
+    return SparsePoints(np.array([point.xyz for point in points], np.float64).reshape(-1, 3), seen)

@@ -1,0 +1,1 @@
+"""How well a calibration agrees with its pictures, and cameras from pictures alone."""

@@ -1,5 +1,0 @@
-"""A synthetic capture with truth: an articulated, textured figure that runs within a ring of cameras."""
-
-from fourd.capture.synth.generate import Settings, is_finished, make_synthetic
-
-__all__ = ["Settings", "is_finished", "make_synthetic"]

@@ -1,0 +1,17 @@
+"""Space carving: a capture's masks to first points, their colours and the scene's bounds."""
+
+from fourd.carving.bounds import Bounds, find_bounds, hull_bounds
+from fourd.carving.carve import CarvedFrame, carve_frame
+from fourd.carving.colour import colour_points
+from fourd.carving.sequence import carve_capture, read_bounds
+
+__all__ = [
+    "Bounds",
+    "CarvedFrame",
+    "carve_capture",
+    "carve_frame",
+    "colour_points",
+    "find_bounds",
+    "hull_bounds",
+    "read_bounds",
+]

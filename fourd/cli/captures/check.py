@@ -1,0 +1,91 @@
+"""Tell what a capture holds and all that is wrong with it, in one screen."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from fourd.calibration.agreement import Agreement, check_agreement
+from fourd.capture.check import Report, check_capture, shown
+from fourd.errors import UserError
+from fourd.progress import Tracker
+
+MOST_LINES = 20
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Exit code 0 when fourd can use the capture, 2 when it cannot."""
+
+    capture: tyro.conf.Positional[Path]
+    """The capture's folder."""
+    deep: bool = False
+    """Decode every picture, which finds damaged ones."""
+    quick: bool = False
+    """Leave out the residuals, for which pictures of all cameras are matched (20 cameras of 512 x 512: seconds)."""
+
+
+def run(arguments: Arguments) -> None:
+    """Check and print; raises UserError, which tells the first problem, when there are any."""
+    console = Console()
+    report = check_capture(arguments.capture, deep=arguments.deep, track=_tracked)
+    agreement = None
+    if not (arguments.quick or report.problems):
+        try:
+            agreement = _agreement(arguments.capture)
+        except UserError as error:
+            # Pictures are decoded here that only a deep check looks at otherwise.
+            report = replace(report, problems=(str(error),))
+    console.print(_facts(arguments.capture, report, agreement))
+    warnings = (*report.warnings, *(agreement.warnings if agreement else ()))
+    for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
+        for line in shown(lines, MOST_LINES):
+            console.print(Text(f"{title}: ", style).append(line, "default"), soft_wrap=True)
+    if report.problems:
+        more = len(report.problems) - 1
+        raise UserError(report.problems[0] + (f" (and {more} more, listed above)" if more else ""))
+    next_command = f"next: fourd make {arguments.capture} -o scene.4dv"
+    console.print(Text("Good to use", "green"), next_command, sep="; ", soft_wrap=True)
+
+
+def _tracked(files: Sequence[Path]) -> Iterable[Path]:
+    return Tracker(Console(stderr=True)).track(files, len(files), "files")
+
+
+def _agreement(path: Path) -> Agreement:
+    return check_agreement(path, Tracker(Console(stderr=True)).track)
+
+
+def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:
+    sizes = Counter(f"{width} x {height}" for width, height in report.sizes.values())
+    table = Table(title=Text(str(path)), title_justify="left", show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    table.add_row("cameras", f"{len(report.cameras)}: {', '.join(report.cameras)}")
+    table.add_row("frames", str(report.frames))
+    table.add_row("pictures", ", ".join(f"{size} ({count})" for size, count in sizes.items()) or "none")
+    table.add_row("distortion", f"in {report.distorted} cameras" if report.distorted else "none")
+    table.add_row("distance", f"{report.ring_radius:.3g} world units from the cameras to where they look")
+    if agreement is not None:
+        table.add_row("residuals", _residuals(agreement))
+    coverage = "" if report.coverage is None else f"; they hold {report.coverage:.1%} of the pictures"
+    table.add_row("mattes", ("yes" if report.has_masks else "none") + coverage)
+    table.add_row("size", f"{report.nbytes / 1e6:.1f} MB")
+    return table
+
+
+def _residuals(agreement: Agreement) -> str:
+    if agreement.mean_px is None or agreement.worst is None:
+        return f"cannot be told: too few points match between the cameras ({agreement.matches})"
+    name, worst_px = agreement.worst
+    return (
+        f"{agreement.mean_px:.2f} px from epipolar lines in the mean of {agreement.pairs} pairs "
+        f"({agreement.matches} matches); worst: {name}, {worst_px:.2f} px"
+    )

@@ -1,0 +1,121 @@
+"""Bring another program's calibration and videos, or videos alone, into a capture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.text import Text
+
+from fourd.calibration.ambiguities import Centres
+from fourd.calibration.scale import Board, Distance
+from fourd.errors import UserError
+from fourd.importing.importer import ImportOptions, import_source, pick_format
+from fourd.progress import Tracker
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The same call again completes what is missing. Files are linked unless --copy is given."""
+
+    words: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[FORMAT] SRC OUT")]]
+    """Format (found out when not given), the source, and the capture's folder: qualisys, anipose, neural3dv, actorshq,
+    dna-rendering, transforms, colmap, easymocap or videos."""
+    copy: bool = False
+    """Copy files in place of linking them."""
+    unpack: bool = False
+    """Write videos' frames as pictures (JPEG), for faster jumping about."""
+    offset: tyro.conf.UseAppendAction[tuple[str, ...]] = field(default=())
+    """CAM=FRAMES by which a camera's video runs late; repeat it or use commas."""
+    sync: bool = False
+    """Estimate the offsets from what moves, tell them and apply none; writes OUT/.fourd/sync.png."""
+    apply_sync: bool = False
+    """The same, and apply those of more than 3 frames and a confidence of at least 0.5."""
+    resize: str = "auto"
+    """How pictures became another size than their calibration's: auto, scaled, stretched, letterboxed, filled, or
+    "cropped left" (right, top, bottom, centre)."""
+    centres: Centres = "auto"
+    """Principal points: auto warns where they look mirrored; mirrored mends them."""
+    calibrate: bool = False
+    """Find the cameras from the pictures, also where the source has a calibration."""
+    scale: str | None = None
+    """CAM,CAM=METRES between two cameras' centres, which gives the unit."""
+    board: str | None = None
+    """COLSxROWSxSQUARE_M: inner corners and square of a chessboard in the first frames, which gives origin and axes."""
+
+
+def run(arguments: Arguments) -> None:
+    """Import and tell what was found and chosen."""
+    if len(arguments.words) not in (2, 3):
+        raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} words; see fourd import --help")
+    *name, source, out = arguments.words
+    console = Console(stderr=True)
+
+    def log(line: str) -> None:
+        console.print(Text(line), soft_wrap=True)
+
+    def warn(line: str) -> None:
+        console.print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
+
+    options = _options(arguments)
+    way = pick_format(name[0] if name else None, Path(source))
+    log(f"{way.name}: {way.summary}")
+    import_source(way, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
+    Console().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
+
+
+def _options(arguments: Arguments) -> ImportOptions:
+    return ImportOptions(
+        copy=arguments.copy,
+        unpack=arguments.unpack,
+        offsets=_offsets(arguments.offset),
+        sync=arguments.sync,
+        apply_sync=arguments.apply_sync,
+        resize=arguments.resize,
+        centres=arguments.centres,
+        calibrate=arguments.calibrate,
+        distance=None if arguments.scale is None else _distance(arguments.scale),
+        board=None if arguments.board is None else _board(arguments.board),
+    )
+
+
+def _offsets(words: Sequence[str]) -> dict[str, int]:
+    found: dict[str, int] = {}
+    for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
+        name, _, frames = part.rpartition("=")
+        try:
+            value = int(frames)
+        except ValueError:
+            value, name = 0, ""
+        if not name or name in found:
+            raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
+        found[name] = value
+    return found
+
+
+def _distance(text: str) -> Distance:
+    pair, _, metres = text.rpartition("=")
+    names = [name.strip() for name in pair.split(",")]
+    try:
+        value = float(metres)
+    except ValueError:
+        value = 0.0
+    if len(names) != 2 or not all(names) or not (math.isfinite(value) and value > 0):
+        raise UserError(f"--scale: expected CAM,CAM=METRES, got '{text}'; write it as cam01,cam02=2.35")
+    return Distance(names[0], names[1], value)
+
+
+def _board(text: str) -> Board:
+    parts = text.lower().split("x")
+    try:
+        columns, rows, square = int(parts[0]), int(parts[1]), float(parts[2])
+    except (ValueError, IndexError):
+        columns, rows, square = 0, 0, 0.0
+    if len(parts) != 3 or min(columns, rows) < 3 or not (math.isfinite(square) and square > 0):
+        raise UserError(f"--board: expected COLSxROWSxSQUARE_M, got '{text}'; write it as 9x6x0.025")
+    return Board(columns, rows, square)

@@ -1,0 +1,187 @@
+"""Judge a run on its held-out views: PSNR, SSIM and LPIPS, whole and in the matte's box."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from fourd.capture.decoding import decode_rgb
+from fourd.errors import UserError
+from fourd.files import write_text_atomically
+from fourd.training.evaluation.camera_fitting import FittedView, fit_view
+from fourd.training.evaluation.metrics import psnr
+from fourd.training.evaluation.render import Picture
+from fourd.training.evaluation.scores import Evaluation, ViewScores, judge, summarise
+from fourd.training.losses.lpips import load_lpips
+from fourd.training.run import TrainedRun, load_run
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What to judge."""
+
+    run: tyro.conf.Positional[Path]
+    """The run's folder."""
+    json: Path | None = None
+    """Write every figure to this file."""
+    views: str | None = None
+    """Names of cameras, with commas; the run's held-out ones when not given."""
+    scene: Path | None = None
+    """Judge this exported .4dv of the run instead of the run's own rendering."""
+    plates: Path | None = None
+    """Folder of pictures CAM.png of the empty stage, to judge a full scene's background alone by."""
+    refine_test: bool = False
+    """First fit the pose of each judged camera to its own pictures, with the scene as it is (as BARF does)."""
+    refine_test_colours: bool = False
+    """Fit its colours likewise."""
+    lpips_weights: Path | None = None
+    """File or folder with the weights of VGG-16 and LPIPS; lpips is null without them."""
+
+
+def run(arguments: Arguments) -> None:
+    """Render every held-out picture, compare, print the means."""
+    console = Console(stderr=True)
+    trained = load_run(arguments.run)
+    indices = _judged(trained, arguments.views)
+    lpips = load_lpips(arguments.lpips_weights)
+    if lpips is None:
+        console.print("LPIPS: no weights found; lpips is null (--lpips-weights names them)")
+    pictures = []
+    capture = trained.run.capture
+    fitted = _fitted(trained, indices, arguments, console)
+    exported = None
+    if arguments.scene is not None:
+        from fourd.baking import open_scene
+
+        exported = open_scene(arguments.scene)
+    whole = (trained.run.config.train.scene if exported is None else exported.manifest.kind) == "full"
+    for frame in track(range(capture.frame_count), description="eval", console=console):
+        points = trained.frames.get(frame)
+        for index in indices:
+            camera = fitted[index].camera if index in fitted else capture.cameras[index]
+            if exported is not None:
+                rgb = exported.render(camera, frame).rgb.clip(0, 1)
+            else:
+                layers = trained.run.config.train.layers
+                picture = trained.renderer.render(points, frame, camera, layers, exclude=index)
+                rgb = _as_shown(trained, index, fitted, picture)
+            matte = capture.mask(index, frame)
+            truth = _truth(capture.image(index, frame), None if whole else matte)
+            image, box = judge(rgb, truth, matte, lpips)
+            pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box))
+    evaluation = summarise(pictures)
+    backgrounds = {} if arguments.plates is None else _backgrounds(trained, indices, arguments.plates, fitted)
+    _print(evaluation, trained, backgrounds)
+    for index, view in fitted.items():
+        note = f"turned by {view.degrees:.3f} degrees, moved by {view.distance:.4f}"
+        colours = ", colours fitted" if view.colours is not None else ""
+        line = f"{capture.names[index]}: fitted to its own pictures before judging: {note}{colours}"
+        Console().print(line, soft_wrap=True)
+    if arguments.json is not None:
+        content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
+        if backgrounds:
+            content["background"] = backgrounds
+        if fitted:
+            content["fitted_to_own_pictures"] = {
+                capture.names[index]: {
+                    "degrees": view.degrees,
+                    "distance": view.distance,
+                    "colours": None if view.colours is None else view.colours.tolist(),
+                }
+                for index, view in fitted.items()
+            }
+        write_text_atomically(arguments.json, json.dumps(content, indent=1) + "\n")
+
+
+def _fitted(trained: TrainedRun, indices: list[int], arguments: Arguments, console: Console) -> dict[int, FittedView]:
+    """Judged cameras where their own pictures fit the scene, by index; none where that is not asked for."""
+    if arguments.refine_test_colours and not arguments.refine_test:
+        raise UserError("--refine-test-colours: expected --refine-test beside it, got it alone; add --refine-test")
+    if arguments.refine_test_colours and arguments.scene is not None:
+        raise UserError("--refine-test-colours: expected the run's own rendering, got --scene; leave one of them out")
+    if not arguments.refine_test:
+        return {}
+    layers = trained.run.config.train.layers
+    return {
+        index: fit_view(trained.renderer, trained.frames, index, layers, colours=arguments.refine_test_colours)
+        for index in track(indices, description="fitting cameras", console=console)
+    }
+
+
+def _as_shown(trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: Picture) -> NDArray[np.float32]:
+    """A rendered picture in the colours of the camera ``index``, as far as these are known."""
+    if index in fitted and fitted[index].colours is not None:
+        return fitted[index].picture(picture.rgb, picture.alpha).clip(0, 1)
+    rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
+    return trained.renderer.views.rig.camera_colours(index, rgb, alpha).clamp(0, 1).numpy()
+
+
+def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
+    """A picture (H, W, 3) in [0, 1]; with a matte (H, W), what that holds on black."""
+    share = 1.0 if matte is None else matte[..., None] / 255
+    return (picture * (share / 255)).astype(np.float32)
+
+
+def _backgrounds(
+    trained: TrainedRun, indices: list[int], folder: Path, fitted: dict[int, FittedView]
+) -> dict[str, float]:
+    """PSNR in dB of the background alone, by camera."""
+    if trained.renderer.background is None:
+        raise UserError(f"--plates: expected a run of a full scene, got an object; leave {folder} out")
+    layers = trained.run.config.train.layers
+    scores = {}
+    for index in indices:
+        name, camera = trained.run.capture.names[index], trained.run.capture.cameras[index]
+        truth = decode_rgb(folder / f"{name}.png")
+        if truth.shape[:2] != (camera.height, camera.width):
+            raise UserError(
+                f"{folder / f'{name}.png'}: expected {camera.width} x {camera.height} pixels, "
+                f"got {truth.shape[1]} x {truth.shape[0]}; scale it"
+            )
+        if index in fitted:
+            camera = fitted[index].camera
+        picture = trained.renderer.render_background(camera, layers, exclude=index)
+        rgb = _as_shown(trained, index, fitted, picture)
+        scores[name] = float(psnr(rgb, _truth(truth, None)))
+    return scores
+
+
+def _judged(trained: TrainedRun, views: str | None) -> list[int]:
+    names = trained.run.capture.names
+    if views is None:
+        if not trained.run.test:
+            raise UserError(
+                f"{trained.run.folder}: expected held-out views, got a run trained on all of them; "
+                f"train with --test-views, or name training views with --views"
+            )
+        return trained.run.test
+    wanted = [name.strip() for name in views.split(",")]
+    unknown = [name for name in wanted if name not in names]
+    if unknown:
+        raise UserError(f"--views: expected names among {', '.join(names)}, got {', '.join(unknown)}")
+    return [names.index(name) for name in wanted]
+
+
+def _print(evaluation: Evaluation, trained: TrainedRun, backgrounds: dict[str, float]) -> None:
+    table = Table(title=f"{trained.run.folder} at step {trained.step}: {len(evaluation.pictures)} pictures")
+    for column in ("", "PSNR dB", "SSIM", "LPIPS"):
+        table.add_column(column, justify="right" if column else "left")
+    for label, scores in (("whole image", evaluation.image), ("matte's box", evaluation.box)):
+        if scores is not None:
+            table.add_row(label, f"{scores.psnr:.2f}", _shown(scores.ssim), _shown(scores.lpips))
+    if backgrounds:
+        table.add_row("background alone", f"{np.mean(list(backgrounds.values())):.2f}", "", "")
+    Console().print(table)
+
+
+def _shown(value: float | None) -> str:
+    return "null" if value is None else f"{value:.4f}"

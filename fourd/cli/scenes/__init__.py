@@ -1,0 +1,1 @@
+"""Commands that show, render, time and describe scenes."""

@@ -1,0 +1,297 @@
+"""Tell what a file or a folder is: a scene, a capture, a run, points, a checkpoint or a video."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import tyro
+import yaml
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from fourd.errors import UserError
+
+if TYPE_CHECKING:
+    from fourd.baking.scene import SceneBackground
+
+Rows = list[tuple[str, str]]
+
+_NAMES_SHOWN = 24
+_MOST_HEADER = 100 << 20
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Looks at the content and not at the name's ending; changes nothing."""
+
+    path: tyro.conf.Positional[Path]
+    """A .4dv, a capture's folder, a run's folder, a .ply, a .safetensors or a video."""
+
+
+def run(arguments: Arguments) -> None:
+    """Recognise, read what is cheap to read, and print one screen."""
+    path = arguments.path
+    if not path.exists():
+        raise UserError(f"{path}: expected a file or a folder, got nothing there; check the name")
+    title, rows = _describe_folder(path) if path.is_dir() else _describe_file(path)
+    table = Table(title=Text(f"{path}: {title}"), title_justify="left", show_header=False, box=None, pad_edge=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(name, Text(value))
+    Console().print(table)
+
+
+def _describe_file(path: Path) -> tuple[str, Rows]:
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(16)
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+    # A scene that was cut short keeps its beginning, so this tells the damaged ones too.
+    if head.startswith(b"PK") or path.suffix == ".4dv":
+        return "a 4D scene", _scene(path)
+    if head.startswith((b"ply\n", b"ply\r")):
+        return "points (PLY)", _points(path)
+    if path.suffix == ".safetensors":
+        return "a checkpoint", _checkpoint(path)
+    if path.suffix.lower() in VIDEO_SUFFIXES:
+        return "a video", _video(path)
+    raise _unknown(path)
+
+
+def _describe_folder(path: Path) -> tuple[str, Rows]:
+    if (path / "config.yaml").is_file():
+        return "a training run", _run(path)
+    signs = ("images", "videos", "intri.yml", "extri.yml")
+    if any((path / sign).exists() for sign in signs):
+        return "a multi-view capture", _capture(path)
+    videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in VIDEO_SUFFIXES]
+    if videos:
+        return "a folder of videos", [(file.name, "; ".join(value for _, value in _video(file))) for file in videos]
+    raise _unknown(path)
+
+
+def _unknown(path: Path) -> UserError:
+    return UserError(
+        f"{path}: expected a .4dv, .ply, .safetensors or video file, a capture (images/, intri.yml, extri.yml) "
+        "or a run (config.yaml), got none of these; name one of them"
+    )
+
+
+def _scene(path: Path) -> Rows:
+    from fourd.baking.container import SceneReader
+
+    reader = SceneReader(path)
+    reader.close()
+    manifest = reader.manifest
+    points = manifest.points
+    size = path.stat().st_size
+    frames = manifest.frame_count
+    lower, upper = manifest.bounds
+    return [
+        ("format", f"version {manifest.version}, made by {manifest.producer}"),
+        ("kind", "the object on black" if manifest.kind == "object" else "object and background"),
+        (
+            "frames",
+            f"{frames} at {manifest.fps:g} a second, {frames / manifest.fps:.2f} s; {_numbers(manifest.frame_numbers)}",
+        ),
+        ("points", f"{_span(points)} a frame, {sum(points):,} in all"),
+        *_background(manifest.background),
+        ("size", f"{_bytes(size)}, {_bytes((size - manifest.background_nbytes) / max(frames, 1))} a frame"),
+        ("source views", f"{manifest.view_count} ({manifest.neighbours} blended): {_names(manifest.source_names)}"),
+        ("other views", _names(manifest.other_names) or "none"),
+        ("image sizes", _sizes((camera.width, camera.height) for camera in manifest.cameras) or "none"),
+        ("layers", f"{manifest.layers} points composited a pixel"),
+        ("bounds", f"{_vector(lower)} to {_vector(upper)}, in world units"),
+        ("focus", _vector(manifest.focus)),
+    ]
+
+
+def _background(background: SceneBackground | None) -> Rows:
+    if background is None:
+        return []
+    shadow = "with a shadow in every frame" if background.shadow else "without shadows"
+    return [("background", f"{background.points:,} points, stored once, {shadow}")]
+
+
+def _points(path: Path) -> Rows:
+    from fourd.ply import read_ply
+
+    xyz, rgb = read_ply(path)
+    rows = [("points", f"{len(xyz):,}"), ("size", _bytes(path.stat().st_size))]
+    if len(xyz):
+        mean = rgb.mean(axis=0)
+        rows.append(("bounds", f"{_vector(xyz.min(axis=0))} to {_vector(xyz.max(axis=0))}, in world units"))
+        rows.append(("mean colour", f"red {mean[0]:.0f}, green {mean[1]:.0f}, blue {mean[2]:.0f} of 255"))
+    return rows
+
+
+def _checkpoint(path: Path) -> Rows:
+    """Read the header alone: tensors may be large, and torch is slow to load."""
+    damaged = UserError(f"{path}: expected a whole safetensors file, got a damaged one; name another checkpoint")
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        length = int.from_bytes(stream.read(8), "little")
+        if size < 8 or length > min(size - 8, _MOST_HEADER):
+            raise damaged
+        header = _parsed(stream.read(length), json.loads, damaged)
+    notes = header.pop("__metadata__", {})
+    try:
+        counts = [int(np.prod(entry["shape"], dtype=np.int64)) for entry in header.values()]
+        end = max((int(entry["data_offsets"][1]) for entry in header.values()), default=0)
+    except (TypeError, KeyError, IndexError, ValueError, OverflowError) as error:
+        raise damaged from error
+    if 8 + length + end != size:
+        raise damaged
+    rows = [("size", _bytes(size)), ("tensors", f"{len(counts)}, {sum(counts):,} numbers")]
+    if isinstance(notes, dict):
+        rows += [(key, str(notes[key])) for key in ("format", "step") if key in notes]
+    return rows
+
+
+def _video(path: Path) -> Rows:
+    import av
+
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise UserError(f"{path}: expected a video, got a file without pictures; name another")
+            stream = container.streams.video[0]
+            rate = float(stream.average_rate or 0)
+            seconds = float(container.duration or 0) / av.time_base
+            frames = stream.frames or round(seconds * rate)
+            return [
+                ("frames", f"{frames} at {rate:g} a second, {seconds:.2f} s"),
+                ("image size", f"{stream.width} x {stream.height}"),
+                ("codec", stream.codec_context.name),
+                ("size", _bytes(path.stat().st_size)),
+            ]
+    except av.FFmpegError as error:
+        raise UserError(f"{path}: expected a whole video, got a damaged file; copy it again") from error
+
+
+def _run(path: Path) -> Rows:
+    bad = UserError(f"{path / 'config.yaml'}: expected the YAML that fourd train wrote, got something else; restore it")
+    config = _parsed((path / "config.yaml").read_bytes(), yaml.safe_load, bad)
+    train = config.get("train")
+    train = train if isinstance(train, dict) else {}
+    steps = sorted(int(file.stem) for file in path.glob("checkpoints/*.safetensors") if file.stem.isdecimal())
+    rows = [
+        ("capture", str(config.get("capture", "unknown"))),
+        ("checkpoints", ", ".join(f"step {step:,}" for step in steps) or "none yet"),
+        ("held out", ", ".join(map(str, train.get("test_views") or [])) or "no views"),
+        ("frames", str(train.get("frames") or "all")),
+    ]
+    rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
+    rows.append(("points as carved", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
+    rows.append(("size", _bytes(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
+    return rows
+
+
+def _last_metrics(path: Path) -> list[str]:
+    """The last whole line of metrics.jsonl, found from the end: a long run's log is large."""
+    if not path.is_file():
+        return []
+    with path.open("rb") as stream:
+        stream.seek(max(0, path.stat().st_size - (64 << 10)))
+        lines = stream.read().splitlines()
+    for line in reversed(lines):
+        try:
+            values = json.loads(line)
+        except ValueError:
+            continue
+        if isinstance(values, dict):
+            shown = [f"{key} {value:g}" for key, value in values.items() if isinstance(value, int | float)]
+            return [", ".join(shown[:8])]
+    return []
+
+
+def _capture(path: Path) -> Rows:
+    calibrated = (path / "intri.yml").is_file() and (path / "extri.yml").is_file()
+    folders = _cameras_in(path / "images")
+    videos = sorted(file.name for file in path.glob("videos/*") if file.suffix.lower() in VIDEO_SUFFIXES)
+    rows: Rows = []
+    if calibrated and (folders or videos):
+        from fourd.capture import open_capture
+
+        capture = open_capture(path)
+        rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
+        rows.append(("frames", f"{capture.frame_count}; {_numbers(capture.frame_numbers)}"))
+        rows.append(("image sizes", _sizes((camera.width, camera.height) for camera in capture.cameras)))
+        rows.append(("masks", "yes" if capture.has_masks else "none"))
+    else:
+        rows.append(("cameras", f"{len(folders)} in images/: {_names(folders)}" if folders else "none in images/"))
+        rows.append(("calibration", "yes" if calibrated else "none: intri.yml and extri.yml are needed to train"))
+    rows.append(("videos", _names(videos) or "none"))
+    has_plates = (path / "bgs").is_dir() or (path / ".fourd" / "plates").is_dir()
+    rows.append(("background plates", "yes" if has_plates else "none"))
+    rows.append(("next", f"fourd check {path}"))
+    return rows
+
+
+def _cameras_in(images: Path) -> list[str]:
+    if not images.is_dir():
+        return []
+    return sorted(
+        folder.name
+        for folder in images.iterdir()
+        if folder.is_dir() and any(file.suffix.lower() in PICTURE_SUFFIXES for file in folder.iterdir())
+    )
+
+
+def _parsed(text: bytes, parse: Callable[[bytes], Any], damaged: UserError) -> dict[str, Any]:
+    try:
+        content = parse(text)
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        raise damaged from error
+    if not isinstance(content, dict):
+        raise damaged
+    return content
+
+
+def _bytes(count: float) -> str:
+    for unit in ("B", "KB", "MB", "GB"):
+        if count < 1000:
+            return f"{count:.3g} {unit}" if count < 100 else f"{count:.0f} {unit}"
+        count /= 1000
+    return f"{count:.3g} TB"
+
+
+def _span(counts: tuple[int, ...]) -> str:
+    if not counts:
+        return "0"
+    low, high = min(counts), max(counts)
+    return f"{low:,}" if low == high else f"{low:,} to {high:,}"
+
+
+def _numbers(numbers: tuple[int, ...]) -> str:
+    return f"numbers {numbers[0]} to {numbers[-1]}" if numbers else "none"
+
+
+def _names(names: Iterable[str]) -> str:
+    listed = list(names)
+    more = len(listed) - _NAMES_SHOWN
+    return ", ".join(islice(listed, _NAMES_SHOWN)) + (f" and {more} more" if more > 0 else "")
+
+
+def _sizes(sizes: Iterable[tuple[int, int]]) -> str:
+    counts: dict[tuple[int, int], int] = {}
+    for size in sizes:
+        counts[size] = counts.get(size, 0) + 1
+    parts = [
+        f"{width} x {height}" + (f" ({count})" if len(counts) > 1 else "") for (width, height), count in counts.items()
+    ]
+    return ", ".join(parts[:4]) + (f" and {len(parts) - 4} more sizes" if len(parts) > 4 else "")
+
+
+def _vector(values: Iterable[float]) -> str:
+    return "(" + ", ".join(f"{float(value):.3g}" for value in values) + ")"

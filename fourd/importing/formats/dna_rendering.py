@@ -1,0 +1,199 @@
+"""DNA-Rendering: NAME.smc (HDF5) with encoded pictures, NAME_annots.smc with calibration and mattes.
+
+Later parts of the data set hold the calibration in NAME.smc. RT is camera-to-world, in metres. Pixels count from
+the first one's centre, as OpenCV, by which the set's own tools undistort, has it: half a pixel is added.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.importing.formats.folders import entries, first_bytes, lens, numbers
+from fourd.importing.formats.imported import EncodedPictures, Imported, ImportedCamera
+
+SUFFIX = ".smc"
+ANNOTATIONS = "_annots.smc"
+MAGIC = b"\x89HDF\r\n\x1a\n"
+GROUPS = ("Camera_5mp", "Camera_12mp")
+HEADER = 1 << 16
+"""Bytes of a picture within which its size stands."""
+
+
+def looks_like(source: Path) -> bool:
+    """Whether ``source`` is a NAME.smc, or a folder with one."""
+    return any(first_bytes(path, len(MAGIC)) == MAGIC for path in _files(source))
+
+
+def read(source: Path) -> Imported:
+    """Cameras of ``source``, in metres, named by their numbers (two digits); pictures are read one at a time.
+
+    Raises:
+        UserError: when there is no NAME.smc or several, it is no HDF5, a group or a number is missing, or mattes
+            are fewer than pictures.
+    """
+    files = _files(source)
+    if len(files) != 1:
+        got = " and ".join(path.name for path in files) or "none"
+        raise UserError(f"{source}: expected one NAME{SUFFIX}, got {got}; name the file itself")
+    path, annotations = files[0], _annotations(files[0])
+    pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]] = {}
+    with _Smc(path) as main:
+        for group in GROUPS:
+            for number, place in main.numbered(group, required=False).items():
+                pictures[number] = main.encoded(f"{place}/color")
+        if not pictures:
+            raise UserError(f"{path}: expected the group {' or '.join(GROUPS)}, got neither; download it again")
+        has_lenses = main.has("Camera_Parameter")
+        lenses = _lenses(main, pictures) if has_lenses else {}
+    masks: dict[int, EncodedPictures] = {}
+    if annotations is not None:
+        with _Smc(annotations) as annotated:
+            if not has_lenses:
+                lenses = _lenses(annotated, pictures)
+            for number, place in annotated.numbered("Mask", required=False).items():
+                masks[number] = annotated.encoded(f"{place}/mask")[0]
+    elif not has_lenses:
+        raise UserError(
+            f"{path}: expected the group Camera_Parameter there or in {path.stem}{ANNOTATIONS}, got neither; "
+            "put the annotations beside it"
+        )
+    cameras = []
+    for number, (frames, _) in sorted(pictures.items()):
+        mattes = masks.get(number)
+        if mattes is not None and mattes.count != frames.count:
+            raise UserError(
+                f"{annotations}: Mask/{number}: expected {frames.count} mattes, one for each picture, "
+                f"got {mattes.count}; download it again"
+            )
+        cameras.append(ImportedCamera(f"{number:02d}", lenses.get(number), frames, mattes))
+    notes = [
+        "metres; poses turned from camera-to-world to world-to-camera",
+        "pixel centres at whole numbers -> half a pixel added to the centres",
+        "colours as the cameras recorded them: Color_Calibration is not applied",
+    ]
+    bare = [camera.name for camera in cameras if camera.lens is None]
+    return Imported(tuple(cameras), (*notes, *([f"without calibration: {', '.join(bare)}"] if bare else [])))
+
+
+class _Smc:
+    """An HDF5 file that was opened for reading, with errors that name file and group."""
+
+    def __init__(self, path: Path) -> None:
+        import h5py  # Only here: no other format needs it.
+
+        self.path = path
+        self.h5py = h5py
+        try:
+            self.file = h5py.File(path, "r")
+        except OSError as error:
+            reason = str(error).partition("\n")[0]
+            raise UserError(f"{path}: expected HDF5, got '{reason}'; download it again") from error
+
+    def __enter__(self) -> _Smc:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.file.close()
+
+    def has(self, name: str) -> bool:
+        with self._told(name):
+            return name in self.file
+
+    def numbered(self, name: str, required: bool = True) -> dict[int, str]:
+        """Paths of a group's members by their numbers, ascending; none where there is no such group."""
+        with self._told(name):
+            group = self.file.get(name)
+            if group is None and not required:
+                return {}
+            if not isinstance(group, self.h5py.Group):
+                raise UserError(f"{self.path}: expected the group {name}, got none; download it again")
+            members = [str(member) for member in group]
+        if not all(member.isdecimal() for member in members) or len({int(member) for member in members}) < len(members):
+            raise UserError(f"{self.path}: {name}: expected numbers as names, got {', '.join(members)}; mend it")
+        return {int(member): f"{name}/{member}" for member in sorted(members, key=int)}
+
+    def encoded(self, name: str) -> tuple[EncodedPictures, tuple[int, int]]:
+        """A group's pictures in the order of their numbers, and (width, height) of the first."""
+        places = list(self.numbered(name).values())
+        if not places:
+            raise UserError(f"{self.path}: {name}: expected pictures, got none; download it again")
+        head = self.content(places[0], HEADER)
+        try:
+            with Image.open(io.BytesIO(head)) as image:
+                size, suffix = image.size, {"JPEG": ".jpg", "PNG": ".png"}[image.format or ""]
+        except (OSError, ValueError, SyntaxError, KeyError, Image.DecompressionBombError) as error:
+            raise UserError(f"{self.path}: {places[0]}: expected a JPEG or PNG, got something else; mend it") from error
+        return EncodedPictures(len(places), suffix, partial(_picture, self.path, tuple(places))), size
+
+    def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
+        """A dataset's finite numbers of that shape; of shape (-1,) flat."""
+        with self._told(name):
+            value = self._dataset(name)[()]
+        return numbers(f"{self.path}: {name}", np.ravel(value) if shape == (-1,) else value, shape)
+
+    def content(self, name: str, most: int | None = None) -> bytes:
+        """The bytes of a picture, or the first ``most`` of them."""
+        with self._told(name):
+            dataset = self._dataset(name)
+            if dataset.dtype != np.uint8 or dataset.ndim != 1:
+                raise UserError(f"{self.path}: {name}: expected the bytes of a picture, got {dataset.dtype}; mend it")
+            return bytes(dataset[:most].tobytes())
+
+    def _dataset(self, name: str) -> Any:
+        dataset = self.file.get(name)
+        if not isinstance(dataset, self.h5py.Dataset):
+            raise UserError(f"{self.path}: expected {name}, got none; download it again")
+        return dataset
+
+    @contextmanager
+    def _told(self, name: str) -> Iterator[None]:
+        """Tells what h5py raises of a damaged file."""
+        try:
+            yield
+        except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
+            reason = str(error).partition("\n")[0]
+            raise UserError(f"{self.path}: {name}: expected whole HDF5, got '{reason}'; download it again") from error
+
+
+def _picture(path: Path, places: tuple[str, ...], index: int) -> bytes:
+    with _Smc(path) as smc:
+        return smc.content(places[index])
+
+
+def _lenses(smc: _Smc, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
+    """The cameras of Camera_Parameter that have pictures, whose sizes are theirs."""
+    lenses = {}
+    for number, place in smc.numbered("Camera_Parameter").items():
+        if number not in pictures:
+            continue
+        intrinsics = smc.array(f"{place}/K", (3, 3))
+        intrinsics[:2, 2] += 0.5
+        pose_world_camera = smc.array(f"{place}/RT", (4, 4))
+        R_camera_world = pose_world_camera[:3, :3].T
+        translation = -R_camera_world @ pose_world_camera[:3, 3]
+        distortion = smc.array(f"{place}/D", (-1,))
+        where = f"{smc.path}: {place}"
+        lenses[number] = lens(where, intrinsics, R_camera_world, translation, pictures[number][1], distortion)
+    return lenses
+
+
+def _files(source: Path) -> list[Path]:
+    named = [source / name for name in entries(source)] or [source]
+    return [path for path in named if path.name.endswith(SUFFIX) and not path.name.endswith(ANNOTATIONS)]
+
+
+def _annotations(path: Path) -> Path | None:
+    """NAME_annots.smc beside NAME.smc, or in annotations/ where that lies in main/, as the set is handed out."""
+    name = f"{path.stem}{ANNOTATIONS}"
+    beside = [path.with_name(name), path.parent.parent / "annotations" / name]
+    return next((found for found in beside if found.is_file()), None)

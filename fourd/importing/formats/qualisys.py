@@ -1,0 +1,119 @@
+"""Qualisys Track Manager: NAME.qca.txt (XML) beside the videos.
+
+A camera's ``transform`` is its pose in the world: the position in millimetres, and a rotation whose rows, as
+the file lists them, are the camera's axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths
+and centres are in 1/64 pixel of the sensor; ``fov_video`` is the part of the sensor that the video holds.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.importing.formats.folders import frames_in, matched
+from fourd.importing.formats.imported import Imported, ImportedCamera
+
+SUBPIXELS = 64
+MILLIMETRE = 1e-3
+SUFFIX = ".qca.txt"
+
+
+def looks_like(source: Path) -> bool:
+    """Whether ``source`` is such a file, or a folder with one."""
+    return _file(source) is not None
+
+
+def read(source: Path) -> Imported:
+    """Cameras of ``source``, a folder with NAME.qca.txt and videos, or that file among the videos.
+
+    Raises:
+        UserError: when the XML does not parse, a value is missing, or cameras and videos do not match.
+    """
+    path = _file(source)
+    if path is None:
+        raise UserError(f"{source}: expected a folder with NAME{SUFFIX}, got none; export it from Qualisys")
+    lenses = read_lenses(path)
+    frames = frames_in(path.parent)
+    pairs = matched(list(lenses), frames, path)
+    cameras = tuple(
+        ImportedCamera(name, lenses[pairs[name]] if name in pairs else None, found) for name, found in frames.items()
+    )
+    notes = [
+        "millimetres -> metres, z up kept",
+        "camera axes y up, z backwards -> y down, z forward (OpenCV)",
+        "1/64 pixels -> pixels, counted from the first pixel's corner",
+    ]
+    left = sorted(set(lenses) - set(pairs.values()))
+    if left:
+        notes.append(f"left out, since there is no video of them: {', '.join(left)}")
+    return Imported(cameras, tuple(notes))
+
+
+def read_lenses(path: Path) -> dict[str, Camera]:
+    """The cameras of a .qca.txt file by serial, in metres. Raises UserError as read."""
+    try:
+        root = ElementTree.fromstring(path.read_bytes())
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise UserError(f"{path}: expected Qualisys' XML, got '{error}'; export it again") from error
+    lenses: dict[str, Camera] = {}
+    for node in root.iter("camera"):
+        serial = node.get("serial", "")
+        if not serial or serial in lenses:
+            raise UserError(f"{path}: expected each camera's own serial, got '{serial}'; export it again")
+        if node.get("active", "1") == "1":
+            lenses[serial] = _Values(path, serial, node).lens()
+    if not lenses:
+        raise UserError(f"{path}: expected <camera> entries, got none; export it again")
+    return lenses
+
+
+class _Values:
+    """One camera's XML, with errors that name it."""
+
+    def __init__(self, path: Path, serial: str, node: ElementTree.Element) -> None:
+        self.where = f"{path}: camera '{serial}'"
+        self.node = node
+
+    def lens(self) -> Camera:
+        if self.value(".", "viewrotation", 0.0) != 0:
+            raise UserError(f"{self.where}: expected viewrotation 0, got another; export without rotated views")
+        left, top = self.value("fov_video", "left"), self.value("fov_video", "top")
+        width = round(self.value("fov_video", "right") - left) + 1
+        height = round(self.value("fov_video", "bottom") - top) + 1
+        focal_x, focal_y, centre_x, centre_y, skew = (
+            self.value("intrinsic", name) / SUBPIXELS
+            for name in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew")
+        )
+        intrinsics = np.array([[focal_x, skew, centre_x - left + 0.5], [0, focal_y, centre_y - top + 0.5], [0, 0, 1]])
+        radial = [self.value("intrinsic", f"radialDistortion{i}") for i in (1, 2, 3)]
+        tangential = [self.value("intrinsic", f"tangentalDistortion{i}") for i in (1, 2)]
+        axes = np.array([[self.value("transform", f"r{i}{j}") for j in (1, 2, 3)] for i in (1, 2, 3)])
+        centre = MILLIMETRE * np.array([self.value("transform", axis) for axis in "xyz"])
+        R_camera_world = np.diag([1.0, -1.0, -1.0]) @ axes
+        distortion = np.array([*radial[:2], *tangential, radial[2]])
+        try:
+            return Camera(intrinsics, R_camera_world, -R_camera_world @ centre, width, height, distortion)
+        except ValueError as error:
+            raise UserError(f"{self.where}: {error}; calibrate that camera again") from error
+
+    def value(self, tag: str, name: str, default: float | None = None) -> float:
+        node = self.node.find(tag)
+        text = None if node is None else node.get(name)
+        if text is None and default is not None:
+            return default
+        try:
+            return float(text or "")
+        except ValueError as error:
+            raise UserError(
+                f"{self.where}: <{tag} {name}>: expected a number, got '{text or 'nothing'}'; export it again"
+            ) from error
+
+
+def _file(source: Path) -> Path | None:
+    if source.is_file():
+        return source if source.name.endswith(SUFFIX) else None
+    return next(iter(sorted(source.glob(f"*{SUFFIX}"))), None)

@@ -1,0 +1,213 @@
+"""Writes what an importer read as a capture: linked, not copied, unless asked."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fourd.cameras import Camera
+from fourd.capture.calibration import write_calibration
+from fourd.capture.layout import VIDEOS, frame_name
+from fourd.capture.video import VideoIndex, VideoReader
+from fourd.capture.video_list import Video, aligned, common_frames, write_video_list
+from fourd.errors import UserError
+from fourd.files import atomic_path, write_bytes_atomically
+from fourd.importing.formats.imported import (
+    EncodedPictures,
+    Frames,
+    Imported,
+    ImportedCamera,
+    PictureFiles,
+    VideoFile,
+    video_files,
+)
+from fourd.progress import Track
+
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
+JPEG_QUALITY = 95
+LONG_GROUP = 250
+"""Frames between keyframes; a frame at the end of such a group waits for the decoding of all before it."""
+
+
+@dataclass(frozen=True)
+class ImportSettings:
+    """How a source becomes a capture.
+
+    Attributes:
+        copy: files are copied in place of linked.
+        unpack: a video's frames are written as pictures.
+        offsets: frames by which a camera's video runs late, against the others.
+    """
+
+    copy: bool = False
+    unpack: bool = False
+    offsets: Mapping[str, int] = field(default_factory=dict)
+
+
+def write_capture(
+    imported: Imported, indices: Mapping[str, VideoIndex], out: Path, settings: ImportSettings, track: Track
+) -> list[str]:
+    """Write ``imported`` into the folder ``out``, which a second call with the same source completes.
+
+    Cameras without a lens get no calibration; see :mod:`fourd.calibration.structure_from_motion`.
+
+    Args:
+        imported: as an importer read it.
+        indices: of the cameras that have videos.
+        out: the capture's folder.
+        settings: copy or link, unpack, offsets.
+        track: for progress.
+
+    Returns:
+        notes on what was found: counts that differ, frames that were left out.
+
+    Raises:
+        UserError: when names cannot be names of files, a video cannot be used, or offsets fit no camera.
+    """
+    check_import(imported, settings)
+    videos = _aligned(imported.cameras, indices, settings.offsets)
+    notes = _rates(videos)
+    if videos and len(videos) < len(imported.cameras):
+        raise UserError(f"{out}: expected videos of all cameras or of none, got both; import with the pictures alone")
+    if videos and settings.unpack:
+        count = common_frames(videos)
+        for name, video in videos.items():
+            _unpack(video, out / "images" / name, count, track)
+    elif videos:
+        _place_videos(videos, out, settings.copy, track)
+    for camera in imported.cameras:
+        if camera.name not in videos:
+            _place_pictures(camera.frames, out / "images" / camera.name, settings.copy, track)
+        if camera.masks is not None:
+            _place_pictures(camera.masks, out / "masks" / camera.name, settings.copy, track)
+    write_lenses(out, [(camera.name, camera.lens) for camera in imported.cameras if camera.lens is not None])
+    return notes
+
+
+def check_import(imported: Imported, settings: ImportSettings) -> None:
+    """Whether names can be names of files, and offsets are those of videos. Raises UserError as write_capture."""
+    _check_names(imported.cameras)
+    frames = {camera.name: camera.frames for camera in imported.cameras}
+    for name in settings.offsets:
+        if name not in frames:
+            raise UserError(f"--offset: expected a camera among {', '.join(frames)}, got '{name}'; name one of them")
+        if not isinstance(frames[name], VideoFile):
+            raise UserError(f"--offset: expected a video of '{name}', got pictures; rename them so that frames agree")
+
+
+def write_lenses(out: Path, lenses: Sequence[tuple[str, Camera]]) -> None:
+    """Write the calibration of the cameras that have one."""
+    if lenses:
+        write_calibration(out, [name for name, _ in lenses], [lens for _, lens in lenses])
+
+
+def _check_names(cameras: Sequence[ImportedCamera]) -> None:
+    seen: set[str] = set()
+    for camera in cameras:
+        if not NAME.fullmatch(camera.name):
+            raise UserError(f"camera '{camera.name}': expected letters, digits, _, - and . in its name; rename it")
+        if camera.name in seen:
+            raise UserError(f"camera '{camera.name}': expected each camera once, got two of that name; rename one")
+        seen.add(camera.name)
+
+
+def _aligned(
+    cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
+) -> dict[str, Video]:
+    """The videos with the offsets between them."""
+    files = video_files(cameras)
+    late = aligned({name: offsets.get(name, 0) for name in files})
+    videos = {name: Video(path, indices[name], late[name]) for name, path in files.items()}
+    for name, video in videos.items():
+        if not video.frames_left:
+            raise UserError(f"--offset: expected less than {video.index.frames} frames of '{name}', got {video.offset}")
+    return videos
+
+
+def _rates(videos: Mapping[str, Video]) -> list[str]:
+    """What to say of rates and counts; rates that differ are an error."""
+    if not videos:
+        return []
+    first, reference = next(iter(videos.items()))
+    for video in videos.values():
+        if abs(video.index.fps / reference.index.fps - 1) * video.index.frames > 0.5:
+            raise UserError(
+                f"{video.path}: expected {float(reference.index.fps):g} frames per second, as {first} has, "
+                f"got {float(video.index.fps):g}; write it at that rate, or leave it out"
+            )
+    notes = [f"{len(videos)} videos at {float(reference.index.fps):g} frames per second"]
+    count = common_frames(videos)
+    for name, video in videos.items():
+        if video.frames_left > count:
+            notes.append(f"{name}: the last {video.frames_left - count} frames are not used, others end before")
+        if video.offset:
+            notes.append(f"{name}: its first {video.offset} frames are skipped, as the offsets say")
+        longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
+        if longest > LONG_GROUP:
+            notes.append(f"{name}: {longest} frames between keyframes; --unpack makes jumping about faster")
+    return notes
+
+
+def _place_videos(videos: Mapping[str, Video], out: Path, copy: bool, track: Track) -> None:
+    placed = {}
+    for name in track(list(videos), len(videos), "copying" if copy else "linking"):
+        video = videos[name]
+        target = out / VIDEOS / f"{name}{video.path.suffix}"
+        _place(video.path, target, copy)
+        placed[name] = replace(video, path=target)
+    write_video_list(out, placed)
+
+
+def _place_pictures(frames: Frames, folder: Path, copy: bool, track: Track) -> None:
+    if isinstance(frames, PictureFiles):
+        for number in track(range(len(frames.paths)), len(frames.paths), folder.name):
+            path = frames.paths[number]
+            _place(path, folder / f"{frame_name(number)}{path.suffix.lower()}", copy)
+    elif isinstance(frames, EncodedPictures):
+        for number in track(range(frames.count), frames.count, folder.name):
+            target = folder / f"{frame_name(number)}{frames.suffix}"
+            if not target.exists():
+                write_bytes_atomically(target, frames.read(number))
+
+
+def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
+    with VideoReader(video.path, video.index) as reader:
+        for number in track(range(count), count, folder.name):
+            target = folder / f"{frame_name(number)}.jpg"
+            if target.exists():
+                continue
+            with atomic_path(target) as temporary:
+                bgr = cv2.cvtColor(reader.read(number + video.offset), cv2.COLOR_RGB2BGR)
+                cv2.imwrite(str(temporary), bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+
+
+def _place(source: Path, target: Path, copy: bool) -> None:
+    """Link ``target`` to ``source``, or copy it there; what is there already as wanted stays."""
+    source = source.resolve()
+    if target.is_symlink() or target.exists():
+        is_link = target.resolve() == source
+        if (is_link and not (copy and target.is_symlink())) or (
+            copy and not target.is_symlink() and _same_size(source, target)
+        ):
+            return
+        if not is_link:
+            raise UserError(
+                f"{target}: expected nothing there or the same file, got another; import into another folder"
+            )
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if copy:
+        with atomic_path(target) as temporary:
+            shutil.copyfile(source, temporary)
+    else:
+        os.symlink(source, target)
+
+
+def _same_size(source: Path, target: Path) -> bool:
+    return source.stat().st_size == target.stat().st_size

@@ -1,0 +1,1 @@
+"""Logits of source views: ``csrc/blend``."""

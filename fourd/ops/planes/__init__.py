@@ -1,0 +1,1 @@
+"""Lookups in feature planes: ``csrc/planes``."""

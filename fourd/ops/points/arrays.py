@@ -1,0 +1,88 @@
+"""The point renderer for NumPy arrays: the CPU kernels without torch and without gradients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.ops.loading import native, simd_name, thread_count
+from fourd.ops.points.validation import camera_numbers, check_background, check_points
+
+Floats = NDArray[np.float32]
+
+
+def render_points_numpy(
+    xyz: Floats,
+    features: Floats,
+    radius: Floats,
+    density: Floats,
+    camera: Camera,
+    *,
+    layers: int = 15,
+    near: float = 0.01,
+    background: Floats | None = None,
+    transmittance_min: float = 0.0,
+    threads: int = 0,
+) -> tuple[Floats, Floats, Floats]:
+    """Render float32 arrays exactly as :func:`fourd.raster.render_points` renders tensors (same arguments).
+
+    ``threads`` 0 means FOURD_THREADS if that is set, else one a core.
+
+    Returns:
+        features (H, W, C), alpha (H, W) and depth (H, W), float32.
+
+    Raises:
+        TypeError, ValueError: naming the argument, what was expected and what came.
+    """
+    arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}
+    check_points(arrays, camera, layers, near)
+    if not 0 <= transmittance_min < 1:
+        raise ValueError(f"transmittance_min: expected 0 or more and below 1, got {transmittance_min}")
+    shape = (camera.height, camera.width)
+    out = np.empty((*shape, features.shape[1]), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
+    native().render_points(
+        *map(np.ascontiguousarray, arrays.values()),
+        camera_numbers(camera),
+        layers,
+        near,
+        transmittance_min,
+        thread_count(threads),
+        simd_name(),
+        *out,
+    )
+    colour, alpha, depth = out
+    if background is not None:
+        check_background(background, camera, features.shape[1])
+        colour = colour + (1 - alpha)[..., None] * np.asarray(background, np.float32)
+    return colour, alpha, depth
+
+
+def point_visibility_numpy(
+    xyz: Floats,
+    radius: Floats,
+    density: Floats,
+    camera: Camera,
+    *,
+    layers: int = 15,
+    near: float = 0.01,
+    threads: int = 0,
+) -> Floats:
+    """(N,) float32 weights as :func:`fourd.raster.point_visibility` gives them (same arguments)."""
+    arrays: dict[str, Any] = {"xyz": xyz, "radius": radius, "density": density}
+    check_points(arrays, camera, layers, near)
+    out = np.empty(radius.shape, np.float32)
+    size = (camera.width, camera.height)
+    native().point_visibility(
+        *map(np.ascontiguousarray, arrays.values()),
+        camera_numbers(camera),
+        *size,
+        layers,
+        near,
+        thread_count(threads),
+        simd_name(),
+        out,
+    )
+    return out

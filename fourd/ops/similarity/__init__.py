@@ -1,0 +1,1 @@
+"""Structural similarity with its gradient: ``csrc/similarity``."""

@@ -1,0 +1,1 @@
+"""Sampling of source views: ``csrc/sources``."""

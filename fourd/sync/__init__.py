@@ -1,0 +1,1 @@
+"""Time offsets between cameras without a common trigger."""

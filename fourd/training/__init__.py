@@ -1,0 +1,1 @@
+"""Training of a run: loss terms, schedule, loop, checkpoints."""

@@ -1,0 +1,1 @@
+"""Cameras as a run knows them: corrections learned while training."""

@@ -1,0 +1,1 @@
+"""Rendering of trained frames and their scores."""

@@ -1,0 +1,1 @@
+"""Each frame's points: storage, densification, spacing."""

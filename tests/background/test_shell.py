@@ -1,0 +1,84 @@
+"""The shell in directions that no plate shows: where it is, what colour it takes, and where it must not be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fourd.background.shell import surroundings
+from fourd.ply import CarvedPoints
+from tests.captures import ring_cameras, sphere
+
+CENTRE = np.array([0.3, -0.2, 0.1])
+RADIUS = 5.0
+
+
+def _room(gap_deg: float) -> CarvedPoints:
+    """A sphere about CENTRE, red below the horizon and blue above, without a wedge of azimuths."""
+    directions = sphere(90_000)
+    azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
+    kept = directions[np.abs(azimuth) > gap_deg / 2]
+    xyz = (CENTRE + RADIUS * kept).astype(np.float32)
+    rgb = np.where(kept[:, 2:] > 0, [[20, 40, 200]], [[200, 40, 20]]).astype(np.uint8)
+    return CarvedPoints(xyz, rgb)
+
+
+@pytest.fixture(scope="module")
+def shell() -> CarvedPoints:
+    return surroundings(_room(28), ring_cameras(8, 64), CENTRE)
+
+
+def test_a_gap_is_closed_and_nothing_else(shell: CarvedPoints) -> None:
+    """Catches a shell over what is known, and a seam at the border of turns left open."""
+    towards = shell.xyz - CENTRE
+    azimuth = np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))
+    level = np.abs(towards[:, 2]) < 2
+    assert np.abs(azimuth[level]).max() < 17
+    filled = np.histogram(azimuth[level], bins=12, range=(-12, 12))[0]
+    assert filled.min() > 20
+
+
+def test_it_continues_distance_and_colour_along_the_horizon(shell: CarvedPoints) -> None:
+    """Catches inverse distances that are averaged as distances, and colours smeared up and down."""
+    towards = shell.xyz - CENTRE
+    np.testing.assert_allclose(np.linalg.norm(towards, axis=1), RADIUS, rtol=0.02)
+    near_edge = np.abs(np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))) > 9
+    above = near_edge & (towards[:, 2] > 1) & (towards[:, 2] < 4)
+    below = near_edge & (towards[:, 2] < -1) & (towards[:, 2] > -4)
+    assert np.abs(shell.rgb[above].astype(int) - [20, 40, 200]).max() < 60
+    assert np.abs(shell.rgb[below].astype(int) - [200, 40, 20]).max() < 60
+
+
+def test_a_whole_room_needs_none() -> None:
+    """Catches gaps seen between the points of a closed surface."""
+    assert len(surroundings(_room(0), ring_cameras(8, 64), CENTRE).xyz) == 0
+
+
+def test_no_guess_hides_what_a_camera_sees() -> None:
+    """Catches a shell across the view of a wall that lies farther behind a gap, as seen from the middle."""
+    room = _room(50)
+    # Beside the middle's view a far wall, which a camera sees through the gap.
+    steps = np.linspace(-8, 8, 200)
+    y, z = np.meshgrid(steps, steps)
+    wall = np.stack([np.full_like(y, 12.0), y, z], axis=-1).reshape(-1, 3)
+    from_middle = np.degrees(np.abs(np.arctan2(wall[:, 1] - CENTRE[1], wall[:, 0] - CENTRE[0])))
+    wall = wall[from_middle < 12].astype(np.float32)
+    points = CarvedPoints(
+        np.concatenate([room.xyz, wall]), np.concatenate([room.rgb, np.full(wall.shape, 90, np.uint8)])
+    )
+    cameras = ring_cameras(8, 64)
+    found = surroundings(points, cameras, CENTRE)
+    for camera in cameras:
+        pixels, depth = camera.project(wall)
+        inside = (depth > 0) & (pixels > 4).all(axis=1) & (pixels < 60).all(axis=1)
+        if inside.sum() < 2000:
+            continue
+        mine, my_depth = camera.project(found.xyz)
+        low, high = pixels[inside].min(axis=0) + 4, pixels[inside].max(axis=0) - 4
+        over = (my_depth > 0) & (mine > low).all(axis=1) & (mine < high).all(axis=1)
+        assert (my_depth[over] > 0.85 * np.median(depth[inside])).all()
+
+
+def test_without_points_there_is_no_shell() -> None:
+    empty = CarvedPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+    assert len(surroundings(empty, ring_cameras(8, 64), CENTRE).xyz) == 0

@@ -1,0 +1,42 @@
+"""Backgrounds that move are told from those that only have a subject before them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from fourd.background.plates import PlateView
+from fourd.background.stillness import restless
+from fourd.capture import open_capture
+
+
+def plate_views(path: Path) -> list[PlateView]:
+    """Clean plates of the capture's grey room, brighter by a few levels than its pictures."""
+    capture = open_capture(path, frames="0:1")
+    views = []
+    for index, camera in enumerate(capture.cameras):
+        rgb, matte = capture.image(index, 0), capture.mask(index, 0)
+        room = np.median(rgb[matte == 0], axis=0) + 5
+        views.append(
+            PlateView(capture.names[index], camera, np.tile(room, (*matte.shape, 1)).astype(np.uint8), matte >= 0)
+        )
+    return views
+
+
+def test_a_subject_and_another_exposure_are_no_movement(ball_capture: Path) -> None:
+    """Catches the subject taken for background that moves, and plates of another exposure."""
+    capture = open_capture(ball_capture)
+    assert restless(capture, range(len(capture.names)), plate_views(ball_capture)) == {}
+
+
+def test_what_changes_beside_the_subject_is_found(ball_capture: Path) -> None:
+    """Catches a background that moves and is averaged without a word."""
+    capture, plates = open_capture(ball_capture), plate_views(ball_capture)
+    changed = plates[1].rgb.copy()
+    changed[:8] = 255 - changed[:8]
+    plates[1] = replace(plates[1], rgb=changed)
+    found = restless(capture, range(len(plates)), plates)
+    assert list(found) == [capture.names[1]]
+    assert 0.08 < found[capture.names[1]] < 0.25

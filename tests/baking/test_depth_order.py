@@ -1,0 +1,180 @@
+"""Points in the order of their depth, against NumPy."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fourd.baking import BakedFrame
+from fourd.baking.depth_order import DepthSorter
+from fourd.cameras import Camera
+from fourd.ops.loading import native
+from tests.baking.scenes import random_frame, ring
+
+NEAR = 0.5
+LARGEST = np.finfo(np.float32).max
+
+
+def straight_camera(width: int = 40, height: int = 30) -> Camera:
+    """Looks along z from (0, 0, -2): points of equal z have equal depths."""
+    intrinsics = np.array([[35.0, 0.2, width / 2 + 0.3], [0, 34.0, height / 2 - 0.4], [0, 0, 1]])
+    return Camera(intrinsics, np.eye(3), np.array([0.0, 0, 2]), width, height)
+
+
+def turned_camera() -> Camera:
+    """As above from elsewhere, turned in all three axes."""
+    rotation = Rotation.from_euler("xyz", [0.3, -0.4, 0.2]).as_matrix()
+    return replace(straight_camera(33, 47), rotation=rotation, translation=np.array([0.1, -0.2, 1.5]))
+
+
+def hard_frame(points: int, seed: int) -> BakedFrame:
+    """Points in and around the view: tied, behind, near, outside, at the border, not finite, and of no size."""
+    rng = np.random.default_rng(seed)
+    frame = random_frame(points, 1, seed)
+    xyz = rng.uniform([-2.5, -2.5, -2.5], [2.5, 2.5, 2.5], (points, 3)).astype(np.float32)
+    radius = np.exp(rng.uniform(np.log(0.002), np.log(0.5), points)).astype(np.float16)
+    density = frame.density.copy()
+    kind = rng.integers(0, 18, points)
+    spoilt = np.array([np.nan, np.inf, -np.inf], np.float32)
+    xyz[kind < 4, 2] = np.round(4 * xyz[kind < 4, 2]) / 4
+    xyz[kind == 4] = xyz[kind == 4][:1]
+    xyz[kind == 5, 2] = np.float32(NEAR - 2) + rng.choice([-1e-6, 0, 1e-6], (kind == 5).sum()).astype(np.float32)
+    xyz[kind == 6, rng.integers(0, 3)] = rng.choice(spoilt, (kind == 6).sum())
+    xyz[kind == 7] *= np.float32(1e38)
+    radius[kind == 8] = 0
+    radius[kind == 9] = -0.1
+    radius[kind == 10] = 30.0
+    density[kind == 11] = 0
+    density[kind == 12] = -0.5
+    density[kind == 13] = 3.0
+    return replace(frame, xyz=xyz, radius=radius, density=density)
+
+
+def expected(frame: BakedFrame, camera: Camera, near: float) -> NDArray[np.uint32]:
+    """Visible points by a stable sort of their float32 depths, with the renderers' operations in their order."""
+    k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
+    radius, density = frame.radius.astype(np.float32), frame.density.astype(np.float32)
+    a, b, c = frame.xyz.T
+    with np.errstate(all="ignore"):
+        x, y, z = (r[i, 0] * a + r[i, 1] * b + r[i, 2] * c + t[i] for i in range(3))
+        u = (k[0, 0] * x + k[0, 1] * y) / z + k[0, 2]
+        v = (k[1, 0] * x + k[1, 1] * y) / z + k[1, 2]
+        rho = k[1, 1] * radius / z
+        inverse_square = np.float32(1) / (rho * rho)
+        seen = (z >= np.float32(near)) & (radius > 0) & (density > 0) & (inverse_square > 0)
+        for value in (z, radius, density, u, v, inverse_square):
+            seen &= np.abs(value) <= LARGEST
+        seen &= touches(u, rho, camera.width) & touches(v, rho, camera.height)
+    index = np.flatnonzero(seen)
+    return index[np.argsort(z[index], kind="stable")].astype(np.uint32)
+
+
+def touches(centre: NDArray[np.float32], rho: NDArray[np.float32], size: int) -> NDArray[np.bool_]:
+    """Whether a disc holds the centre of a pixel, along one axis."""
+    reach = rho.astype(np.float64) * (1 + 1e-6)
+    first = np.ceil(centre - reach - 0.5)
+    last = np.floor(centre + reach - 0.5)
+    return np.maximum(first, 0) <= np.minimum(last, size - 1)
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
+@pytest.mark.parametrize("camera", [straight_camera(), turned_camera()], ids=["straight", "turned"])
+@pytest.mark.parametrize("points", [0, 1, 9, 3000])
+def test_the_order_is_a_stable_sort_of_what_is_seen(
+    points: int, camera: Camera, simd: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches ties out of order, points that should be left out or should not, and depths rounded otherwise."""
+    if not native().simd_available(simd):
+        pytest.skip(f"{simd} is not available here")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    frame = hard_frame(points, seed=points)
+    order = DepthSorter().sort(frame, camera, NEAR)
+    assert order.dtype == np.uint32
+    np.testing.assert_array_equal(order, expected(frame, camera, NEAR))
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 7, 32])
+@pytest.mark.parametrize("points", [5, 20_000])
+def test_any_number_of_threads_gives_the_same_order(points: int, threads: int) -> None:
+    """Catches a part's points sorted before those of the part before, and parts that are empty."""
+    frame, camera = hard_frame(points, seed=6), straight_camera()
+    order = DepthSorter().sort(frame, camera, NEAR, threads=threads)
+    np.testing.assert_array_equal(order, expected(frame, camera, NEAR))
+
+
+def test_the_default_number_of_threads_is_the_environments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches FOURD_THREADS that is not read, and a wrong one that is taken."""
+    frame, camera = hard_frame(3000, seed=7), turned_camera()
+    monkeypatch.setenv("FOURD_THREADS", "3")
+    np.testing.assert_array_equal(DepthSorter().sort(frame, camera, NEAR), expected(frame, camera, NEAR))
+    monkeypatch.setenv("FOURD_THREADS", "many")
+    with pytest.raises(ValueError, match="FOURD_THREADS: expected a whole number of at least 1, got 'many'"):
+        DepthSorter().sort(frame, camera, NEAR)
+
+
+def test_equal_depths_come_by_index() -> None:
+    """Catches an order that flickers from one picture to the next where surfaces lie in a plane."""
+    frame = random_frame(5000, 1, seed=8)
+    frame.xyz[:] = np.random.default_rng(8).uniform(-0.3, 0.3, frame.xyz.shape)
+    frame.xyz[:, 2] = np.float32(0.125) * (np.arange(5000) % 3)
+    frame.radius[:] = 0.1
+    order = DepthSorter().sort(frame, straight_camera(), NEAR)
+    index = np.arange(5000)
+    np.testing.assert_array_equal(order, np.concatenate([index[index % 3 == plane] for plane in range(3)]))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("xyz", (0, 0, -2 + 0.99 * NEAR)),
+        ("xyz", (0, 0, -3)),
+        ("xyz", (5, 0, 0)),
+        ("xyz", (0, -5, 0)),
+        ("xyz", (np.nan, 0, 0)),
+        ("xyz", (0, 0, np.inf)),
+        ("radius", 0),
+        ("radius", -1),
+        ("density", 0),
+        ("density", -1),
+    ],
+)
+def test_a_point_that_is_not_drawn_is_left_out(name: str, value: float | tuple[float, ...]) -> None:
+    """Catches each reason for leaving a point out, alone, between points that stay."""
+    frame = random_frame(3, 1, seed=9)
+    frame.xyz[:] = [[0, 0, 0.2], [0, 0, 0.1], [0, 0, 0]]
+    assert DepthSorter().sort(frame, straight_camera(), NEAR).tolist() == [2, 1, 0]
+    getattr(frame, name)[1] = value
+    assert DepthSorter().sort(frame, straight_camera(), NEAR).tolist() == [2, 0]
+
+
+def test_a_disc_that_reaches_into_the_picture_is_kept() -> None:
+    """Catches discs judged by their centres, which would vanish at the border."""
+    frame = random_frame(2, 1, seed=10)
+    frame.xyz[:] = [[2, 0, 0], [0, 0, 0]]
+    frame.radius[:] = (1.5, 0.05)
+    assert sorted(DepthSorter().sort(frame, straight_camera(), NEAR).tolist()) == [0, 1]
+
+
+def test_a_sorter_forgets_the_frame_before() -> None:
+    """Catches memory of a larger frame that shows in the next, and results written over by it."""
+    sorter, camera = DepthSorter(), ring(4)[1]
+    frames = [random_frame(points, 1, seed=points) for points in (3000, 40, 0, 5000)]
+    orders = [sorter.sort(frame, camera, NEAR) for frame in frames]
+    for frame, order in zip(frames, orders, strict=True):
+        np.testing.assert_array_equal(order, expected(frame, camera, NEAR))
+
+
+def test_what_cannot_be_sorted_is_said() -> None:
+    """Catches a wrong picture, or a crash, from a lens that is not ideal or a plane behind the camera."""
+    frame, camera, sorter = random_frame(5, 1, seed=11), straight_camera(), DepthSorter()
+    for near in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match="near: expected a finite distance above 0"):
+            sorter.sort(frame, camera, near)
+    with pytest.raises(ValueError, match="camera: expected an ideal pinhole"):
+        sorter.sort(frame, replace(camera, distortion=np.array([0.1, 0, 0, 0])), NEAR)
+    with pytest.raises(ValueError, match="threads: expected 0"):
+        sorter.sort(frame, camera, NEAR, threads=-1)

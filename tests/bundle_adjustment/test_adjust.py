@@ -1,0 +1,126 @@
+"""Cameras adjusted before carving: by exact features with noise and wrong matches, and by pictures of a room."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.background.stereo.features import Features
+from fourd.bundle_adjustment.adjust import adjust_cameras, agreeing
+from fourd.bundle_adjustment.solver import Prior
+from fourd.bundle_adjustment.tracks import Moment
+from fourd.calibration.perturbation import disturbed, pose_errors
+from fourd.cameras import Camera
+from fourd.progress import untracked
+from tests.calibration.rooms import Room, room_cameras
+from tests.captures import ring_cameras
+
+Matches = dict[tuple[int, int], NDArray[np.intp]]
+
+
+def _moment(cameras: list[Camera], rng: np.random.Generator, wrong: float, points: int = 400) -> Moment:
+    """Points in a box as every camera sees them, to a quarter of a pixel; a share of the matches is wrong."""
+    xyz = rng.uniform(-0.8, 0.8, (points, 3))
+    features = []
+    for camera in cameras:
+        pixels, _ = camera.project(xyz)
+        features.append(Features(pixels + rng.normal(0, 0.25, pixels.shape), np.zeros((points, 0), np.float32)))
+    matches: Matches = {}
+    for i in range(len(cameras)):
+        for j in ((i + 1) % len(cameras), (i + 2) % len(cameras)):
+            chosen = rng.choice(points, points // 3, replace=False)
+            other = np.where(rng.random(len(chosen)) < wrong, rng.permutation(points)[: len(chosen)], chosen)
+            matches[i, j] = np.column_stack([chosen, other])
+    return Moment(tuple(features), matches)
+
+
+def _named(cameras: list[Camera] | tuple[Camera, ...]) -> dict[str, Camera]:
+    return {str(index): camera for index, camera in enumerate(cameras)}
+
+
+def _prior(cameras: list[Camera], focal: float) -> Prior:
+    return Prior(np.radians(0.5), np.full(len(cameras), 0.01), focal)
+
+
+def _means(truth: list[Camera], cameras: list[Camera] | tuple[Camera, ...]) -> tuple[float, float]:
+    errors = pose_errors(_named(truth), _named(cameras)).values()
+    return float(np.mean([error.degrees for error in errors])), float(np.mean([error.distance for error in errors]))
+
+
+def test_disturbed_cameras_come_nearer_the_truth(rng: np.random.Generator) -> None:
+    """Catches wrong Jacobians, wrong matches that pull, and a gauge that drifts where the priors should hold it."""
+    truth = ring_cameras(10, 512)
+    given = list(disturbed(_named(truth), 0.5, 0.01, rng).values())
+    found = agreeing(given, [_moment(truth, rng, wrong=0.15)], _prior(given, 0.002), 0.03)
+    before, after = _means(truth, given), _means(truth, found.cameras)
+    assert after[0] < 0.25 * before[0]
+    assert after[1] < 0.6 * before[1]
+    assert found.after_px < 0.5 < 1.0 < found.before_px
+    unaligned = [np.linalg.norm(one.centre - other.centre) for one, other in zip(truth, found.cameras, strict=True)]
+    assert np.mean(unaligned) < 0.012
+    zooms = [now.intrinsics[0, 0] / was.intrinsics[0, 0] for now, was in zip(found.cameras, truth, strict=True)]
+    assert max(abs(zoom - 1) for zoom in zooms) < 0.004
+
+
+def test_what_is_held_stays(rng: np.random.Generator) -> None:
+    """Catches focal lengths that change where only poses are refined, and the other way round."""
+    truth = ring_cameras(8, 256)
+    given = list(disturbed(_named(truth), 0.3, 0.005, rng).values())
+    moment = _moment(truth, rng, wrong=0.0)
+    poses = agreeing(given, [moment], _prior(given, 0.0), 0.03).cameras
+    assert all(np.array_equal(now.intrinsics, was.intrinsics) for now, was in zip(poses, given, strict=True))
+    held = Prior(0.0, np.zeros(len(given)), 0.01)
+    focal = agreeing(given, [moment], held, 0.03).cameras
+    for now, was in zip(focal, given, strict=True):
+        assert np.allclose(now.rotation, was.rotation, rtol=0, atol=1e-12)
+        assert np.allclose(now.centre, was.centre, rtol=0, atol=1e-12)
+
+
+def test_cameras_that_share_nothing_stay_as_given(rng: np.random.Generator) -> None:
+    """Catches cameras that a handful of chance matches moves, and a crash where no feature is found at all."""
+    truth = ring_cameras(6, 256)
+    moment = _moment(truth, rng, wrong=0.0)
+    alone = {pair: rows for pair, rows in moment.matches.items() if 5 not in pair}
+    few = {pair: rows[:4] for pair, rows in moment.matches.items() if 5 in pair}
+    found = agreeing(truth, [Moment(moment.features, alone | few)], _prior(truth, 0.0), 0.03)
+    assert found.features[5] == 0
+    assert np.array_equal(found.cameras[5].rotation, truth[5].rotation)
+    none = agreeing(truth, [Moment(moment.features, {})], _prior(truth, 0.0), 0.03)
+    assert none.features.sum() == 0
+    assert none.cameras == tuple(truth)
+
+
+@dataclass(frozen=True)
+class _RoomCapture:
+    """One moment of a room; satisfies MaskSource."""
+
+    cameras: tuple[Camera, ...]
+    pictures: tuple[NDArray[np.uint8], ...]
+    path: Path = Path("memory")
+    frame_count: int = 1
+    frame_numbers: tuple[int, ...] = (0,)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(_named(self.cameras))
+
+    def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
+        raise AssertionError("adjusting looks at pictures alone")
+
+    def image(self, camera: int, frame: int) -> NDArray[np.uint8]:
+        return self.pictures[camera]
+
+
+def test_pictures_of_a_room_bring_its_cameras_back() -> None:
+    """Catches features that are half a pixel off, and pairs that are matched in the wrong order."""
+    rng = np.random.default_rng(3)
+    truth = room_cameras(5, 320, 240)
+    room = Room(rng)
+    pictures = tuple(room.picture(camera) for camera in truth)
+    given = list(disturbed(_named(truth), 0.5, 0.01, rng).values())
+    found = adjust_cameras(_RoomCapture(tuple(given), pictures), range(5), _prior(given, 0.0), 0.03, untracked)
+    assert _means(truth, found.cameras)[0] < 0.4 * _means(truth, given)[0]
+    assert found.after_px < 0.6

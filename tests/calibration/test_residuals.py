@@ -1,0 +1,184 @@
+"""Residuals of a calibration: a good one is never accused, a bad camera is named, chance is no match."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from fourd.calibration.matching import Matches, distorted, features, match, supported, undistorted
+from fourd.calibration.residuals import (
+    bad_cameras,
+    epipolar_distances,
+    epipolar_residuals,
+    likely_pairs,
+    matched_pairs,
+    residuals_of,
+)
+from fourd.cameras import Camera
+from fourd.capture import open_capture
+from tests.calibration.rooms import Room, room_cameras
+from tests.captures import ring_cameras
+
+CAPTURES = Path(__file__).parents[2].parent / "shared" / "captures"
+Picture = NDArray[np.uint8]
+DISTORTION = np.array([-0.12, 0.05, 0.001, -0.001, 0.0])
+
+
+def _turned(camera: Camera, degrees: float) -> Camera:
+    turn = np.asarray(cv2.Rodrigues(np.radians([degrees, -degrees / 2, 0.0]))[0])
+    return replace(camera, rotation=turn @ camera.rotation, translation=turn @ camera.translation)
+
+
+@pytest.fixture(scope="module")
+def room() -> tuple[list[Camera], list[Picture]]:
+    """Six cameras with distortion and what they see."""
+    cameras = room_cameras(6, distortion=DISTORTION)
+    textured = Room(np.random.default_rng(5))
+    return cameras, [textured.picture(camera) for camera in cameras]
+
+
+def test_a_true_calibration_agrees_to_a_fraction_of_a_pixel(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches half-pixel shifts between OpenCV's features and our cameras, and distortion that is forgotten."""
+    cameras, pictures = room
+    found = epipolar_residuals(pictures, cameras)
+    assert len(found.pairs) >= 10
+    assert max(found.pairs.values()) < 0.35
+    assert found.bad == ()
+    assert all(residual is not None and residual < 0.35 for residual in found.cameras)
+
+
+def test_a_bad_camera_is_named_and_no_other(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches blame on the neighbours of a bad camera, and matches filtered by the calibration that they judge."""
+    cameras, pictures = room
+    matches = matched_pairs(pictures, cameras)
+    for bad in range(len(cameras)):
+        wrong = [_turned(camera, 2) if index == bad else camera for index, camera in enumerate(cameras)]
+        found = residuals_of(matches, wrong)
+        assert found.bad == (bad,)
+        blame = [residual or 0 for residual in found.cameras]
+        assert int(np.argmax(blame)) == bad
+        assert blame[bad] > 3
+        assert max(value for index, value in enumerate(blame) if index != bad) < 1
+
+
+def test_the_calibration_under_test_chooses_no_matches(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches a filter that lets a wrong calibration pick the matches that suit it."""
+    cameras, pictures = room
+    wrong = [_turned(camera, 2) if index == 2 else camera for index, camera in enumerate(cameras)]
+    true, other = matched_pairs(pictures, cameras), matched_pairs(pictures, wrong)
+    assert {pair: len(found) for pair, found in true.items()} == {pair: len(found) for pair, found in other.items()}
+
+
+def test_pictures_without_texture_are_judged_by_nobody() -> None:
+    """Catches numbers made up where there are too few matches."""
+    cameras = room_cameras(3)
+    found = epipolar_residuals([np.full((360, 480, 3), 90, np.uint8)] * 3, cameras)
+    assert found.pairs == {}
+    assert found.cameras == (None, None, None)
+    assert found.bad == ()
+
+
+def test_pictures_of_different_scenes_do_not_match(rng: np.random.Generator) -> None:
+    """Catches a fundamental matrix that chance matches support, which would accuse a good camera."""
+    cameras = room_cameras(4)
+    pictures = [Room(rng).picture(camera, finer=1) for camera in cameras]
+    assert epipolar_residuals(pictures, cameras).pairs == {}
+
+
+def test_chance_matches_are_not_supported_and_true_ones_among_them_are(rng: np.random.Generator) -> None:
+    """Catches thresholds on the share or the number of inliers, which chance reaches."""
+    cameras = room_cameras(2, 1000, 800)
+    chance = Matches(rng.uniform(0, 800, (200, 2)), rng.uniform(0, 800, (200, 2)))
+    assert not supported(chance, 1000, 800).any()
+    xyz = rng.uniform((0.8, 0.8, 0.2), (1.6, 1.6, 1.2), (120, 3))
+    first, second = (camera.project(xyz)[0] + rng.normal(0, 0.3, (120, 2)) for camera in cameras)
+    mixed = Matches(np.vstack([first, chance.first_px]), np.vstack([second, chance.second_px]))
+    kept = supported(mixed, 1000, 800)
+    assert kept[:120].mean() > 0.9
+    assert kept[120:].mean() < 0.1
+
+
+def test_a_plane_alone_supports_its_own_matches_only(rng: np.random.Generator) -> None:
+    """Catches the degenerate fundamental matrix of a planar scene, which any two more matches join."""
+    cameras = room_cameras(2, 1000, 800)
+    xyz = np.column_stack([rng.uniform((0.6, 0.6), (1.8, 1.8), (100, 2)), np.full(100, 0.4)])
+    first, second = (camera.project(xyz)[0] + rng.normal(0, 0.2, (100, 2)) for camera in cameras)
+    wrong = rng.uniform(0, 800, (30, 4))
+    mixed = Matches(np.vstack([first, wrong[:, :2]]), np.vstack([second, wrong[:, 2:]]))
+    kept = supported(mixed, 1000, 800)
+    assert kept[:100].mean() > 0.95
+    assert kept[100:].sum() <= 1
+
+
+def test_distances_are_pixels_across_the_line(rng: np.random.Generator) -> None:
+    """Catches a wrong scale, and shifts along the line that count."""
+    near = np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]])
+    left = Camera(near, np.eye(3), np.zeros(3), 640, 480)
+    right = Camera(near, np.eye(3), np.array([-0.5, 0, 0]), 640, 480)
+    xyz = rng.uniform((-0.5, -0.5, 2), (0.5, 0.5, 4), (50, 3))
+    matches = Matches(left.project(xyz)[0], right.project(xyz)[0])
+    np.testing.assert_allclose(epipolar_distances(matches, left, right), 0, atol=1e-9)
+    up = Matches(matches.first_px, matches.second_px + np.array([7.0, 2.5]))
+    np.testing.assert_allclose(np.abs(epipolar_distances(up, left, right)), 2.5, atol=1e-9)
+    assert not epipolar_distances(up, left, left).any()
+
+
+def test_distortion_goes_there_and_back(rng: np.random.Generator) -> None:
+    """Catches a step too few, and OpenCV's half pixel."""
+    camera = room_cameras(1, distortion=DISTORTION)[0]
+    xy = rng.uniform((0, 0), (480, 360), (200, 2))
+    np.testing.assert_allclose(distorted(camera, undistorted(camera, xy)), xy, atol=1e-6)
+    np.testing.assert_allclose(undistorted(camera, camera.intrinsics[:2, 2][None]), camera.intrinsics[None, :2, 2])
+
+
+def test_two_cameras_are_never_accused_and_neither_is_any_when_all_disagree() -> None:
+    """Catches false alarms where nobody can tell who is wrong."""
+    assert bad_cameras({(0, 1): 50.0}) == ()
+    assert bad_cameras({(0, 1): 50.0, (0, 2): 60.0, (1, 2): 40.0}) == ()
+    assert bad_cameras({(0, 1): 0.5, (0, 2): 60.0}) == ()
+    assert bad_cameras({(0, 1): 0.5, (0, 2): 2.9, (1, 2): 2.9}) == ()
+    assert bad_cameras({(0, 1): 0.5, (0, 2): 60.0, (1, 2): 40.0, (0, 3): 0.4, (1, 3): 0.6, (2, 3): 30.0}) == (2,)
+
+
+def test_neighbours_in_a_ring_are_paired() -> None:
+    """Catches pairs from opposite sides, which share nothing, and a loop that is not closed."""
+    pairs = likely_pairs(ring_cameras(20, 64))
+    assert all(min((j - i) % 20, (i - j) % 20) <= 4 for i, j in pairs)
+    assert (0, 19) in pairs
+    assert len(likely_pairs(ring_cameras(8, 64))) == 28
+
+
+def test_a_picture_of_another_size_is_refused() -> None:
+    """Catches residuals of the wrong pixels."""
+    cameras = room_cameras(2)
+    with pytest.raises(ValueError, match=r"pictures\[1\]: expected 360 x 480 x 3"):
+        matched_pairs([np.zeros((360, 480, 3), np.uint8), np.zeros((360, 470, 3), np.uint8)], cameras)
+
+
+def test_a_feature_counts_once(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches places with two orientations that are two pieces of evidence."""
+    _, pictures = room
+    found = features(pictures[0])
+    both = match(found, found)
+    assert len(np.unique(np.round(both.first_px), axis=0)) == len(both) > 100
+
+
+@pytest.mark.slow
+def test_the_real_ring_of_twenty_is_not_accused_and_a_turned_camera_is() -> None:
+    """Catches false alarms on tiles and bare walls, and a bad camera that hides there."""
+    if not (CAPTURES / "fox_run").is_dir():
+        pytest.skip(f"no real capture at {CAPTURES / 'fox_run'}")
+    capture = open_capture(CAPTURES / "fox_run")
+    pictures = [capture.image(camera, 0) for camera in range(len(capture.names))]
+    matches = matched_pairs(pictures, capture.cameras)
+    found = residuals_of(matches, capture.cameras)
+    assert found.bad == ()
+    assert len(found.pairs) >= 12
+    assert np.median(list(found.pairs.values())) < 0.6
+    wrong = [_turned(camera, 0.6) if index == 13 else camera for index, camera in enumerate(capture.cameras)]
+    assert residuals_of(matches, wrong).bad == (13,)

@@ -1,0 +1,144 @@
+"""DNA-Rendering: HDF5 files with the groups, names and types that the set's own reader asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from fourd.importing.formats.dna_rendering import read
+from fourd.importing.formats.imported import EncodedPictures
+from tests.importing.formats.sources import (
+    BARREL,
+    assert_damage_is_told,
+    assert_same_view,
+    assert_told,
+    detected,
+    picture_bytes,
+    uneven_cameras,
+)
+
+FRAMES = 12
+IDS = {"0": "Camera_5mp", "2": "Camera_5mp", "48": "Camera_12mp"}
+
+
+def stored(content: bytes) -> np.ndarray:
+    return np.frombuffer(content, np.uint8)
+
+
+def write_parameters(file: h5py.File) -> None:
+    """Poses from the camera to the world; OpenCV's matrix has the first pixel's centre at 0."""
+    for number, camera in zip(IDS, uneven_cameras(3, BARREL), strict=True):
+        group = file.create_group(f"Camera_Parameter/{int(number):02d}")
+        group["K"] = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+        group["D"] = BARREL
+        group["RT"] = np.linalg.inv(np.vstack([np.c_[camera.rotation, camera.translation], [0, 0, 0, 1]]))
+        group["Color_Calibration"] = np.eye(3)
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    with h5py.File(tmp_path / "0012_11.smc", "w") as file:
+        for number, group in IDS.items():
+            for frame in range(FRAMES):
+                file[f"{group}/{number}/color/{frame}"] = stored(picture_bytes(".jpg", 20 * frame))
+    with h5py.File(tmp_path / "0012_11_annots.smc", "w") as file:
+        write_parameters(file)
+        for number in IDS:
+            for frame in range(FRAMES):
+                file[f"Mask/{number}/mask/{frame}"] = stored(picture_bytes(".png", 255 - frame))
+    return tmp_path
+
+
+def grey(frames: object, index: int) -> int:
+    assert isinstance(frames, EncodedPictures)
+    picture = cv2.imdecode(stored(frames.read(index)), cv2.IMREAD_GRAYSCALE)
+    assert picture is not None
+    return round(float(np.mean(picture)))
+
+
+def test_cameras_see_what_they_saw(source: Path, rng: np.random.Generator) -> None:
+    """Catches the pose taken for world-to-camera, and frames ordered by letters (10 before 2)."""
+    assert detected(source) == detected(source / "0012_11.smc") == "dna-rendering"
+    imported = read(source)
+    assert [camera.name for camera in imported.cameras] == ["00", "02", "48"]
+    for camera, original in zip(imported.cameras, uneven_cameras(3, BARREL), strict=True):
+        assert_same_view(camera.lens, original, rng)
+        assert isinstance(camera.frames, EncodedPictures)
+        assert (camera.frames.count, camera.frames.suffix) == (FRAMES, ".jpg")
+        assert [grey(camera.frames, index) for index in (2, 10)] == [40, 200]
+        assert isinstance(camera.masks, EncodedPictures)
+        assert (camera.masks.count, camera.masks.suffix) == (FRAMES, ".png")
+        assert [grey(camera.masks, index) for index in (2, 10)] == [253, 245]
+
+
+def test_later_parts_and_other_folders(source: Path, rng: np.random.Generator) -> None:
+    """Catches the calibration looked for in one place: the set hands it out in three."""
+    (source / "main").mkdir()
+    (source / "annotations").mkdir()
+    for name, folder in (("0012_11.smc", "main"), ("0012_11_annots.smc", "annotations")):
+        (source / name).rename(source / folder / name)
+    imported = read(source / "main")
+    assert imported.cameras[0].masks is not None
+    (source / "annotations" / "0012_11_annots.smc").unlink()
+    with h5py.File(source / "main" / "0012_11.smc", "a") as file:
+        write_parameters(file)
+    imported = read(source / "main" / "0012_11.smc")
+    assert imported.cameras[0].masks is None
+    assert_same_view(imported.cameras[2].lens, uneven_cameras(3, BARREL)[2], rng)
+
+
+def _replace(name: str, value: object) -> object:
+    def spoil(main: h5py.File, annotations: h5py.File) -> None:
+        file = annotations if name.startswith(("Camera_P", "Mask")) else main
+        del file[name]
+        if value is not None:
+            file[name] = value
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_replace("Camera_Parameter", None), r"_annots.smc: expected the group Camera_Parameter, got none; download"),
+        (_replace("Camera_Parameter/02/RT", None), r"_annots.smc: expected Camera_Parameter/02/RT, got none"),
+        (_replace("Camera_Parameter/02/RT", 9 * np.eye(4)), r"Camera_Parameter/02: rotation: expected an orthonormal"),
+        (_replace("Camera_Parameter/02/K", np.full((3, 3), np.nan)), r"Camera_Parameter/02/K: expected finite numbers"),
+        (_replace("Camera_Parameter/02/K", np.eye(4)), r"Camera_Parameter/02/K: expected 3 x 3 numbers, got 4 x 4"),
+        (
+            _replace("Camera_Parameter/02/D", "none"),
+            r"Camera_Parameter/02/D: expected some numbers, got something else",
+        ),
+        (_replace("Camera_5mp/2/color", None), r"0012_11.smc: expected the group Camera_5mp/2/color, got none"),
+        (
+            _replace("Camera_5mp/2/color/0", "text"),
+            r"Camera_5mp/2/color/0: expected the bytes of a picture, got object",
+        ),
+        (_replace("Camera_5mp/2/color/0", stored(b"GIF")), r"Camera_5mp/2/color/0: expected a JPEG or PNG, got some"),
+        (_replace("Mask/2/mask/5", None), r"_annots.smc: Mask/2: expected 12 mattes, one for each picture, got 11"),
+    ],
+)
+def test_faults_are_told(source: Path, spoil: object, message: str) -> None:
+    assert callable(spoil)
+    with h5py.File(source / "0012_11.smc", "a") as main, h5py.File(source / "0012_11_annots.smc", "a") as annotations:
+        spoil(main, annotations)
+    assert_told(read, source, message)
+
+
+def test_files_that_are_missing_or_none_are_told(source: Path) -> None:
+    (source / "0012_11_annots.smc").rename(source / "kept")
+    assert_told(read, source, r"expected the group Camera_Parameter there or in 0012_11_annots.smc, got neither; put")
+    (source / "0013_01.smc").write_text("text")
+    assert_told(read, source, r"expected one NAME.smc, got 0012_11.smc and 0013_01.smc; name the file itself")
+    assert_told(read, source / "0013_01.smc", r"0013_01.smc: expected HDF5, got '.*'; download it again")
+    with h5py.File(source / "0013_01.smc", "w") as file:
+        file["Kinect"] = 1
+    assert_told(read, source / "0013_01.smc", r"expected the group Camera_5mp or Camera_12mp, got neither; download")
+
+
+def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_told(read, source, source / "0012_11_annots.smc", rng)

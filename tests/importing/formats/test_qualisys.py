@@ -1,0 +1,111 @@
+"""Qualisys: poses in millimetres with y up and z backwards, focal lengths in 1/64 pixel of a larger sensor."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fourd.cameras import Camera
+from fourd.importing.formats.qualisys import read, read_lenses
+from tests.importing.formats.sources import (
+    BARREL,
+    assert_damage_is_told,
+    assert_same_view,
+    assert_told,
+    detected,
+    edit,
+    file_names,
+    uneven_cameras,
+    write_video,
+)
+
+BALANCE = Path(__file__).parents[3].parent / "shared" / "captures" / "balance" / "Calib.qca.txt"
+LEFT, TOP = 5, 3
+NAMES = ("11", "12", "13")
+
+
+def entry(serial: str, camera: Camera) -> str:
+    """A camera as Qualisys writes it: the axes by looking along them, the picture as a part of the sensor."""
+    right, down, forward = camera.rotation
+    axes = {"1": right, "2": -down, "3": -forward}
+    rotation = " ".join(f'r{i}{j}="{axis[j - 1]!r}"' for i, axis in axes.items() for j in (1, 2, 3))
+    position = " ".join(f'{axis}="{1000 * value!r}"' for axis, value in zip("xyz", camera.centre, strict=True))
+    k1, k2, p1, p2, k3 = BARREL
+    focal_x, focal_y = camera.intrinsics[0, 0], camera.intrinsics[1, 1]
+    u, v = camera.intrinsics[0, 2] - 0.5 + LEFT, camera.intrinsics[1, 2] - 0.5 + TOP
+    text = f"""<camera active="1" serial="{serial}" viewrotation="0">
+      <fov_video left="{LEFT}" top="{TOP}" right="{LEFT + camera.width - 1}" bottom="{TOP + camera.height - 1}"/>
+      <transform {position} {rotation}/>
+      <intrinsic focalLengthU="{64 * focal_x!r}" focalLengthV="{64 * focal_y!r}" centerPointU="{64 * u!r}"
+        centerPointV="{64 * v!r}" skew="0.0" radialDistortion1="{k1}" radialDistortion2="{k2}"
+        radialDistortion3="{k3}" tangentalDistortion1="{p1}" tangentalDistortion2="{p2}"/></camera>"""
+    return text.replace("np.float64(", "").replace(')"', '"')
+
+
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    text = "".join(entry(name, camera) for name, camera in zip(NAMES, uneven_cameras(3, BARREL), strict=True))
+    text = f"<?xml version='1.0' encoding='ASCII'?><calibration><cameras>{text}</cameras></calibration>"
+    (tmp_path / "Calib.qca.txt").write_text(text)
+    for name in NAMES:
+        write_video(tmp_path / f"Miqus_{name}.mp4")
+    return tmp_path
+
+
+def test_cameras_see_what_they_saw(source: Path, rng: np.random.Generator) -> None:
+    """Catches axes, units, or the part of the sensor taken wrongly."""
+    assert detected(source) == detected(source / "Calib.qca.txt") == "qualisys"
+    imported = read(source)
+    assert [camera.name for camera in imported.cameras] == [f"Miqus_{name}" for name in NAMES]
+    for camera, original in zip(imported.cameras, uneven_cameras(3, BARREL), strict=True):
+        assert_same_view(camera.lens, original, rng)
+        assert file_names(camera.frames) == [f"{camera.name}.mp4"]
+    assert "millimetres" in imported.notes[0]
+
+
+def test_cameras_without_video_are_named(source: Path) -> None:
+    (source / "Miqus_12.mp4").unlink()
+    assert "left out, since there is no video of them: 12" in read(source).notes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<calibration>", "<calibration", r"Calib.qca.txt: expected Qualisys' XML, got '.*'; export it again"),
+        ('serial="12"', 'serial="11"', r"expected each camera's own serial, got '11'"),
+        ('viewrotation="0"', 'viewrotation="90"', r"camera '11': expected viewrotation 0"),
+        ('skew="0.0"', 'skew="no"', r"camera '11': <intrinsic skew>: expected a number, got 'no'"),
+        ('r11="', 'r11="nan" r19="', r"camera '11': rotation: expected finite numbers"),
+        ('r11="', 'r11="9" r19="', r"camera '11': rotation: expected an orthonormal matrix"),
+    ],
+)
+def test_faults_are_told(source: Path, old: str, new: str, message: str) -> None:
+    edit(source / "Calib.qca.txt", old, new)
+    assert_told(read, source, message)
+
+
+def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_told(read, source, source / "Calib.qca.txt", rng)
+
+
+def test_videos_of_other_names_are_told(source: Path) -> None:
+    for path in source.glob("*.mp4"):
+        path.rename(path.with_name(f"{path.stem}9.mp4"))
+    assert_told(read, source, r"Calib.qca.txt: expected calibrations named as the cameras \(Miqus_119, ")
+
+
+def test_a_real_calibration_is_read_as_pose2sim_reads_it() -> None:
+    """Catches a pose that agrees with our own writer alone: these numbers are of Pose2Sim's Calib_qualisys.toml."""
+    if not BALANCE.is_file():
+        pytest.skip(f"{BALANCE} is not there")
+    lenses = read_lenses(BALANCE)
+    assert list(lenses) == ["cam01", "cam02", "cam03", "cam04"]
+    camera = lenses["cam03"]
+    assert (camera.width, camera.height) == (1088, 1920)
+    assert np.allclose(cv2.Rodrigues(camera.rotation)[0].ravel(), [0.81096549, -2.19721293, 1.37602778], atol=1e-7)
+    assert np.allclose(camera.translation, [-0.79348039, 0.32283594, 4.35351487], atol=1e-7)
+    assert np.allclose(np.diag(camera.intrinsics), [1681.598388671875, 1681.509887703125, 1], atol=1e-6)
+    assert np.allclose(camera.intrinsics[:2, 2] - 0.5, [513.20837403125, 955.005126953125], atol=1e-6)

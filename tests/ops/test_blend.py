@@ -1,0 +1,86 @@
+"""The blend MLP's kernel against plain torch: values, gradients, threads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fourd.ops.blend.op import blend_logits, blend_logits_reference
+from fourd.ops.loading import native
+
+
+def arguments(
+    rng: np.random.Generator, count: int, hidden: int = 64, channels: int = 11, views: int = 4
+) -> list[Tensor]:
+    shapes = [(count, hidden), (views, channels, count), (hidden, channels), (hidden,), (1,)]
+    return [torch.from_numpy(rng.standard_normal(shape).astype(np.float32)) for shape in shapes]
+
+
+def values_and_gradients(function, inputs: list[Tensor], upstream: Tensor) -> list[Tensor]:
+    leaves = [tensor.clone().requires_grad_() for tensor in inputs]
+    found = function(*leaves)
+    return [found.detach(), *torch.autograd.grad(found, leaves, upstream.to(found))]
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
+@pytest.mark.parametrize(("count", "hidden", "channels", "views"), [(300, 64, 11, 4), (2100, 20, 3, 2), (1, 1, 1, 1)])
+def test_values_and_gradients_equal_the_reference(
+    count: int,
+    hidden: int,
+    channels: int,
+    views: int,
+    simd: str,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Catches a transposed weight, a gradient that one view writes over another's, and what is left of a run."""
+    if not native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    inputs = arguments(rng, count, hidden, channels, views)
+    upstream = torch.from_numpy(rng.standard_normal((views, count)).astype(np.float32))
+    found = values_and_gradients(blend_logits, inputs, upstream)
+    expected = values_and_gradients(blend_logits_reference, [tensor.double() for tensor in inputs], upstream)
+    for place, (one, other) in enumerate(zip(found, expected, strict=True)):
+        # The MLP's gradients are sums over points that may cancel: rounding goes by the size of what is summed.
+        summed = float(upstream.norm()) if place >= 3 else 0.0
+        scale = max(float(other.abs().max()), summed)
+        # A hidden value within rounding of 0 may be cut by one and kept by the other.
+        assert float((one - other).abs().mean()) <= 1e-5 * scale
+        assert float(((one - other).abs() > 1e-3 * scale).float().mean()) <= 1e-3
+
+
+def test_result_is_the_same_for_any_number_of_threads(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches sums over points in the order of threads."""
+    inputs = arguments(rng, 9000)
+    upstream = torch.from_numpy(rng.standard_normal((4, 9000)).astype(np.float32))
+    results = []
+    for threads in ("1", "2", "5"):
+        monkeypatch.setenv("FOURD_THREADS", threads)
+        results.append(values_and_gradients(blend_logits, inputs, upstream))
+    for other in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
+    found = values_and_gradients(blend_logits, arguments(rng, 0), torch.zeros(4, 0))
+    assert found[0].shape == (4, 0)
+    assert all(not gradient.any() for gradient in found[1:])
+
+
+def test_operator_obeys_torch(rng: np.random.Generator) -> None:
+    """Catches a fake implementation with other shapes, and a schema that hides a mutation."""
+    leaves = [tensor.requires_grad_() for tensor in arguments(rng, 5, hidden=8, channels=3)]
+    torch.library.opcheck(torch.ops.fourd.blend_logits.default, tuple(leaves))
+
+
+def test_shapes_that_do_not_fit_are_named(rng: np.random.Generator) -> None:
+    point, samples, weight, out, bias = arguments(rng, 5)
+    with pytest.raises(ValueError, match=r"samples: expected shape \(views, channels, points\)"):
+        blend_logits(point, samples[:, :, :4], weight, out, bias)
+    with pytest.raises(ValueError, match="out: expected the hidden layer's width"):
+        blend_logits(point, samples, weight, out[:3], bias)

@@ -1,0 +1,68 @@
+"""The similarity kernel against the metric in plain torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.ops.loading import native
+from fourd.ops.similarity.op import _similarity, similarity
+from fourd.training.evaluation.metrics import ssim
+
+
+def pictures(rng: np.random.Generator, height: int, width: int, channels: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """A smooth picture with flat parts, and the same with noise."""
+    rows, columns = np.mgrid[:height, :width] / 9.0
+    smooth = 0.5 + 0.4 * np.sin(rows)[..., None] * np.cos(columns[..., None] + np.arange(channels))
+    smooth[: height // 3] = 0.0
+    noisy = np.clip(smooth + rng.normal(0, 0.1, smooth.shape), 0, 1)
+    return torch.from_numpy(noisy.astype(np.float32)), torch.from_numpy(smooth.astype(np.float32))
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2"])
+@pytest.mark.parametrize("shape", [(11, 11, 3), (12, 40, 1), (53, 37, 3), (90, 64, 4)])
+def test_value_and_gradient_equal_the_metric(
+    shape: tuple[int, int, int], simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a window off by one at a border, a slope's sign, and channels that mix."""
+    if not native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    noisy, smooth = pictures(rng, *shape)
+    single = noisy.clone().requires_grad_()
+    value = similarity(single, smooth)
+    double = noisy.double().requires_grad_()
+    expected = ssim(double, smooth.double())
+    assert value.item() == pytest.approx(expected.item(), abs=1e-5)
+    found, truth = torch.autograd.grad(3 * value, single)[0], torch.autograd.grad(3 * expected, double)[0]
+    assert float((found - truth).abs().max()) <= 1e-3 * float(truth.abs().max())
+
+
+def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches sums in the order in which threads end: a run could not be resumed bit by bit."""
+    noisy, smooth = pictures(rng, 150, 70, 3)
+    results = []
+    for threads in ("1", "2", "7"):
+        monkeypatch.setenv("FOURD_THREADS", threads)
+        results.append(_similarity(noisy, smooth, True))
+    assert all(torch.equal(a, b) for result in results[1:] for a, b in zip(result, results[0], strict=True))
+
+
+def test_what_the_kernel_does_not_take_is_still_right(rng: np.random.Generator) -> None:
+    """Catches a target's gradient that is lost, and pictures smaller than the window."""
+    noisy, smooth = pictures(rng, 20, 20, 3)
+    target = smooth.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(similarity(noisy, target), target)
+    assert float(gradient.abs().max()) > 0
+    assert float(similarity(noisy.double(), smooth.double())) == pytest.approx(
+        float(similarity(noisy, smooth)), abs=1e-5
+    )
+    with pytest.raises(ValueError, match="prediction: expected"):
+        similarity(noisy[:5], smooth[:5])
+
+
+def test_the_operator_keeps_torch_s_rules(rng: np.random.Generator) -> None:
+    noisy, smooth = pictures(rng, 14, 13, 2)
+    for wanted in (True, False):
+        torch.library.opcheck(_similarity, (noisy, smooth, wanted))

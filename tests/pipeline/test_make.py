@@ -1,0 +1,88 @@
+"""``make_scene``: stages are done once, and again when what they depend on changes."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from fourd.errors import UserError
+from fourd.matting.stage import MatteSettings
+from fourd.pipeline.make import MakeSettings, make_scene
+from fourd.training.config import RefineConfig, TrainConfig
+from tests.matting.captures import unmasked, write_video
+from tests.training.small import SMALL, with_steps
+
+SETTINGS = MakeSettings(MatteSettings(), workers=1)
+
+
+def made(capture: Path, out: Path, config: TrainConfig) -> dict[str, bool]:
+    """Run everything; which stages were done now."""
+    text = io.StringIO()
+    make_scene(capture, out, SETTINGS, config, None, Console(file=text, width=200))
+    lines = text.getvalue().splitlines()
+    names = ("import", "check", "mattes", "cameras", "carve", "train", "export")
+    told = [name for name in names if any(line.startswith(f"{name}: ") for line in lines)]
+    return {name: f"{name}: working" in lines for name in told}
+
+
+def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches stale results after a change, and work done twice without one."""
+    capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
+    shutil.copytree(ball_capture, capture)
+    config = with_steps(SMALL, 2)
+    assert made(capture, out, config) == dict.fromkeys(("check", "carve", "train", "export"), True)
+    assert not any(made(capture, out, config).values())
+    now = made(capture, out, replace(config, seed=5))
+    assert now == {"check": False, "carve": False, "train": True, "export": True}
+    out.unlink()
+    now = made(capture, out, replace(config, seed=5))
+    assert now == {"check": False, "carve": False, "train": False, "export": True}
+    os.utime(capture / "images" / "00" / "000001.png", (1, 1))
+    assert all(made(capture, out, replace(config, seed=5)).values())
+
+
+def test_refined_cameras_come_before_carving(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches points carved from cameras that are no longer these, and features sought again for a learning rate."""
+    capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
+    shutil.copytree(ball_capture, capture)
+    refine = RefineConfig(poses=True)
+    config = replace(with_steps(SMALL, 2), refine=refine)
+    assert made(capture, out, config) == dict.fromkeys(("check", "cameras", "carve", "train", "export"), True)
+    now = made(capture, out, replace(config, refine=replace(refine, pose_rate=1e-3)))
+    assert now == {"check": False, "cameras": False, "carve": False, "train": True, "export": True}
+    now = made(capture, out, replace(config, refine=replace(refine, rotation_deg=1.0)))
+    assert now == {"check": False, "cameras": True, "carve": True, "train": True, "export": True}
+    now = made(capture, out, with_steps(SMALL, 2))
+    assert now == {"check": False, "carve": True, "train": True, "export": True}
+
+
+def test_videos_become_a_scene(tmp_path: Path) -> None:
+    """Catches a stage that is left out, or done again, on the way from videos to a scene."""
+    capture, source, out = unmasked(tmp_path, frames=6, size=64), tmp_path / "videos", tmp_path / "scene.4dv"
+    source.mkdir()
+    for name in ("intri.yml", "extri.yml"):
+        shutil.copy(capture / name, source / name)
+    for folder in (capture / "images").iterdir():
+        write_video(source / f"{folder.name}.mp4", sorted(folder.iterdir()))
+    config = with_steps(SMALL, 2)
+    stages = ["import", "check", "mattes", "carve", "train", "export"]
+    assert made(source, out, config) == dict.fromkeys(stages, True)
+    assert made(source, out, config) == dict.fromkeys(stages, False)
+    assert not (source / ".fourd").exists(), "the videos' folder is the user's"
+    matte = tmp_path / "scene.work" / "capture" / ".fourd" / "mattes" / "00" / "000002.png"
+    matte.write_bytes((matte.parent / "000001.png").read_bytes())
+    assert made(source, out, config) == dict.fromkeys(stages[:3], False) | dict.fromkeys(stages[3:], True)
+
+
+def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a work folder emptied though someone else's files were in it."""
+    (tmp_path / "scene.work").mkdir()
+    (tmp_path / "scene.work" / "mine.txt").write_text("mine")
+    with pytest.raises(UserError, match="expected a folder made by fourd make"):
+        make_scene(ball_capture, tmp_path / "scene.4dv", SETTINGS, SMALL, None, Console(quiet=True))

@@ -1,0 +1,306 @@
+"""Corrections of cameras: their gradient, what they leave alone, what they find, and what is written of them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.baking.bake import manifest_of
+from fourd.calibration.perturbation import disturbed, pose_errors
+from fourd.cameras import Camera
+from fourd.capture import open_capture, read_calibration, write_calibration
+from fourd.errors import UserError
+from fourd.raster import render_points
+from fourd.training.cameras.calibration import begun_with, write_corrected, zoomed_distortion
+from fourd.training.cameras.refinement import Refinement
+from fourd.training.cameras.rig import Rig
+from fourd.training.config import RefineConfig, TrainConfig
+from fourd.training.evaluation.camera_fitting import fit_view
+from fourd.training.loop import Trainer
+from fourd.training.parts import Part
+from fourd.training.points.frame_store import FramePoints
+from fourd.training.run import create_run, load_run, open_run
+from fourd.training.step import StepResult
+from tests.captures import ring_cameras
+from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
+from tests.training.test_loop import contents
+
+EVERYTHING = RefineConfig(poses=True, focal=True, colours=True)
+OFF = RefineConfig()
+
+
+def _cloud(rng: np.random.Generator, camera: Camera, count: int = 60) -> Part:
+    """Points at depths apart before ``camera``, so that no small change puts one before another."""
+    depths = 1.6 + 0.8 * rng.permutation(count)[:, None] / count
+    in_camera = np.hstack([rng.uniform(-0.4, 0.4, (count, 2)), depths])
+    xyz = torch.from_numpy((in_camera - camera.translation) @ camera.rotation)
+    radius = torch.full((count,), 0.12, dtype=torch.float64)
+    density = torch.full((count,), 0.6, dtype=torch.float64)
+    colour = torch.from_numpy(rng.uniform(0, 1, (count, 3)))
+    points = FramePoints.fresh(xyz.float(), radius.float(), 1.0, explicit_sh=False)
+    return Part(points, torch.arange(count), {}, xyz, radius, density, colour, None, None)
+
+
+def _render(part: Part, camera: Camera) -> Tensor:
+    shown = render_points(part.xyz, part.colour, part.radius, part.density, camera, layers=64, backend="reference")
+    return shown.features
+
+
+def _set(refinement: Refinement, place: int, pose: NDArray[np.float64], zoom: float) -> None:
+    with torch.no_grad():
+        refinement.poses[place].copy_(torch.from_numpy(pose))
+        refinement.zooms[place].fill_(zoom)
+
+
+def test_gradients_of_a_camera_are_those_of_the_picture(rng: np.random.Generator) -> None:
+    """Catches a wrong sign, frame or Jacobian of the pose's gradient, and a zoom that forgets the radii in pixels."""
+    cameras = ring_cameras(3, 24)
+    refinement = Refinement(EVERYTHING, cameras, [0, 1, 2], np.zeros(3)).double()
+    pose, zoom = rng.normal(0, 0.1, 6), 0.05
+    _set(refinement, 1, pose, zoom)
+    part = _cloud(rng, refinement.rig().cameras[1])
+    weight = torch.from_numpy(rng.normal(size=(24, 24, 3)))
+
+    def loss(pose: NDArray[np.float64], zoom: float) -> float:
+        _set(refinement, 1, pose, zoom)
+        return float((_render(part, refinement.rig().cameras[1]) * weight).sum())
+
+    step = 1e-8
+    expected = []
+    for axis in range(7):
+        change = np.eye(7)[axis] * step
+        ahead, behind = (loss(pose + sign * change[:6], zoom + sign * change[6]) for sign in (1, -1))
+        expected.append((ahead - behind) / (2 * step))
+    _set(refinement, 1, pose, zoom)
+    (_render(refinement.seen([part], 1)[0], refinement.rig().cameras[1]) * weight).sum().backward()
+    poses, zooms = refinement.poses[1].grad, refinement.zooms[1].grad
+    assert poses is not None
+    assert zooms is not None
+    got = [*poses.tolist(), *zooms.tolist()]
+    assert got == pytest.approx(expected, rel=2e-3, abs=2e-3 * max(map(abs, expected)))
+    assert refinement.poses[0].grad is None
+
+
+def test_no_correction_is_exactly_none(rng: np.random.Generator) -> None:
+    """Catches cameras, points, radii or colours that change in the last bit as soon as refinement is switched on."""
+    cameras = ring_cameras(4, 24)
+    refinement = Refinement(EVERYTHING, cameras, [0, 1, 3], np.zeros(3))
+    rig = refinement.rig()
+    for camera, given in zip(rig.cameras, cameras, strict=True):
+        for name in ("intrinsics", "rotation", "translation"):
+            assert np.array_equal(getattr(camera, name), getattr(given, name))
+    with torch.no_grad():
+        for parameter in (*refinement.poses, *refinement.zooms):
+            parameter.copy_(torch.from_numpy(rng.normal(0, 0.3, parameter.shape)))
+    part = _cloud(rng, cameras[3])
+    part = replace(part, xyz=part.xyz.float(), radius=part.radius.float())
+    seen = refinement.seen([part], 3)[0]
+    assert torch.equal(seen.xyz, part.xyz)
+    assert torch.equal(seen.radius, part.radius)
+    colour, alpha = torch.rand(4, 5, 3), torch.rand(4, 5)
+    assert torch.equal(refinement.recoloured(colour, alpha, 1), colour)
+    picture = torch.rand(3, 4, 5)
+    assert torch.equal(rig.scene_colours(1, picture), picture)
+
+
+def test_colours_have_no_mean_and_are_undone_in_sources(rng: np.random.Generator) -> None:
+    """Catches a scene that turns red while all cameras turn green, and sources corrected the wrong way round."""
+    refinement = Refinement(EVERYTHING, ring_cameras(4, 24), [0, 2, 3], np.zeros(3))
+    with torch.no_grad():
+        for tint in refinement.tints:
+            tint.copy_(torch.from_numpy(rng.normal(0, 0.1, (3, 4))))
+    rig = refinement.rig()
+    assert rig.colours is not None
+    torch.testing.assert_close(rig.colours[[0, 2, 3]].mean(0), torch.eye(3, 4), atol=1e-6, rtol=0)
+    assert torch.equal(rig.colours[1], torch.eye(3, 4))
+    rgb = torch.rand(5, 6, 3)
+    seen = rig.camera_colours(2, rgb, torch.ones(5, 6))
+    torch.testing.assert_close(seen, refinement.recoloured(rgb, torch.ones(5, 6), 2))
+    torch.testing.assert_close(rig.scene_colours(2, seen.permute(2, 0, 1)).permute(1, 2, 0), rgb, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize("scene", ["object", "full"])
+def test_a_refined_run_goes_on_bit_for_bit(
+    scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches corrections or their optimiser's state that a checkpoint forgets, and cameras kept from before it."""
+    config = SMALL if scene == "object" else full_config(tmp_path / "shell.ply")
+    config = replace(config, max_steps=9, refine=EVERYTHING)
+    whole = create_run(ball_capture, tmp_path / "whole", config)
+    train(whole, config)
+    broken = create_run(ball_capture, tmp_path / "broken", config)
+    trainer = Trainer(broken, None, quiet(), config)
+    take = trainer.stepper.step
+
+    def step_until_five(*arguments: Any) -> StepResult:
+        if arguments[-1] == 5:
+            raise InterruptedError
+        return take(*arguments)
+
+    monkeypatch.setattr(trainer.stepper, "step", step_until_five)
+    with pytest.raises(InterruptedError):
+        trainer.train()
+    train(open_run(tmp_path / "broken"), config)
+    expected, got = contents(tmp_path / "whole", 9), contents(tmp_path / "broken", 9)
+    assert any(name.startswith("refinement.poses") and value.any() for name, value in expected.items())
+    assert expected.keys() == got.keys()
+    assert not [name for name in expected if not torch.equal(expected[name], got[name])]
+
+
+def test_a_loaded_run_has_its_corrected_cameras_everywhere(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches rendering, export or viewing with the cameras as given, and files that say another thing."""
+    run = trained_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
+    trained = load_run(run.folder)
+    cameras = trained.run.capture.cameras
+    moved = [
+        not np.array_equal(now.rotation, was.rotation) for now, was in zip(cameras, run.capture.cameras, strict=True)
+    ]
+    assert moved.count(True) >= 4
+    assert not moved[3]
+    assert trained.renderer.views.rig.cameras == cameras
+    assert trained.renderer.views.view(0, 1).camera.rotation.tolist() == cameras[0].rotation.tolist()
+    assert manifest_of(trained).source_cameras == tuple(cameras[index] for index in run.training)
+    written = read_calibration(run.folder / "calibration")
+    for name, camera in zip(run.capture.names, cameras, strict=True):
+        assert written[name].rotation.tolist() == camera.rotation.tolist()
+        assert np.allclose(written[name].intrinsics, camera.intrinsics, rtol=1e-14)
+    colours = json.loads((run.folder / "calibration" / "colours.json").read_text())
+    assert colours["03"]["matrix"] == np.eye(3).tolist()
+    assert trained.renderer.views.rig.colours is not None
+    assert np.allclose(colours["05"]["matrix"], trained.renderer.views.rig.colours[5, :, :3])
+
+
+def test_a_calibration_that_is_written_gives_the_same_cameras(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches focal lengths at the wrong scale, and cameras of the capture that are lost when only some are used."""
+    half = open_capture(ball_capture, views=["01", "02", "05"], scale=0.5)
+    moved = list(disturbed(dict(zip(half.names, half.cameras, strict=True)), 2, 0.1, np.random.default_rng(0)).values())
+    zoom = np.diag([1.1, 1.1, 1.0])
+    k = zoom @ moved[0].intrinsics
+    k[:2, 2] = moved[0].intrinsics[:2, 2]
+    moved[0] = replace(moved[0], intrinsics=k)
+    write_corrected(tmp_path, half, Rig(tuple(moved)), "start")
+    again = begun_with(half, tmp_path)
+    for camera, other in zip(moved, again.cameras, strict=True):
+        for name in ("intrinsics", "rotation", "translation"):
+            assert np.allclose(getattr(camera, name), getattr(other, name), rtol=0, atol=1e-12)
+    assert list(read_calibration(tmp_path / "calibration" / "start")) == [f"{index:02d}" for index in range(8)]
+    with pytest.raises(UserError, match=r"start: expected the cameras that the run begins with, got none; train in"):
+        begun_with(half, tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("count", [4, 5, 8, 12])
+def test_distortion_follows_the_focal_length(count: int, rng: np.random.Generator) -> None:
+    """Catches a written calibration whose undistorted pictures are others than those that were trained on."""
+    distortion = rng.normal(0, 0.02, count)
+    k = np.array([[400.0, 0, 320], [0, 420, 240], [0, 0, 1]])
+    zoomed = np.diag([1.05, 1.05, 1.0]) @ k
+    zoomed[:2, 2] = k[:2, 2]
+    pixels = rng.uniform((0, 0), (640, 480), (50, 2))
+
+    def in_file(lens: NDArray[np.float64], coefficients: NDArray[np.float64]) -> NDArray[np.float64]:
+        rays = np.column_stack([pixels, np.ones(50)]) @ np.linalg.inv(lens).T
+        return np.asarray(cv2.projectPoints(rays, np.zeros(3), np.zeros(3), lens, coefficients)[0][:, 0])
+
+    assert np.allclose(in_file(k, distortion), in_file(zoomed, zoomed_distortion(distortion, 1.05)), atol=1e-8)
+
+
+def test_a_held_out_camera_finds_its_place(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a fit that walks away from the picture, changes the scene, or reports another move than it made."""
+    config = replace(with_steps(SMALL, 60), checkpoint_steps=1000)
+    run = trained_run(ball_capture, tmp_path / "run", config)
+    trained = load_run(run.folder)
+    index = run.test[0]
+    views = trained.renderer.views
+    given = dict(zip(run.capture.names, run.capture.cameras, strict=True))
+    cameras = list(disturbed(given, 4, 0.02, np.random.default_rng(1)).values())
+    wrong = tuple(camera if at == index else run.capture.cameras[at] for at, camera in enumerate(cameras))
+    views.rig = Rig(wrong)
+    before = trained.frames.get(0).xyz.clone()
+    fitted = fit_view(trained.renderer, trained.frames, index, 8, colours=True)
+    assert torch.equal(before, trained.frames.get(0).xyz)
+    true = run.capture.cameras[index]
+    xyz = before.numpy()
+    off = [np.abs(camera.project(xyz)[0] - true.project(xyz)[0]).mean() for camera in (cameras[index], fitted.camera)]
+    assert off[1] < 0.3 * off[0]
+    assert fitted.distance == pytest.approx(float(np.linalg.norm(fitted.camera.centre - cameras[index].centre)))
+    assert fitted.colours is not None
+    assert np.abs(fitted.colours - np.eye(3, 4)).max() < 0.5
+
+
+def test_refinement_is_off_unless_asked_for() -> None:
+    """Catches a default that corrects what was calibrated well."""
+    assert [OFF.cameras, OFF.colours] == [False, False]
+    assert TrainConfig().refine == OFF
+    with pytest.raises(ValueError, match="rotation_deg: expected more than 0, got 0"):
+        RefineConfig(rotation_deg=0)
+    assert pose_errors({"a": ring_cameras(1, 8)[0]}, {"a": ring_cameras(1, 8)[0]})["a"].degrees < 1e-6
+
+
+def _copied(capture: Path, folder: Path) -> Path:
+    shutil.copytree(capture, folder, ignore=shutil.ignore_patterns(".fourd"))
+    return folder
+
+
+def test_poses_that_are_learnt_come_nearer_the_truth(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches gradients that reach the wrong camera, and cameras that steps do not look through as corrected."""
+    opened = open_capture(ball_capture)
+    truth = dict(zip(opened.names, opened.cameras, strict=True))
+    wrong = disturbed(truth, 1.0, 0.0, np.random.default_rng(0))
+    capture = _copied(ball_capture, tmp_path / "capture")
+    write_calibration(capture, list(wrong), list(wrong.values()))
+    refine = RefineConfig(poses=True, pose_rate=2e-3)
+    config = replace(SMALL, test_views=(), frames="0:2", max_steps=100, checkpoint_steps=1000, refine=refine)
+    run = trained_run(capture, tmp_path / "run", config)
+
+    def error(cameras: tuple[Camera, ...]) -> float:
+        errors = pose_errors(truth, dict(zip(opened.names, cameras, strict=True)))
+        return float(np.mean([each.degrees for each in errors.values()]))
+
+    assert error(load_run(run.folder).run.capture.cameras) < 0.9 * error(run.capture.cameras)
+
+
+def test_a_camera_that_is_darker_is_found(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches colours corrected the wrong way round, and cameras that are told apart no longer."""
+    capture = _copied(ball_capture, tmp_path / "capture")
+    for path in (capture / "images" / "02").iterdir():
+        picture = cv2.imread(str(path))
+        assert picture is not None
+        assert cv2.imwrite(str(path), (picture * 0.7).astype(np.uint8))
+    refine = RefineConfig(colours=True, colour_rate=2e-2)
+    config = replace(SMALL, max_steps=60, checkpoint_steps=1000, refine=refine)
+    trained = load_run(trained_run(capture, tmp_path / "run", config).folder)
+    colours = trained.renderer.views.rig.colours
+    assert colours is not None
+    brightness = (colours @ torch.tensor([0.5, 0.5, 0.5, 1.0])).mean(dim=1)
+    assert int(brightness.argmin()) == 2
+    assert trained.run.capture.cameras[2].rotation.tolist() == open_capture(capture).cameras[2].rotation.tolist()
+
+
+def test_a_run_that_lost_its_first_cameras_says_so(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a run that goes on, or is exported, with the cameras as they were given."""
+    run = create_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
+    shutil.rmtree(run.folder / "calibration")
+    with pytest.raises(UserError, match=r"calibration/start: expected the cameras that the run begins with, got none"):
+        open_run(run.folder)
+
+
+def test_a_tilted_sensor_is_refused_where_focal_lengths_are_refined(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a calibration written back that is another one than was trained with."""
+    capture = _copied(ball_capture, tmp_path / "capture")
+    opened = open_capture(capture)
+    tilted = np.zeros(14)
+    tilted[12] = 0.01
+    cameras = [replace(camera, distortion=tilted) for camera in opened.cameras]
+    write_calibration(capture, opened.names, cameras)
+    with pytest.raises(UserError, match=r"intri.yml: D_00: expected a sensor without tilt .* set refine.focal: false"):
+        create_run(capture, tmp_path / "run", replace(SMALL, refine=RefineConfig(focal=True)))

@@ -1,0 +1,81 @@
+"""A background that is closed from between its cameras too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.cameras import look_at
+from fourd.training.background import Background
+from fourd.training.losses.background_opacity import ASTRAY, transparency, vantage
+from fourd.training.points.frame_store import FramePoints
+from tests.captures import ring_cameras
+from tests.training.small import full_config, trained_run
+
+INTRINSICS = np.array([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]])
+"""Of a picture of 64 x 64."""
+
+
+@pytest.fixture(scope="module")
+def background(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Background:
+    folder = tmp_path_factory.mktemp("closing")
+    run = trained_run(ball_capture, folder / "run", replace(full_config(folder / "shell.ply"), max_steps=1))
+    found = run.background(None)
+    assert found is not None
+    return found
+
+
+def test_viewers_stand_between_the_cameras(rng: np.random.Generator) -> None:
+    """Catches viewers outside the room, all in one place, or with pictures larger than what they are part of."""
+    cameras = ring_cameras(8, 64)
+    farthest = max(float(np.linalg.norm(camera.centre)) for camera in cameras)
+    viewers = [vantage(cameras[k % 8], cameras, 48, rng) for k in range(200)]
+    centres = np.array([viewer.centre for viewer in viewers])
+    assert np.linalg.norm(centres, axis=1).max() < (1 + 2 * ASTRAY) * farthest
+    assert (centres.std(axis=0)[:2] > 0.2 * farthest).all()
+    assert {(viewer.width, viewer.height) for viewer in viewers} == {(48, 48)}
+    assert (vantage(cameras[0], cameras, 500, rng).width, cameras[0].width) == (64, 64)
+    for k, viewer in enumerate(viewers):
+        np.testing.assert_array_equal(viewer.rotation, cameras[k % 8].rotation)
+
+
+def test_a_floor_of_many_layers_is_not_asked_for_larger_discs(background: Background) -> None:
+    """Catches a gradient against the slope: of few layers it asks for larger discs, and fewer of them fit then."""
+    x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
+    floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
+    points = FramePoints.fresh(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
+    dense = Background(background.model, points, background.plates)
+    viewer = look_at(np.array([3.0, 0, 0.2]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 64)
+    radius_bias = dense.model.geometry_head.layers[-1].bias
+    asked = torch.autograd.grad(transparency(dense, viewer, 0.0), radius_bias)[0][0]
+    with torch.no_grad():
+        radius_bias[0] += 0.05
+        larger = transparency(dense, viewer, 0.0)
+        radius_bias[0] -= 0.1
+        smaller = transparency(dense, viewer, 0.0)
+        radius_bias[0] += 0.05
+    assert float(asked) == pytest.approx(float(larger - smaller) / 0.1, rel=0.2, abs=1e-4)
+
+
+def test_a_wall_with_holes_closes(background: Background) -> None:
+    """Catches a term that does not reach the radii, or that leaves holes that no plate shows as they are."""
+    y, z = torch.meshgrid(torch.arange(-2, 2, 0.1), torch.arange(-2, 2, 0.1), indexing="ij")
+    wall = torch.stack([torch.full_like(y, -1.0), y, z], -1).reshape(-1, 3)
+    # The spacing of a cloud twice as dense: so radii begin too small.
+    points = FramePoints.fresh(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
+    holed = Background(background.model, points, background.plates)
+    viewer = ring_cameras(8, 64)[0]
+    optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)
+    left = []
+    for _ in range(60):
+        loss = transparency(holed, viewer, 0.0)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        left.append(float(loss.detach()))
+    assert left[0] > 0.05
+    assert left[-1] < 0.2 * left[0]

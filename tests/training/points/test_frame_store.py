@@ -1,0 +1,119 @@
+"""Points of frames: Adam on a subset of rows, and the store that keeps memory flat."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from fourd.cameras import Camera
+from fourd.training.parts import ROWS, heaviest_rows
+from fourd.training.points.frame_store import FramePoints, FrameStore
+from fourd.training.step import keep_in_hull
+
+
+def fresh_points(xyz: torch.Tensor, spacing: float, explicit_sh: bool = False) -> FramePoints:
+    return FramePoints.fresh(xyz, torch.full((len(xyz),), spacing), 1.0, explicit_sh=explicit_sh)
+
+
+def fresh(count: int = 6, seed: int = 0) -> FramePoints:
+    return fresh_points(torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)), 0.01)
+
+
+def test_adam_on_rows_is_torch_adam_on_those_rows() -> None:
+    """Catches a wrong bias correction, and points out of sight being moved by old momentum."""
+    points = fresh()
+    rows = torch.tensor([1, 4])
+    twin = torch.nn.Parameter(points.xyz[rows].clone())
+    optimizer = torch.optim.Adam([twin], lr=0.01, betas=(0.9, 0.99), eps=1e-15)
+    before = points.xyz.clone()
+    for step in range(5):
+        gradient = torch.randn(2, 3, generator=torch.Generator().manual_seed(step))
+        twin.grad = gradient
+        optimizer.step()
+        points.update(rows, {"xyz": gradient}, {"xyz": 0.01})
+    torch.testing.assert_close(points.xyz[rows], twin.detach())
+    others = [0, 2, 3, 5]
+    assert torch.equal(points.xyz[others], before[others])
+
+
+def test_colours_that_have_no_say_stay(rng: np.random.Generator) -> None:
+    """Catches speckle: next to nothing of a gradient, of changing sign, made as large steps as any other."""
+    xyz = torch.zeros(2, 3)
+    points = FramePoints.fresh(xyz, torch.full((2,), 0.01), 1.0, explicit_sh=False, rgb=torch.full((2, 3), 0.5))
+    for _ in range(300):
+        noise = torch.from_numpy(rng.normal(size=3)).float()
+        gradient = torch.stack([1e-8 * noise, 1e-5 * (points.free["rgb"][1] - 0.3)])
+        points.update(torch.tensor([0, 1]), {"rgb": gradient}, {"rgb": 0.005})
+    torch.testing.assert_close(points.free["rgb"], torch.tensor([[0.5] * 3, [0.3] * 3]), atol=0.02, rtol=0)
+
+
+def test_tensors_round_trip() -> None:
+    points = fresh_points(torch.rand(4, 3), 0.01, explicit_sh=True)
+    again = FramePoints.from_tensors(points.tensors())
+    assert set(again.free) == {"xyz", "sh"}
+    assert torch.equal(again.moments["sh"], points.moments["sh"])
+
+
+def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path: Path) -> None:
+    """Catches changes lost when a frame leaves memory, and a store that keeps every frame."""
+    store = FrameStore(tmp_path / "scratch", 20, lambda frame: fresh(20_000, frame), 2, None)
+    for frame in range(20):
+        store.get(frame).xyz[0] = frame
+    assert store.kept <= 2
+    assert [float(store.get(frame).xyz[0, 0]) for frame in range(20)] == list(range(20))
+
+
+def test_a_saved_store_is_read_again_and_later_changes_are_not_in_it(tmp_path: Path) -> None:
+    """Catches a checkpoint that shares files with the scratch folder of the going run."""
+    store = FrameStore(tmp_path / "scratch", 3, lambda frame: fresh(10, frame), 16, None)
+    store.get(1).xyz[0] = 7
+    store.save(tmp_path / "saved")
+    store.get(1).xyz[0] = 8
+    again = FrameStore(tmp_path / "other", 3, lambda frame: fresh(10, frame), 16, tmp_path / "saved")
+    assert float(again.get(1).xyz[0, 0]) == 7
+    assert torch.equal(again.get(2).xyz, fresh(10, 2).xyz)
+
+
+def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Path) -> None:
+    """Catches a checkpoint with the points of the one before it, or as carved, for frames that are not in memory."""
+    store = FrameStore(tmp_path / "scratch", 6, lambda frame: fresh(20_000, frame), 1, None)
+    for turn in (1, 2):
+        for frame in range(5):
+            store.get(frame).xyz[0] = 10 * turn + frame
+        store.save(tmp_path / f"saved{turn}")
+    assert store.kept == 1
+    again = FrameStore(tmp_path / "other", 6, lambda frame: fresh(20_000, frame), 1, tmp_path / "saved2")
+    assert [float(again.get(frame).xyz[0, 0]) for frame in range(5)] == [20, 21, 22, 23, 24]
+    assert torch.equal(again.get(5).xyz, fresh(20_000, 5).xyz), "never trained"
+
+
+def test_rows_in_sight_come_in_few_numbers() -> None:
+    """Catches a visible point left out, and hidden ones taken before heavier ones."""
+    weight = torch.rand(3 * ROWS + 5, generator=torch.Generator().manual_seed(1))
+    rows = heaviest_rows(weight, 0.5)
+    assert rows.tolist() == sorted(set(rows.tolist()))
+    assert len(rows) == -(-int((weight > 0.5).sum()) // ROWS) * ROWS
+    left_out = torch.ones_like(weight, dtype=torch.bool).index_fill(0, rows, False)
+    assert float(weight[left_out].max()) <= min(0.5, float(weight[rows].min()))
+    assert len(heaviest_rows(weight, 0.0)) == len(weight), "never more than there are"
+
+
+def test_points_may_not_leave_a_silhouette() -> None:
+    """Catches stray points beside the object; and a rule that freezes points which mattes never held."""
+    camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), np.eye(3), np.zeros(3), 20, 20)
+    matte = torch.zeros(20, 20)
+    matte[5:15, 5:15] = 1
+    before = torch.tensor([[0.0, 0, 1], [0.0, 0, 1], [-0.45, 0, 1], [0.2, 0, 1], [0.0, 0, 1]])
+    moved = torch.tensor([[0.1, 0, 1], [0.4, 0, 1], [-0.4, 0, 1], [5.0, 0, 1], [0.0, 0, -1]])
+    points = fresh_points(torch.zeros(9, 3), 0.1)
+    rows = torch.tensor([1, 3, 4, 6, 8])
+    points.free["xyz"][rows] = moved
+    keep_in_hull(points, rows, before, [(camera, matte)])
+    got = points.xyz[rows]
+    assert torch.equal(got[0], moved[0]), "a move within the silhouette"
+    assert torch.equal(got[1], before[1]), "a move out of it"
+    assert torch.equal(got[2], moved[2]), "outside before and after"
+    assert torch.equal(got[3], moved[3]), "a move out of the image, which says nothing"
+    assert torch.equal(got[4], moved[4]), "behind the camera, likewise"

@@ -1,0 +1,45 @@
+"""MP4 files that players open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+
+from fourd.errors import UserError
+from fourd.viewer.output.video import write_video
+
+
+def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
+    for index in range(count):
+        picture = np.zeros((height, width, 3), np.uint8)
+        picture[:, : width // 2] = (200, 40, 30)
+        picture[:, width // 2 :, index % 3] = 180
+        yield picture
+
+
+def test_what_is_written_is_what_plays(tmp_path: Path) -> None:
+    """Catches swapped channels, wrong colour matrices, a wrong rate, and odd sizes that yuv420p refuses."""
+    path = tmp_path / "a.mp4"
+    assert write_video(path, pictures(7, 51, 65), 24) == 7
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert float(stream.average_rate) == pytest.approx(24)
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+    assert len(frames) == 7
+    assert frames[0].shape == (52, 66, 3)
+    assert np.abs(frames[3][25, 10].astype(int) - (200, 40, 30)).max() < 12
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_nothing_to_write_leaves_nothing(tmp_path: Path) -> None:
+    """Catches an empty file that no player opens."""
+    with pytest.raises(UserError, match="expected at least one picture"):
+        write_video(tmp_path / "a.mp4", iter(()), 24)
+    mixed = [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 10, 3), np.uint8)]
+    with pytest.raises(ValueError, match="like the first"):
+        write_video(tmp_path / "a.mp4", mixed, 24)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,167 @@
+"""The clock over a scene's frames."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from fourd.viewer.playback.clock import Playback
+
+
+def shown(playback: Playback, ticks: int, seconds: float) -> list[int]:
+    """The frames after each tick."""
+    frames = []
+    for _ in range(ticks):
+        playback.advance(seconds)
+        frames.append(playback.frame)
+    return frames
+
+
+def test_a_loop_shows_every_frame_equally_long() -> None:
+    """Catches a first or last frame that is skipped or shown twice where the loop closes."""
+    playback = Playback(4, 10.0)
+    assert shown(playback, 16, 0.05) == [0, 1, 1, 2, 2, 3, 3, 0] * 2
+    assert playback.playing
+
+
+def test_a_loop_backwards() -> None:
+    """Catches negative frames, a direction that is not told, and a stop at the beginning."""
+    playback = Playback(4, 10.0, speed=-2.0)
+    playback.advance(0.025)
+    assert playback.direction == -1
+    assert playback.frame == 3
+    assert shown(playback, 8, 0.05) == [2, 1, 0, 3] * 2
+
+
+@pytest.mark.parametrize(("speed", "end"), [(1.0, 4), (-1.0, 0)])
+def test_without_a_loop_it_stops_at_its_end(speed: float, end: int) -> None:
+    """Catches a run past the end, and a button that still says that it plays."""
+    playback = Playback(5, 10.0, speed=speed, looping=False)
+    playback.seek(2)
+    assert set(shown(playback, 10, 0.125)) <= set(range(5))
+    assert (playback.frame, playback.playing) == (end, False)
+    playback.advance(1.0)
+    assert playback.frame == end
+
+
+def test_the_last_frame_is_shown_for_its_time_before_the_stop() -> None:
+    """Catches a last frame that flashes by."""
+    playback = Playback(3, 8.0, looping=False)
+    assert shown(playback, 2, 0.125) == [1, 2]
+    assert playback.playing
+    playback.advance(0.0625)
+    assert playback.playing
+    playback.advance(0.0625)
+    assert not playback.playing
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0, -3.7, 1e6])
+def test_long_and_tiny_ticks_stay_within_the_scene(speed: float) -> None:
+    """Catches a frame beyond the last where a remainder is rounded up to the number of frames."""
+    playback = Playback(7, 30.0, speed=speed)
+    for seconds in (1e-18, 1e-18, 1e5, 1e-9, 0.3, 1e-18):
+        playback.advance(seconds)
+        assert 0 <= playback.frame <= 6
+
+
+def test_a_pause_holds_the_frame() -> None:
+    """Catches time that passes while paused and comes out as a jump."""
+    playback = Playback(5, 10.0)
+    playback.advance(0.25)
+    playback.toggle()
+    playback.advance(100.0)
+    assert playback.frame == 2
+    playback.toggle()
+    playback.advance(0.075)
+    assert playback.frame == 3
+
+
+@pytest.mark.parametrize(("frame", "expected"), [(-3, 0), (0, 0), (2, 2), (4, 4), (99, 4)])
+def test_seeking_is_brought_into_range(frame: int, expected: int) -> None:
+    """Catches an index outside the scene from a slider, and a seek that pauses."""
+    playback = Playback(5, 10.0)
+    playback.seek(frame)
+    assert playback.frame == expected
+    assert playback.playing
+
+
+@pytest.mark.parametrize(("start", "steps", "expected"), [(0, 1, 1), (0, -1, 4), (4, 1, 0), (2, -7, 0), (2, 10, 2)])
+def test_steps_pause_and_wrap(start: int, steps: int, expected: int) -> None:
+    """Catches a step that goes on playing or leaves the scene."""
+    playback = Playback(5, 10.0)
+    playback.seek(start)
+    playback.step(steps)
+    assert playback.frame == expected
+    assert not playback.playing
+
+
+def test_steps_begin_at_the_frame_that_is_seen() -> None:
+    """Catches a fraction of a frame that stays and makes the next steps uneven."""
+    playback = Playback(5, 10.0)
+    playback.advance(0.19)
+    playback.step(1)
+    assert playback.frame == 2
+    playback.step(-2)
+    assert playback.frame == 0
+
+
+@pytest.mark.parametrize(("speed", "begin", "end"), [(1.0, 0, 4), (-1.0, 4, 0)])
+def test_play_at_the_end_begins_again(speed: float, begin: int, end: int) -> None:
+    """Catches a play button that seems dead at the end of a scene that does not loop."""
+    playback = Playback(5, 10.0, speed=speed, looping=False)
+    playback.seek(end)
+    playback.advance(10.0)
+    assert not playback.playing
+    playback.toggle()
+    assert (playback.frame, playback.playing) == (begin, True)
+
+
+def test_play_elsewhere_goes_on() -> None:
+    """Catches a play button that always begins again."""
+    for looping, frame in ((True, 4), (False, 2)):
+        playback = Playback(5, 10.0, playing=False, looping=looping)
+        playback.seek(frame)
+        playback.toggle()
+        assert (playback.frame, playback.playing) == (frame, True)
+
+
+@pytest.mark.parametrize("speed", [1.0, 0.3, -1.0, -2.5])
+def test_the_next_frame_comes_when_it_is_announced(speed: float) -> None:
+    """Catches a viewer that sleeps through a frame, or wakes up without need."""
+    playback = Playback(5, 24.0, speed=speed)
+    playback.seek(2)
+    playback.advance(0.01)
+    for _ in range(12):
+        seconds, frame = playback.seconds_to_next(), playback.frame
+        assert 0 < seconds <= 1 / (24.0 * abs(speed)) + 1e-9
+        playback.advance(0.9 * seconds)
+        assert playback.frame == frame
+        playback.advance(0.1 * seconds + 1e-6)
+        assert playback.frame == (frame + playback.direction) % 5
+
+
+@pytest.mark.parametrize(
+    "playback",
+    [Playback(5, 30.0, playing=False), Playback(5, 30.0, speed=0.0), Playback(1, 30.0)],
+    ids=["paused", "speed 0", "one frame"],
+)
+def test_no_next_frame_is_infinitely_far(playback: Playback) -> None:
+    """Catches a division by a speed of 0, and a viewer that draws without end while nothing moves."""
+    assert playback.seconds_to_next() == math.inf
+    playback.advance(1e3)
+    assert playback.frame == 0
+
+
+@pytest.mark.parametrize("looping", [True, False])
+def test_a_single_frame_stays(looping: bool) -> None:
+    """Catches a scene of one frame that stops, wraps or divides by its length."""
+    playback = Playback(1, 30.0, looping=looping)
+    playback.advance(5.0)
+    assert (playback.frame, playback.playing) == (0, True)
+    playback.seek(3)
+    assert playback.frame == 0
+    playback.step(1)
+    assert playback.frame == 0
+    playback.toggle()
+    assert (playback.frame, playback.playing) == (0, True)

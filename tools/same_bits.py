@@ -1,0 +1,121 @@
+"""Digests of what fourd computes, so that a change that should compute the same can be held to it, bit for bit.
+
+    python tools/same_bits.py --fourd OLD/.venv/bin/fourd --json before.json
+    python tools/same_bits.py --fourd .venv/bin/fourd --compare before.json
+
+Runs the commands of one installation on synthetic captures in a temporary folder: mattes, plates, hulls, training of
+an object and of a whole scene, with refined cameras too, exported scenes, rendered pictures, scores, and fourd make.
+About six minutes on two cores. Both digests must come from one machine: other instruction sets give other bits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import shutil
+import struct
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+CLOCKS = ("seconds",)
+"""Entries of a checkpoint's state that no two runs share."""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fourd", type=Path, required=True, help="the fourd program of the installation to run")
+    parser.add_argument("--json", type=Path, help="write the digests to this file")
+    parser.add_argument("--compare", type=Path, help="exit with 1 where the digests differ from this file's")
+    parser.add_argument("--keep", type=Path, help="work in this folder and keep it, in place of a temporary one")
+    arguments = parser.parse_args()
+    program = arguments.fourd.absolute()
+    if arguments.keep is None:
+        with tempfile.TemporaryDirectory() as folder:
+            digests = run_everything(program, Path(folder))
+    else:
+        arguments.keep.mkdir(parents=True, exist_ok=True)
+        digests = run_everything(program, arguments.keep)
+    if arguments.json is not None:
+        arguments.json.write_text(json.dumps(digests, indent=1) + "\n")
+    if arguments.compare is None:
+        return 0
+    return compare(json.loads(arguments.compare.read_text()), digests)
+
+
+def compare(before: dict[str, str], after: dict[str, str]) -> int:
+    """Print every name whose digest differs or that only one side has; 1 where there is one."""
+    names = sorted(before.keys() | after.keys())
+    different = [name for name in names if before.get(name) != after.get(name)]
+    for name in different:
+        print(f"{name}: {before.get(name, 'absent')} before, {after.get(name, 'absent')} after")
+    print(f"{len(names) - len(different)} of {len(names)} files have the same bits")
+    return 1 if different else 0
+
+
+def run_everything(program: Path, folder: Path) -> dict[str, str]:
+    """Run every stage and return a digest of each file that it wrote, by its path within ``folder``."""
+
+    def fourd(*words: str) -> None:
+        print("fourd", *words, flush=True)
+        subprocess.run([program, *words], cwd=folder, check=True, stdout=subprocess.DEVNULL)
+
+    steps = ("--max-steps", "40", "--points", "3000", "--test-views", "03")
+    fourd("synth", "capture", "--frames", "3", "--cameras", "8", "--size", "160")
+    unmatted = folder / "unmatted"
+    shutil.copytree(folder / "capture", unmatted, ignore=shutil.ignore_patterns("masks", "truth", "bgs", ".fourd"))
+    fourd("matte", "unmatted")
+    fourd("carve", "capture", "-o", "hulls", "--points", "3000")
+    fourd("train", "capture", "-o", "object", *steps)
+    fourd("train", "capture", "-o", "whole", "--scene", "full", "--background-points", "4000", *steps)
+    fourd("train", "capture", "-o", "refined", "--refine-cameras", "--refine-colours", *steps)
+    for name in ("object", "whole", "refined"):
+        fourd("eval", name, "--json", f"{name}.json")
+        fourd("export", name, "-o", f"{name}.4dv")
+        fourd("render", name, "--views", "03", "--out", f"{name}-run")
+        fourd("render", f"{name}.4dv", "--views", "03", "--out", f"{name}-scene")
+    fourd("make", "unmatted", "-o", "made.4dv", "--scene", "full", *steps)
+    return digests_of(folder)
+
+
+def digests_of(folder: Path) -> dict[str, str]:
+    """SHA-256 of the files whose bits are the results: pictures, points, checkpoints, scenes, scores."""
+    patterns = (
+        "capture/**/*.jpg",
+        "capture/**/*.png",
+        "unmatted/.fourd/**/*.png",
+        "hulls/**/*.ply",
+        "*/hull/*.ply",
+        "*/background/*.ply",
+        "*/checkpoints/**/*.safetensors",
+        "*.4dv",
+        "*.json",
+        "*-run/**/*.png",
+        "*-scene/**/*.png",
+    )
+    paths = {path for pattern in patterns for path in folder.glob(pattern) if path.is_file()}
+    return {str(path.relative_to(folder)): digest(path) for path in sorted(paths)}
+
+
+def digest(path: Path) -> str:
+    content = path.read_bytes()
+    if path.suffix == ".safetensors":
+        content = without_clocks(content)
+    return hashlib.sha256(content).hexdigest()
+
+
+def without_clocks(content: bytes) -> bytes:
+    """A safetensors file with the times of its header's state left out."""
+    (length,) = struct.unpack("<Q", content[:8])
+    header = json.loads(content[8 : 8 + length])
+    metadata = header.get("__metadata__") or {}
+    if "state" in metadata:
+        state = json.loads(metadata["state"])
+        metadata["state"] = json.dumps({name: value for name, value in state.items() if name not in CLOCKS})
+    return json.dumps(header, sort_keys=True).encode() + content[8 + length :]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Where the viewer stands: poses, camera paths, saved views."""

@@ -1,0 +1,96 @@
+"""The last view of each scene, in the user's own folder for state."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import platformdirs
+
+from fourd.files import write_text_atomically
+from fourd.viewer.navigation.pose import Pose
+
+_MOST_SCENES = 200
+
+
+def default_file() -> Path:
+    """Where views are kept, by the platform's custom."""
+    return platformdirs.user_state_path("fourd") / "views.json"
+
+
+def pose_to_json(pose: Pose) -> dict[str, Any]:
+    """A pose as plain numbers."""
+    return {
+        "pivot": pose.pivot.tolist(),
+        "rotation": pose.rotation.tolist(),
+        "distance": pose.distance,
+        "field_of_view": pose.field_of_view,
+        "up": pose.up.tolist(),
+        "offset": list(pose.offset),
+    }
+
+
+def pose_from_json(content: Any) -> Pose:
+    """The inverse of :func:`pose_to_json`. Raises ValueError for anything that is no usable pose."""
+    try:
+        pose = Pose(
+            pivot=_numbers(content["pivot"], (3,)),
+            rotation=_numbers(content["rotation"], (3, 3)),
+            distance=float(_numbers(content["distance"], ())),
+            field_of_view=float(_numbers(content["field_of_view"], ())),
+            up=_numbers(content["up"], (3,)),
+            offset=tuple(_numbers(content["offset"], (2,)).tolist()),
+        )
+    except (KeyError, TypeError, OverflowError) as error:
+        raise ValueError(f"expected a pose, got {str(content)[:60]}") from error
+    if not (pose.distance > 0 and 1e-3 < pose.field_of_view < math.pi and abs(np.linalg.norm(pose.up) - 1) < 1e-3):
+        raise ValueError("expected a distance above 0, a field of view from 0.001 to pi and a unit vector up")
+    pose.camera(16, 16)  # which checks the rotation
+    return pose
+
+
+class RememberedViews:
+    """Poses by scene. A file that cannot be read or written costs the memory, nothing else."""
+
+    def __init__(self, file: Path) -> None:
+        self._file = file
+
+    def recall(self, scene: Path) -> Pose | None:
+        """The last pose in which the scene was seen, if it is known."""
+        try:
+            return pose_from_json(self._all().get(_key(scene)))
+        except ValueError:
+            return None
+
+    def remember(self, scene: Path, pose: Pose) -> None:
+        """Keep the pose; the scenes that were seen longest ago are forgotten."""
+        views = self._all()
+        views.pop(_key(scene), None)
+        views[_key(scene)] = pose_to_json(pose)
+        while len(views) > _MOST_SCENES:
+            views.pop(next(iter(views)))
+        try:
+            write_text_atomically(self._file, json.dumps(views))
+        except OSError:
+            return
+
+    def _all(self) -> dict[str, Any]:
+        try:
+            content = json.loads(self._file.read_text("utf-8"))
+        except (OSError, ValueError, RecursionError):
+            return {}
+        return content if isinstance(content, dict) else {}
+
+
+def _key(scene: Path) -> str:
+    return str(scene.resolve())
+
+
+def _numbers(value: Any, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    array = np.array(value, np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"expected finite numbers of shape {shape}, got {str(value)[:60]}")
+    return array

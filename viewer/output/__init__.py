@@ -1,0 +1,1 @@
+"""PNG and MP4 files."""

@@ -1,0 +1,1 @@
+"""Which frame is shown when, and reading ahead."""
