@@ -5,13 +5,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*')
 
-.PHONY: help install demo test test-slow lint clean
+.PHONY: help install demo test test-slow lint docs clean
 
 help:
 	@echo "make demo       synthetic capture -> trained 4D scene -> video, in demo/"
 	@echo "make test       the test suite"
 	@echo "make test-slow  the tests that take longer than a few seconds each"
 	@echo "make lint       ruff and mypy"
+	@echo "make docs       the documentation as a site, in build/site/"
 	@echo "make sanitize   the C++ kernels under ASan, UBSan and TSan"
 	@echo "make count      the C++ kernels' instructions against those accepted before"
 	@echo "make clean      remove the environment and everything built"
@@ -19,7 +20,7 @@ help:
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet -c constraints.txt torch scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev,docs]'
 	touch $@
 
 install: $(STAMP)
@@ -37,6 +38,9 @@ lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: install
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
 
 clean:
 	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache

@@ -2,7 +2,7 @@
 
     python tools/ablation_plot.py CAPTURE --test-views 03,09,14 --frames 0:1 --seconds 180
 
-Writes docs/figures/ablations.png and ablations.md; runs already finished below --work are not repeated.
+Writes docs/figures/ablations.png and docs/measurements/ablations.md. Finished runs in --work are not repeated.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.run import create_run, load_run
 
-FIGURES = Path(__file__).parent.parent / "docs" / "figures"
+DOCS = Path(__file__).parent.parent / "docs"
+FIGURES = DOCS / "figures"
 ABLATIONS = {"both": "images and SH", "ibr": "images alone", "sh": "SH alone"}
 
 
@@ -46,12 +47,13 @@ def main(arguments: Arguments) -> None:
     """Train what is missing, then draw."""
     curves = {name: _curve(arguments, name) for name in ABLATIONS}
     _draw(arguments, curves)
-    lines = ["| colour | " + " | ".join(f"{mark:.0f} s" for mark in _marks(arguments)) + " |"]
+    lines = ["# Ablations", "", f"Held-out PSNR in dB over training time, frames {arguments.frames}.", ""]
+    lines.append("| colour | " + " | ".join(f"{mark:.0f} s" for mark in _marks(arguments)) + " |")
     lines.append("|---" * (1 + len(_marks(arguments))) + "|")
     for name, title in ABLATIONS.items():
         values = [min(curves[name], key=lambda point: abs(point[0] - mark))[1] for mark in _marks(arguments)]
         lines.append(f"| {title} | " + " | ".join(f"{value:.2f}" for value in values) + " |")
-    write_text_atomically(FIGURES / "ablations.md", "\n".join(lines) + "\n")
+    write_text_atomically(DOCS / "measurements" / "ablations.md", "\n".join(lines) + "\n")
 
 
 def _marks(arguments: Arguments) -> list[float]:

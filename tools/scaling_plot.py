@@ -1,4 +1,4 @@
-"""Time rendering against points, pixels and layers: a table and a log-log plot in docs/figures."""
+"""Time rendering against points, pixels and layers: a table and a log-log plot in docs/."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ KINDS = ("forward", "forward + backward", "play")
 class Arguments:
     """The base is 262,144 points, 1920 x 1080 pixels, K = 15; one of the three changes at a time."""
 
-    out: Path = Path("docs/figures")
-    """Folder for scaling.png and scaling.md."""
+    out: Path = Path("docs")
+    """Folder for figures/scaling.png and measurements/scaling.md."""
     seconds: float = 2.0
     """Time spent on each measurement, about."""
 
@@ -57,13 +57,14 @@ def main(arguments: Arguments) -> None:
         measure("pixels", [w * h for w, h in SIZES], lambda n: (base[0], by_pixels()[n], base[2]), clock),
         measure("layers", list(LAYERS), lambda n: (base[0], base[1], n), clock),
     ]
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    plot(series, arguments.out / "scaling.png")
-    text = (
-        f"{this_machine()}\n\nMilliseconds. Base: {base[0]:,} points, {base[1][0]} x {base[1][1]}, K = {base[2]}.\n\n"
-    )
-    write_text_atomically(arguments.out / "scaling.md", text + "\n".join(table(one) for one in series))
-    print(f"{arguments.out / 'scaling.png'}, {arguments.out / 'scaling.md'}")
+    picture, page = arguments.out / "figures" / "scaling.png", arguments.out / "measurements" / "scaling.md"
+    for path in (picture, page):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    plot(series, picture)
+    base_text = f"{base[0]:,} points, {base[1][0]} x {base[1][1]}, K = {base[2]}"
+    text = f"# Scaling\n\n{this_machine()}\n\nMilliseconds. Base: {base_text}.\n\n"
+    write_text_atomically(page, text + "\n".join(table(one) for one in series))
+    print(f"{picture}, {page}")
 
 
 def by_pixels() -> dict[int, tuple[int, int]]:

@@ -59,7 +59,8 @@ class PointModel(nn.Module):
 
         Args:
             config: what to build.
-            lower, upper: (3,) corners of the scene's bounds in world units.
+            lower: (3,) lower corner of the scene's bounds in world units.
+            upper: (3,) upper corner.
             spacing: mean distance between neighbouring points in world units: radii scale with it.
             frame_count: frames of the whole capture: rows of the time planes.
             contraction: lets the planes hold all of space; without one they end at the bounds.

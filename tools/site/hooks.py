@@ -1,0 +1,93 @@
+"""MkDocs hooks: pages that are generated while the site is built.
+
+- ``reference/cli.md`` from each command's ``--help``;
+- ``contributing.md`` and ``changelog.md`` from the files at the top of the repository.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.files import Files
+
+ROOT = Path(__file__).parents[2]
+HELP_COLUMNS = "100"
+"""Width of the help texts in characters."""
+
+CLI_HEAD = """# Commands
+
+Generated from `fourd --help` and `fourd COMMAND --help`. Exit codes: 0 on success, 2 if the input is wrong, 1 on an
+internal error.
+"""
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages to the site."""
+    from mkdocs.structure.files import File
+
+    pages = {
+        "reference/cli.md": cli_reference(),
+        "changelog.md": repository_page("CHANGELOG.md"),
+    }
+    for uri, text in pages.items():
+        files.append(File.generated(config, uri, content=text))
+    return files
+
+
+def cli_reference() -> str:
+    """The page with the help text of every command."""
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    from fourd.cli.main import COMMANDS
+
+    sections = [CLI_HEAD, _fenced(command_help())]
+    for command in COMMANDS:
+        sections.append(f"## fourd {command}\n\n{_fenced(command_help(command))}")
+    return "\n".join(sections)
+
+
+def command_help(command: str | None = None) -> str:
+    """What ``fourd COMMAND --help`` prints, without colours, at a fixed width; ``fourd --help`` without a command."""
+    from fourd.cli.main import main
+
+    printed = io.StringIO()
+    arguments = [] if command is None else [command]
+    with _plain_terminal(), contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
+        main([*arguments, "--help"])
+    return printed.getvalue().rstrip()
+
+
+def repository_page(name: str) -> str:
+    """A Markdown file from the top of the repository, with its links relative to docs/."""
+    text = (ROOT / name).read_text(encoding="utf-8")
+    text = re.sub(r"\]\(docs/", "](", text)
+    # Files outside docs/ are not part of the site: keep the name, drop the link.
+    return re.sub(r"\[([^\]]+)\]\((?!https?:|#)([^)#]+\.(?:py|yaml|toml|h|sh))\)", r"\1", text)
+
+
+@contextlib.contextmanager
+def _plain_terminal() -> Iterator[None]:
+    settings = {"COLUMNS": HELP_COLUMNS, "NO_COLOR": "1", "TERM": "dumb"}
+    before = {name: os.environ.get(name) for name in settings}
+    os.environ.update(settings)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _fenced(text: str) -> str:
+    return f"```text\n{text}\n```\n"

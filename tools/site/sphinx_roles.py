@@ -1,0 +1,20 @@
+"""A Griffe extension: Sphinx roles in docstrings, such as :func:`fourd.raster.render_points`, become code spans."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from griffe import Extension, Object
+
+ROLE = re.compile(r":(?:py:)?(?:func|class|meth|mod|attr|data|exc|obj):`~?([^`]+)`")
+
+
+class SphinxRoles(Extension):
+    """Rewrite the roles of every docstring."""
+
+    def on_object(self, *, obj: Object, **_: Any) -> None:
+        """Rewrite the docstring of one object in place."""
+        if obj.docstring is not None:
+            text = obj.docstring.value.replace("``", "`")
+            obj.docstring.value = ROLE.sub(r"`\1`", text)
