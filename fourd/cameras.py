@@ -91,21 +91,21 @@ class Camera:
             pixels = (xyz_camera @ self.intrinsics.T)[:, :2] / depth[:, None]
         return pixels, depth
 
-    def holds(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
+    def is_in_image(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
         """(N,) whether points as :meth:`project` gives them lie before the camera and within its picture."""
         within = (pixels >= 0).all(axis=1) & (pixels <= (self.width, self.height)).all(axis=1)
         return np.asarray((depth > 0) & within)
 
-    def scaled(self, scale: float) -> Camera:
+    def rescale(self, scale: float) -> Camera:
         """The same view at ``scale`` times the size (rounded to whole pixels, K follows exactly)."""
-        return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
+        return self.resize(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
-    def resized(self, width: int, height: int) -> Camera:
+    def resize(self, width: int, height: int) -> Camera:
         """The same view sampled at ``width`` x ``height`` pixels."""
         zoom = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, intrinsics=zoom @ self.intrinsics, width=width, height=height)
 
-    def cropped(self, left: int, top: int, width: int, height: int) -> Camera:
+    def crop(self, left: int, top: int, width: int, height: int) -> Camera:
         """The view of the pixel rectangle that begins at (``left``, ``top``)."""
         intrinsics = self.intrinsics.copy()
         intrinsics[0, 2] -= left

@@ -23,7 +23,7 @@ LONGEST_HEADER = 1 << 16
 """Bytes; a header that has not ended by then is no PLY header."""
 
 
-class CarvedPoints(NamedTuple):
+class ColouredPoints(NamedTuple):
     """Coloured points.
 
     Attributes:
@@ -55,7 +55,7 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
         temporary.write_bytes(header.encode("ascii") + rows.tobytes())
 
 
-def read_ply(path: Path | str) -> CarvedPoints:
+def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file: ascii or binary of either byte order.
 
     Colours may be uchar, or float in [0, 1]; without any the points are mid grey. Other
@@ -157,7 +157,7 @@ def _ascii_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
     return rows
 
 
-def _points(path: Path, header: _Header, rows: NDArray[Any]) -> CarvedPoints:
+def _points(path: Path, header: _Header, rows: NDArray[Any]) -> ColouredPoints:
     xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
     if not np.isfinite(xyz).all():
         raise _bad(path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points that are not")
@@ -167,7 +167,7 @@ def _points(path: Path, header: _Header, rows: NDArray[Any]) -> CarvedPoints:
         if colours.dtype.kind == "f":
             colours = np.rint(np.nan_to_num(colours) * 255)
         rgb = colours.clip(0, 255).astype(np.uint8)
-    return CarvedPoints(xyz, rgb)
+    return ColouredPoints(xyz, rgb)
 
 
 def _short(path: Path, said: int, held: int) -> UserError:

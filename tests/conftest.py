@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.ops.gpu import cuda_missing
+from fourd.ops.gpu import cuda_unavailable_reason
 from fourd.ops.loading import native
 from tests.captures import write_ball_capture
 
@@ -35,7 +35,7 @@ def gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> torc
     if request.param == "cuda":
         if not torch.cuda.is_available():
             pytest.skip("no CUDA device here")
-        if cuda_missing():
+        if cuda_unavailable_reason():
             pytest.skip("the CUDA kernels are not built")
         return torch.device("cuda", torch.cuda.current_device())
     if not native().simd_available("emulated"):

@@ -28,7 +28,7 @@ def test_scaling_keeps_the_pixel_under_a_point() -> None:
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 64, 48)
     point = np.array([[0.1, 0.05, 1.0]])
     full, _ = camera.project(point)
-    half, _ = camera.scaled(0.5).project(point)
+    half, _ = camera.rescale(0.5).project(point)
     np.testing.assert_allclose(half, full / 2)
 
 
@@ -36,7 +36,7 @@ def test_cropping_shifts_pixels() -> None:
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 64, 48)
     point = np.array([[0.1, 0.05, 1.0]])
     full, _ = camera.project(point)
-    part, _ = camera.cropped(5, 7, 20, 20).project(point)
+    part, _ = camera.crop(5, 7, 20, 20).project(point)
     np.testing.assert_allclose(part, full - [5, 7])
 
 

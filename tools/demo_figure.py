@@ -22,7 +22,7 @@ def main() -> None:
     """Write docs/figures/demo.png."""
     scene, capture = open_scene(ROOT / "demo" / "scene.4dv"), open_capture(ROOT / "demo" / "capture")
     index = capture.names.index(scene.manifest.other_names[0])
-    camera = capture.cameras[index].resized(HEIGHT, HEIGHT)
+    camera = capture.cameras[index].resize(HEIGHT, HEIGHT)
     matte = capture.mask(index, 0)[..., None] / 255
     truth = capture.image(index, 0) * matte + PAPER * (1 - matte)
     tiles = [_titled(cv2.resize(truth.astype(np.uint8), (HEIGHT, HEIGHT)), "photograph, held out")]

@@ -14,7 +14,7 @@ from fourd.baking.player import Player
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.timing import Clock
-from fourd.benchmarks.workloads import baked_figure, camera, figure
+from fourd.benchmarks.workloads import baked_cloud, camera, figure
 from fourd.files import atomic_path, write_text_atomically
 
 POINTS = (16_384, 65_536, 262_144, 1_048_576, 2_097_152)
@@ -80,7 +80,7 @@ def measure(
     for place in places:
         count, size, layers = setting(place)
         view, cloud = camera(*size), figure(count)
-        frame, scene = baked_figure(count)
+        frame, scene = baked_cloud(count)
         player = Player()
         works = (
             composite(cloud, view, layers, False),

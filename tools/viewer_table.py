@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame, SceneManifest, open_scene
 from fourd.baking.shade import shade_reference
-from fourd.benchmarks.workloads import baked_figure, camera
+from fourd.benchmarks.workloads import baked_cloud, camera
 from fourd.cameras import Camera
 from fourd.ops.points.arrays import render_points_numpy
 from fourd.viewer.gl.canvas import Canvas
@@ -69,7 +69,7 @@ def main(arguments: Arguments) -> int:
 
 def _subject(arguments: Arguments) -> tuple[BakedFrame, SceneManifest, Camera]:
     if arguments.scene is None:
-        frame, manifest = baked_figure(arguments.points)
+        frame, manifest = baked_cloud(arguments.points)
         return frame, manifest, camera(*arguments.size, angle=0.3)
     with open_scene(arguments.scene) as scene:
         seen = fit(scene.manifest.cameras[0], *arguments.size)

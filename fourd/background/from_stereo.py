@@ -9,7 +9,7 @@ from fourd.background.stereo.colouring import coloured_points
 from fourd.background.stereo.completion import filled
 from fourd.background.stereo.depth_maps import LEAST_FEATURES, measured
 from fourd.errors import UserError
-from fourd.ply import CarvedPoints
+from fourd.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 LEAST_SHARE = 0.1
@@ -25,7 +25,7 @@ def triangulated(
     workers: int = 1,
     log: Log = lambda line: None,
     track: Track = untracked,
-) -> CarvedPoints:
+) -> ColouredPoints:
     """Points of a still background, about one for every equal area of the pictures, with colours.
 
     Features of the plates are matched along epipolar lines and triangulated by COLMAP, the cameras as given. They

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filte
 
 from fourd.background.directions import CELL_DEG, Sphere, far_side, harmonic, sphere_about
 from fourd.cameras import Camera
-from fourd.ply import CarvedPoints
+from fourd.ply import ColouredPoints
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ HIDING = 0.9
 DEPTH_CELL_PX = 6.0
 
 
-def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array) -> CarvedPoints:
+def surroundings(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
     """Points in the directions in which there are none, at distances and of colours continued from around them.
 
     Inverse distance and colour are harmonic between the known directions, more so along the horizon, which is that of
@@ -42,7 +42,7 @@ def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array)
     cells, distance = sphere.cells(points.xyz.astype(np.float64))
     known, inverse, rgb = far_side(cells, distance, points.rgb, sphere.rows * sphere.columns)
     if known.all() or not known.any():
-        return CarvedPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+        return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = harmonic(sphere, known, np.column_stack([inverse, rgb]), ACROSS)
     chosen = _chosen(sphere, known)
     # A rim lies behind what is known: seen from elsewhere than the middle, no slit opens between it and the shell.
@@ -52,10 +52,10 @@ def surroundings(points: CarvedPoints, cameras: Sequence[Camera], centre: Array)
     # What is nearer than the cameras stands between them and is seen by some; there points merely lie widely apart.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_hiding(xyz, points.xyz.astype(np.float64), cameras)
-    return CarvedPoints(xyz[kept].astype(np.float32), colours[kept])
+    return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
 
 
-def seen_share(points: CarvedPoints, centre: Array, cameras: Sequence[Camera]) -> float:
+def seen_share(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
     """Share of all directions about ``centre`` in which there are points, gaps between these not counted."""
     sphere = sphere_about(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))

@@ -41,8 +41,8 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
     """
     run = trained.run
     require_bakeable(run)
-    sources = baked_sources(run)
-    with SceneWriter(out, manifest_of(trained, layers, fps)) as writer, torch.no_grad():
+    sources = select_baked_views(run)
+    with SceneWriter(out, make_manifest(trained, layers, fps)) as writer, torch.no_grad():
         background = bake_background(trained, sources)
         if background is not None:
             writer.add_background(background)
@@ -59,15 +59,15 @@ def require_bakeable(run: Run) -> None:
         )
 
 
-def baked_sources(run: Run) -> list[int]:
+def select_baked_views(run: Run) -> list[int]:
     """Indices of the cameras whose colours are baked: those trained on, where images give colour at all."""
     return run.training if run.config.train.model.appearance != "sh" else []
 
 
-def manifest_of(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
+def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
     """What holds for all frames of a run; the numbers of points are for the writer to fill in."""
     run, background = trained.run, trained.renderer.background
-    sources = baked_sources(run)
+    sources = select_baked_views(run)
     others = [index for index in range(len(run.capture.names)) if index not in sources]
     return SceneManifest(
         source_names=tuple(run.capture.names[index] for index in sources),

@@ -154,7 +154,7 @@ class SceneWriter:
     def _check(self, what: str, frame: BakedFrame) -> None:
         if frame.view_count != self.manifest.view_count:
             raise ValueError(f"{what}: expected {self.manifest.view_count} source views, got {frame.view_count}")
-        bad = frame.first_bad()
+        bad = frame.find_invalid_array()
         if bad is not None:
             raise ValueError(f"{what}, {bad}: expected finite numbers (radius and weights >= 0, density in [0, 1])")
 
@@ -219,11 +219,11 @@ class SceneReader:
 
         Its arrays are read-only. Raises IndexError outside the scene.
         """
-        moving = self.read_moving(index)
+        moving = self.read_dynamic(index)
         background = self.read_background()
         return moving if background is None else joined(moving, background, self.read_shadow(index))
 
-    def read_moving(self, index: int) -> BakedFrame:
+    def read_dynamic(self, index: int) -> BakedFrame:
         """The points that frame ``index`` alone has. Raises IndexError outside the scene."""
         self._require_frame(index)
         return self._read(_frame_folder(index), self.manifest.points[index])
@@ -259,7 +259,7 @@ class SceneReader:
             shape = attribute.sized(points, self.manifest.view_count)
             arrays.append(np.frombuffer(content, dtype=attribute.dtype).reshape(shape))
         frame = BakedFrame(*arrays)
-        bad = frame.first_bad()
+        bad = frame.find_invalid_array()
         if bad is not None:
             name = f"{folder}/{bad}"
             raise _damaged(self.path, f"finite numbers in {name}", "NaN, infinity or a number out of range")

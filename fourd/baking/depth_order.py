@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fourd.baking.scene import BakedFrame
 from fourd.cameras import Camera
 from fourd.ops.loading import native, simd_name, thread_count
-from fourd.ops.points.validation import camera_numbers, check_points
+from fourd.ops.points.validation import check_points, pack_camera
 
 
 class DepthSorter:
@@ -37,7 +37,7 @@ class DepthSorter:
             frame.xyz,
             frame.radius.view(np.uint16),
             frame.density.view(np.uint16),
-            camera_numbers(camera),
+            pack_camera(camera),
             camera.width,
             camera.height,
             near,

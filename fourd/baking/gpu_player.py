@@ -14,8 +14,8 @@ from fourd.baking.player import HIDDEN
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import shading_arguments
 from fourd.cameras import Camera
-from fourd.ops.gpu import gpu_of
-from fourd.ops.points.validation import camera_numbers, check_points
+from fourd.ops.gpu import load_gpu
+from fourd.ops.points.validation import check_points, pack_camera
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class GpuPlayer:
 
     def __init__(self, device: torch.device) -> None:
         """Raises ImportError where the device's kernels are not built."""
-        self._gpu = gpu_of(device)
+        self._gpu = load_gpu(device)
 
     def draw(
         self,
@@ -92,7 +92,7 @@ class GpuPlayer:
                 frame.blend_weights,
                 frame.rgb,
                 *shading_arguments(camera, manifest),
-                camera_numbers(camera),
+                pack_camera(camera),
                 layers,
                 manifest.near,
                 HIDDEN,

@@ -9,7 +9,7 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import shading_arguments
 from fourd.cameras import Camera
 from fourd.ops.loading import native, simd_name, thread_count
-from fourd.ops.points.validation import camera_numbers, check_points
+from fourd.ops.points.validation import check_points, pack_camera
 
 HIDDEN = 1e-3
 """Light below a quarter of a byte's step: what lies behind it cannot be seen."""
@@ -65,7 +65,7 @@ class Player:
             frame.blend_weights.view(np.uint16),
             frame.rgb,
             *shading_arguments(camera, manifest),
-            camera_numbers(camera),
+            pack_camera(camera),
             layers,
             manifest.near,
             HIDDEN,

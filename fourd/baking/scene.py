@@ -103,7 +103,7 @@ class BakedFrame:
         return int(self.xyz.shape[0])
 
     @property
-    def moving_count(self) -> int:
+    def dynamic_count(self) -> int:
         """N - M: the first points, which no other frame has."""
         return self.point_count - (0 if self.still is None else self.still.point_count)
 
@@ -117,7 +117,7 @@ class BakedFrame:
         """Memory of all arrays in bytes."""
         return sum(getattr(self, attribute.name).nbytes for attribute in ATTRIBUTES)
 
-    def first_bad(self) -> str | None:
+    def find_invalid_array(self) -> str | None:
         """Name of the first array with NaN, infinity, a negative radius or weight, or a density outside [0, 1]."""
         if not np.isfinite(self.xyz).all():
             return "xyz"

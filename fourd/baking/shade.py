@@ -47,7 +47,7 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
 
 def shade_reference(frame: BakedFrame, camera: Camera, manifest: SceneManifest) -> NDArray[np.float32]:
     """What :func:`shade` promises, in NumPy; slower, and obvious."""
-    chosen = chosen_views(camera, manifest)
+    chosen = select_source_views(camera, manifest)
     colour = np.empty((frame.point_count, 3), dtype=np.float32)
     for start in range(0, frame.point_count, _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -63,7 +63,7 @@ def shade_reference(frame: BakedFrame, camera: Camera, manifest: SceneManifest) 
     return colour
 
 
-def chosen_views(camera: Camera, manifest: SceneManifest) -> list[int]:
+def select_source_views(camera: Camera, manifest: SceneManifest) -> list[int]:
     """Indices of the source views that are blended for ``camera``; empty when the scene has none."""
     sources = list(manifest.source_cameras)
     return nearest_views(camera, sources, manifest.neighbours, np.asarray(manifest.focus))
@@ -71,7 +71,7 @@ def chosen_views(camera: Camera, manifest: SceneManifest) -> list[int]:
 
 def shading_arguments(camera: Camera, manifest: SceneManifest) -> tuple[NDArray[np.int32], Floats64, float, float]:
     """What the native kernels take: the views to blend, the camera's centre, and the SH part's range and base."""
-    chosen = np.asarray(chosen_views(camera, manifest), dtype=np.int32)
+    chosen = np.asarray(select_source_views(camera, manifest), dtype=np.int32)
     return chosen, np.ascontiguousarray(camera.centre), manifest.sh_range, manifest.sh_base
 
 

@@ -13,7 +13,7 @@ from fourd.baking.player import Player
 from fourd.benchmarks.peers import pytorch3d_compositor
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
-from fourd.benchmarks.workloads import baked_figure, camera, figure, planes
+from fourd.benchmarks.workloads import baked_cloud, camera, figure, planes
 from fourd.cameras import Camera
 from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
 from fourd.ops.planes.op import sample_planes, sample_planes_reference
@@ -130,7 +130,7 @@ def _composite(count: int, view: Camera, layers: int, backward: bool, reference:
 
 
 def _play(count: int, view: Camera, layers: int, *, ordered: bool = False) -> Case:
-    frame, scene = baked_figure(count, ordered=ordered)
+    frame, scene = baked_cloud(count, ordered=ordered)
     player = Player()
     out = player.draw(frame, view, scene, layers=layers)
     order = ", in the order of space" if ordered else ""

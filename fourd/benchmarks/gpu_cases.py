@@ -11,7 +11,7 @@ from fourd.benchmarks.cases import Case, composite, lookup, sampling
 from fourd.benchmarks.machine import has_gpu
 from fourd.benchmarks.peers import gsplat_rasterizer
 from fourd.benchmarks.timing import Work
-from fourd.benchmarks.workloads import baked_figure, camera, figure
+from fourd.benchmarks.workloads import baked_cloud, camera, figure
 from fourd.cameras import Camera
 
 PARTS = 20
@@ -56,7 +56,7 @@ def _composite(device: torch.device, count: int, view: Camera, layers: int, back
 
 
 def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
-    frame, scene = baked_figure(count)
+    frame, scene = baked_cloud(count)
     player, held = GpuPlayer(device), GpuFrame.of(frame, device)
     out = player.draw(held, view, scene, layers=layers)
     name = f"GPU: play {count:,} points, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"

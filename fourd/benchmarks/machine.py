@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from fourd.ops.gpu import cuda_missing
+from fourd.ops.gpu import cuda_unavailable_reason
 from fourd.ops.loading import native, simd_name, thread_count
 
 
@@ -53,7 +53,7 @@ def this_machine() -> Machine:
 
 def has_gpu() -> bool:
     """Whether CUDA kernels can be timed here."""
-    return torch.cuda.is_available() and not cuda_missing()
+    return torch.cuda.is_available() and not cuda_unavailable_reason()
 
 
 def _processor() -> str:

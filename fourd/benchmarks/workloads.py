@@ -45,7 +45,7 @@ def camera(width: int, height: int, angle: float = 0.0) -> Camera:
     return look_at(centre, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, width, height)
 
 
-def baked_figure(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
+def baked_cloud(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
     """The figure as a baked frame that ``views`` source cameras in a ring see, and its scene.
 
     ``ordered`` points lie in the order of space, as a run's do; else in no order.

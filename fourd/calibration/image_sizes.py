@@ -79,9 +79,9 @@ def size_hypotheses(lens: Camera, width: int, height: int) -> dict[str, Camera]:
         return {"unchanged": lens}
     x, y = width / lens.width, height / lens.height
     if abs(lens.width * y - width) <= 0.5 or abs(lens.height * x - height) <= 0.5:
-        found = {"scaled": lens.resized(width, height)}
+        found = {"scaled": lens.resize(width, height)}
     else:
-        found = {"stretched": lens.resized(width, height), "letterboxed": _fitted(lens, width, height, min(x, y))}
+        found = {"stretched": lens.resize(width, height), "letterboxed": _fitted(lens, width, height, min(x, y))}
         if max(x, y) != 1:
             found["filled"] = _fitted(lens, width, height, max(x, y))
     if width > lens.width or height > lens.height:
@@ -89,11 +89,11 @@ def size_hypotheses(lens: Camera, width: int, height: int) -> dict[str, Camera]:
     missing_x, missing_y = lens.width - width, lens.height - height
     found["cropped centre"] = _fitted(lens, width, height, 1.0)
     if not missing_y:
-        found["cropped left"] = lens.cropped(missing_x, 0, width, height)
-        found["cropped right"] = lens.cropped(0, 0, width, height)
+        found["cropped left"] = lens.crop(missing_x, 0, width, height)
+        found["cropped right"] = lens.crop(0, 0, width, height)
     if not missing_x:
-        found["cropped top"] = lens.cropped(0, missing_y, width, height)
-        found["cropped bottom"] = lens.cropped(0, 0, width, height)
+        found["cropped top"] = lens.crop(0, missing_y, width, height)
+        found["cropped bottom"] = lens.crop(0, 0, width, height)
     return found
 
 

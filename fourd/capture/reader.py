@@ -87,7 +87,7 @@ class Capture:
     ) -> None:
         self.path = path
         self.names = tuple(names)
-        self.cameras = tuple(replace(lens, distortion=None).scaled(scale) for lens in lenses)
+        self.cameras = tuple(replace(lens, distortion=None).rescale(scale) for lens in lenses)
         self.frame_names = tuple(frame_names)
         self.frame_numbers = tuple(frame_numbers)
         self.total_frames = total_frames

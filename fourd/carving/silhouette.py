@@ -55,7 +55,7 @@ class SilhouetteView:
             raise ValueError(f"mask: expected shape {(camera.height, camera.width)} as the camera, got {mask.shape}")
         left, top, width, height = _crop(mask)
         part: NDArray[np.uint8] = mask[top : top + height, left : left + width]
-        close = camera.cropped(left, top, width, height).scaled(min(1.0, LONGEST_SIDE / max(width, height)))
+        close = camera.crop(left, top, width, height).rescale(min(1.0, LONGEST_SIDE / max(width, height)))
         if (close.width, close.height) != (width, height):
             part = np.asarray(cv2.resize(part, (close.width, close.height), interpolation=cv2.INTER_AREA), np.uint8)
         zoom_x, zoom_y = close.width / width, close.height / height

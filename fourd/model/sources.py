@@ -10,9 +10,9 @@ from torch import Tensor
 from torch.nn import functional
 
 from fourd.cameras import Camera
-from fourd.ops.gpu import cuda_missing
-from fourd.ops.points.validation import camera_numbers
-from fourd.ops.sources.op import MOST_VIEWS_GPU, sample
+from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.ops.points.validation import pack_camera
+from fourd.ops.sources.op import MAX_VIEWS_GPU, sample
 
 HIDDEN_SPACINGS = 1.0
 """A hidden point loses its say over so many distances to its neighbours, once it is twice as far behind."""
@@ -72,10 +72,10 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
     faster than coverage does. In float32, on the CPU or a CUDA device with kernels, all is one kernel.
     """
     device = xyz.device.type
-    on_gpu = device == "cuda" and not cuda_missing() and len(sources.cameras) <= MOST_VIEWS_GPU
+    on_gpu = device == "cuda" and not cuda_unavailable_reason() and len(sources.cameras) <= MAX_VIEWS_GPU
     if xyz.dtype != torch.float32 or not (on_gpu or device == "cpu"):
         return sample_sources_reference(xyz, sources, features, softness)
-    cameras = [number for camera in sources.cameras for number in camera_numbers(camera)]
+    cameras = [number for camera in sources.cameras for number in pack_camera(camera)]
     channels, trust = sample(xyz, features, sources.images, sources.mattes, sources.depth, cameras, softness)
     return SourceSamples(channels.transpose(1, 2), trust)
 

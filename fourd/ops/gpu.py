@@ -48,7 +48,7 @@ class Gpu:
 
 
 @cache
-def gpu_of(device: torch.device) -> Gpu:
+def load_gpu(device: torch.device) -> Gpu:
     """The kernels for a device; the CPU's are emulated.
 
     Raises:
@@ -64,7 +64,7 @@ def gpu_of(device: torch.device) -> Gpu:
 
 
 @cache
-def cuda_missing() -> str:
+def cuda_unavailable_reason() -> str:
     """Why there are no CUDA kernels; empty where there are."""
     try:
         import_module("fourd._cuda")

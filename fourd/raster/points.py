@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
-from fourd.ops.gpu import cuda_missing
-from fourd.ops.points.validation import camera_numbers, check_background, check_points
+from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.ops.points.validation import check_background, check_points, pack_camera
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]
 
@@ -88,7 +88,7 @@ def render_points(
     else:
         from fourd.ops.points import op as native
 
-        numbers = camera_numbers(camera)
+        numbers = pack_camera(camera)
         size = (camera.width, camera.height)
         image = native.render(xyz, features, radius, density, numbers, *size, layers, near, transmittance_min, threads)
     colour, alpha, depth = image
@@ -124,7 +124,7 @@ def point_visibility(
     from fourd.ops.points import op as native
 
     size = (camera.width, camera.height)
-    return native.visibility(xyz, radius, density, camera_numbers(camera), *size, layers, near, threads)
+    return native.visibility(xyz, radius, density, pack_camera(camera), *size, layers, near, threads)
 
 
 def _check(
@@ -142,7 +142,7 @@ def _check(
     check_points(arrays, camera, layers, near)
     device = arrays["xyz"].device.type
     wanted = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
-    if wanted == "cuda" and (missing := cuda_missing()):
+    if wanted == "cuda" and (missing := cuda_unavailable_reason()):
         raise RuntimeError(
             f"backend: expected one that this installation has, got 'cuda', which it was built without ({missing}); "
             "install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "

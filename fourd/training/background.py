@@ -18,7 +18,7 @@ from fourd.model import PointModel
 from fourd.model.sources import SourceViews
 from fourd.morton import morton_order
 from fourd.ops.points.arrays import render_points_numpy
-from fourd.ply import CarvedPoints
+from fourd.ply import ColouredPoints
 from fourd.training.cameras.rig import Rig
 from fourd.training.config import TrainConfig
 from fourd.training.parts import NEAR
@@ -37,7 +37,7 @@ LEAST_RADIUS = 0.6
 
 
 def new_background(
-    seeded: CarvedPoints, plates: Mapping[int, PlateView], config: TrainConfig, contraction: Contraction
+    seeded: ColouredPoints, plates: Mapping[int, PlateView], config: TrainConfig, contraction: Contraction
 ) -> Background:
     """An untrained background of seeded points, which keep their colours where no source view sees them."""
     order = morton_order(seeded.xyz)
@@ -74,7 +74,7 @@ def out_of_sight(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
         pixels, depth = camera.project(xyz.double().numpy())
-        outside &= ~camera.holds(pixels, depth)
+        outside &= ~camera.is_in_image(pixels, depth)
     return torch.from_numpy(outside)
 
 
@@ -124,7 +124,7 @@ class Background:
         for index in self.plates:
             camera = self.camera(index)
             pixels, depth = camera.project(xyz)
-            rows = np.flatnonzero(camera.holds(pixels, depth) & hidden)
+            rows = np.flatnonzero(camera.is_in_image(pixels, depth) & hidden)
             column, row = np.minimum(pixels[rows].astype(np.intp), (camera.width - 1, camera.height - 1)).T
             behind = depth[rows] - hiding_depth(self.points, camera)[row, column]
             hidden[rows] = behind > HIDDEN_BEHIND * spacing[rows]
@@ -148,7 +148,7 @@ class Background:
             picture = torch.tensor(plate.rgb).permute(2, 0, 1) / 255
             images[k, :, :rows, :columns] = picture if self.rig is None else self.rig.scene_colours(cameras[k], picture)
             mattes[k, :rows, :columns] = torch.tensor(plate.seen).float()
-        padded = tuple(self.camera(index).cropped(0, 0, width, height) for index in cameras)
+        padded = tuple(self.camera(index).crop(0, 0, width, height) for index in cameras)
         if points is not None:
             known = [self._look(points, image, camera) for image, camera in zip(images, padded, strict=True)]
         else:
@@ -184,7 +184,7 @@ def hiding_depth(points: FramePoints, camera: Camera) -> NDArray[np.float32]:
     of the points that it shows. So a pixel has the farthest depth within the reach of a disc.
     """
     pixels, depth = camera.project(points.xyz.double().numpy())
-    inside = camera.holds(pixels, depth) & (depth > NEAR)
+    inside = camera.is_in_image(pixels, depth) & (depth > NEAR)
     found = surface_depth(points, camera)
     if not inside.any():
         return found

@@ -15,7 +15,7 @@ from fourd.capture import Capture
 from fourd.errors import UserError
 from fourd.matting.plates import FOLDER, make_plates
 from fourd.matting.selection import Selection
-from fourd.ply import CarvedPoints, read_ply, write_ply
+from fourd.ply import ColouredPoints, read_ply, write_ply
 from fourd.progress import Log, Track
 from fourd.training.config import TrainConfig
 
@@ -54,7 +54,7 @@ def seed_background(
             f"surroundings: the plates show {share:.0%} of the directions about the scene; "
             f"{len(shell.xyz)} points stand for the rest, their colours continued from around"
         )
-        points = CarvedPoints(np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb]))
+        points = ColouredPoints(np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb]))
     write_ply(target, points.xyz, points.rgb)
 
 
@@ -68,7 +68,7 @@ def _say_what_moves(shares: dict[str, float], log: Log) -> None:
         )
 
 
-def _found(plates: tuple[PlateView, ...], train: TrainConfig, workers: int, track: Track, log: Log) -> CarvedPoints:
+def _found(plates: tuple[PlateView, ...], train: TrainConfig, workers: int, track: Track, log: Log) -> ColouredPoints:
     """Points of what the plates show, in the way that the config asks for."""
     wanted, seed = train.background.points, train.seed
     if train.background.seeding == "sfm":
@@ -85,10 +85,10 @@ def run_plates(
     return read_plates(capture, training, log, made=made if made.exists() else capture.path / FOLDER)
 
 
-def _brought(path: Path, wanted: int, seed: int) -> CarvedPoints:
+def _brought(path: Path, wanted: int, seed: int) -> ColouredPoints:
     """The user's own points; an even draw where there are more than wanted."""
     xyz, rgb = read_ply(path)
     if len(xyz) == 0:
         raise UserError(f"{path}: expected points of the background, got none; bring another PLY")
     kept = np.random.default_rng(seed).permutation(len(xyz))[:wanted]
-    return CarvedPoints(xyz[kept], rgb[kept])
+    return ColouredPoints(xyz[kept], rgb[kept])

@@ -154,7 +154,7 @@ class Stepper:
             side = self.config.background.window_px
             camera = background.camera(choice.target)
             window = placed_window(camera, (side, side), choice.place)
-            part = camera.cropped(*window)
+            part = camera.crop(*window)
             rows, columns = slice(window[1], window[1] + window[3]), slice(window[0], window[0] + window[2])
             rgb = torch.tensor(plate.rgb[rows, columns]).float() / 255
             seen = torch.tensor(plate.seen[rows, columns]).float()

@@ -94,7 +94,7 @@ class ViewStore:
             picture = torch.from_numpy(view.rgb).permute(2, 0, 1) / 255
             images[i, :, :rows, :columns] = self.rig.scene_colours(cameras[i], picture)
             mattes[i, :rows, :columns] = torch.from_numpy(view.matte) / 255
-        padded = tuple(view.camera.cropped(0, 0, width, height) for view in views)
+        padded = tuple(view.camera.crop(0, 0, width, height) for view in views)
         return SourceViews(images, mattes, None, padded)
 
     def _aimed(self, view: View, camera: int) -> View:
@@ -103,7 +103,7 @@ class ViewStore:
         if whole is self.capture.cameras[camera]:
             return view
         height, width = view.matte.shape
-        return replace(view, camera=whole.cropped(view.left, view.top, width, height))
+        return replace(view, camera=whole.crop(view.left, view.top, width, height))
 
     def _decoded(self, camera: int, frame: int, window: tuple[int, int, int, int] | None) -> View:
         """The part (left, top, width, height) of a picture; by default that of the matte, or all of it."""
@@ -113,7 +113,7 @@ class ViewStore:
             window = _matte_window(matte) if self.crop else (0, 0, whole.width, whole.height)
         left, top, width, height = window
         rows, columns = slice(top, top + height), slice(left, left + width)
-        part = whole.cropped(left, top, width, height)
+        part = whole.crop(left, top, width, height)
         return View(in_own_pages(rgb[rows, columns]), in_own_pages(matte[rows, columns]), part, left, top)
 
 

@@ -12,7 +12,7 @@ from fourd.background.plates import PlateView
 from fourd.background.stereo.sparse import sparse_points
 from fourd.cameras import look_at
 from fourd.errors import UserError
-from fourd.ply import CarvedPoints
+from fourd.ply import ColouredPoints
 from fourd.progress import untracked
 from tests.calibration.rooms import HALF_WIDTH, HEIGHT, Room, room_cameras
 
@@ -24,7 +24,7 @@ MAGENTA = (255, 0, 255)
 @dataclass(frozen=True)
 class Stage:
     plates: list[PlateView]
-    points: CarvedPoints
+    points: ColouredPoints
     lines: list[str]
 
 
@@ -46,7 +46,7 @@ def beside_a_hole(xyz: np.ndarray, plates: list[PlateView]) -> bool:
     for each in plates:
         pixels, depth = each.camera.project(xyz[None])
         column, row = np.floor(pixels[0]).astype(int)
-        if each.camera.holds(pixels, depth)[0] and each.seen[min(row, 131), min(column, 175)]:
+        if each.camera.is_in_image(pixels, depth)[0] and each.seen[min(row, 131), min(column, 175)]:
             return True
     return False
 

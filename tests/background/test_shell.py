@@ -6,29 +6,29 @@ import numpy as np
 import pytest
 
 from fourd.background.shell import surroundings
-from fourd.ply import CarvedPoints
+from fourd.ply import ColouredPoints
 from tests.captures import ring_cameras, sphere
 
 CENTRE = np.array([0.3, -0.2, 0.1])
 RADIUS = 5.0
 
 
-def _room(gap_deg: float) -> CarvedPoints:
+def _room(gap_deg: float) -> ColouredPoints:
     """A sphere about CENTRE, red below the horizon and blue above, without a wedge of azimuths."""
     directions = sphere(90_000)
     azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     kept = directions[np.abs(azimuth) > gap_deg / 2]
     xyz = (CENTRE + RADIUS * kept).astype(np.float32)
     rgb = np.where(kept[:, 2:] > 0, [[20, 40, 200]], [[200, 40, 20]]).astype(np.uint8)
-    return CarvedPoints(xyz, rgb)
+    return ColouredPoints(xyz, rgb)
 
 
 @pytest.fixture(scope="module")
-def shell() -> CarvedPoints:
+def shell() -> ColouredPoints:
     return surroundings(_room(28), ring_cameras(8, 64), CENTRE)
 
 
-def test_a_gap_is_closed_and_nothing_else(shell: CarvedPoints) -> None:
+def test_a_gap_is_closed_and_nothing_else(shell: ColouredPoints) -> None:
     """Catches a shell over what is known, and a seam at the border of turns left open."""
     towards = shell.xyz - CENTRE
     azimuth = np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))
@@ -38,7 +38,7 @@ def test_a_gap_is_closed_and_nothing_else(shell: CarvedPoints) -> None:
     assert filled.min() > 20
 
 
-def test_it_continues_distance_and_colour_along_the_horizon(shell: CarvedPoints) -> None:
+def test_it_continues_distance_and_colour_along_the_horizon(shell: ColouredPoints) -> None:
     """Catches inverse distances that are averaged as distances, and colours smeared up and down."""
     towards = shell.xyz - CENTRE
     np.testing.assert_allclose(np.linalg.norm(towards, axis=1), RADIUS, rtol=0.02)
@@ -63,7 +63,7 @@ def test_no_guess_hides_what_a_camera_sees() -> None:
     wall = np.stack([np.full_like(y, 12.0), y, z], axis=-1).reshape(-1, 3)
     from_middle = np.degrees(np.abs(np.arctan2(wall[:, 1] - CENTRE[1], wall[:, 0] - CENTRE[0])))
     wall = wall[from_middle < 12].astype(np.float32)
-    points = CarvedPoints(
+    points = ColouredPoints(
         np.concatenate([room.xyz, wall]), np.concatenate([room.rgb, np.full(wall.shape, 90, np.uint8)])
     )
     cameras = ring_cameras(8, 64)
@@ -80,5 +80,5 @@ def test_no_guess_hides_what_a_camera_sees() -> None:
 
 
 def test_without_points_there_is_no_shell() -> None:
-    empty = CarvedPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+    empty = ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     assert len(surroundings(empty, ring_cameras(8, 64), CENTRE).xyz) == 0

@@ -57,7 +57,7 @@ def test_frames_come_back_with_the_background_behind_them(tmp_path: Path, shadow
             behind = rgb if attribute.name == "rgb" else getattr(room, attribute.name)
             expected = np.concatenate([getattr(own, attribute.name), behind])
             np.testing.assert_array_equal(getattr(frame, attribute.name), expected)
-        assert_same(reader.read_moving(index), own)
+        assert_same(reader.read_dynamic(index), own)
     background = reader.read_background()
     assert background is not None
     assert_same(background, room)
@@ -69,7 +69,7 @@ def test_an_object_scene_has_nothing_behind(tmp_path: Path) -> None:
     reader = SceneReader(tmp_path / "object.4dv")
     assert reader.read_background() is None
     assert reader.read_shadow(0) is None
-    assert_same(reader.read_moving(1), written[1])
+    assert_same(reader.read_dynamic(1), written[1])
     assert reader.manifest.background_nbytes == 0
     assert reader.manifest.frame_nbytes(1) == reader.read(1).nbytes
 
@@ -283,7 +283,7 @@ def test_poison_in_the_background_is_refused_on_reading(scene: Path, name: str, 
         members[f"background/{name}"] = content.tobytes()
 
     reader = SceneReader(rewritten(scene, poison))
-    reader.read_moving(0)
+    reader.read_dynamic(0)
     for _ in range(2):
         with pytest.raises(UserError, match=f"expected finite numbers in background/{name}, got NaN"):
             reader.read(0)
@@ -377,7 +377,7 @@ def test_caches_count_what_joined_frames_take(tmp_path: Path) -> None:
 def test_a_picture_of_a_scene_shows_both(scene: Path) -> None:
     """Catches a renderer that is given the frame's points alone, or the walls before what stands in the room."""
     with open_scene(scene) as opened:
-        camera = opened.manifest.other_cameras[0].resized(64, 64)
+        camera = opened.manifest.other_cameras[0].resize(64, 64)
         picture = opened.render(camera, 0)
         assert (picture.alpha > 0.5).mean() > 0.9, "the walls are all around"
         assert picture.depth[28:36, 28:36].min() < 6, "the ball is before them"

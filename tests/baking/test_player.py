@@ -48,14 +48,14 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monk
 
 def test_a_part_of_a_picture_is_that_part() -> None:
     """Catches points in the picture that are not shaded, or as they were for the camera before."""
-    described, whole = manifest(views=6), ring(4)[1].resized(128, 128)
+    described, whole = manifest(views=6), ring(4)[1].resize(128, 128)
     frame = random_frame(6000, 6, seed=3)
     order = np.argsort(frame.xyz[:, 0], kind="stable")
     arrays = {attribute.name: getattr(frame, attribute.name)[order] for attribute in ATTRIBUTES}
     frame, player = BakedFrame(**arrays), Player()
-    player.draw(frame, ring(4)[3].resized(128, 128), described)
+    player.draw(frame, ring(4)[3].resize(128, 128), described)
     for left, top in ((0, 0), (90, 40), (60, 100)):
-        camera = whole.cropped(left, top, 20, 24)
+        camera = whole.crop(left, top, 20, 24)
         truth = expected(frame, camera, described, described.layers, (0.0, 0.0, 0.0))
         picture = player.draw(frame, camera, described)
         assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
@@ -65,7 +65,7 @@ def test_a_player_forgets_the_picture_before() -> None:
     """Catches memory kept from a larger scene or picture that shows in the next one."""
     described = manifest(views=6)
     few, many = random_frame(50, 6, seed=1), random_frame(5000, 6, seed=2)
-    small, large = ring(4)[0], ring(4)[1].resized(101, 67)
+    small, large = ring(4)[0], ring(4)[1].resize(101, 67)
     player, fresh = Player(), Player()
     alone = fresh.draw(few, small, described)
     player.draw(many, large, described)

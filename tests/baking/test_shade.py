@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from fourd.baking.scene import BakedFrame
-from fourd.baking.shade import chosen_views, sh_basis, shade, shade_reference
+from fourd.baking.shade import select_source_views, sh_basis, shade, shade_reference
 from fourd.model import spherical_harmonics as harmonics
 from tests.baking.scenes import manifest, random_frame, ring
 
@@ -40,7 +40,7 @@ def test_views_without_a_say() -> None:
     )
     described = manifest(views=6)
     camera = ring(6)[2]
-    expected = frame.rgb[:, chosen_views(camera, described)].mean(axis=1) / 255
+    expected = frame.rgb[:, select_source_views(camera, described)].mean(axis=1) / 255
     assert np.abs(shade(silent, camera, described) - expected).max() < 1e-5
 
 

@@ -14,14 +14,14 @@ from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.report import Row, markdown, to_json
 from fourd.benchmarks.timing import Clock, Timing
-from fourd.benchmarks.workloads import baked_figure, camera, figure, planes
+from fourd.benchmarks.workloads import baked_cloud, camera, figure, planes
 from fourd.cli.main import main
 from fourd.ops.planes.op import sample_planes
 
 
 def test_the_figure_is_a_closed_surface_in_the_middle_of_the_picture() -> None:
     """Catches a workload that misses the picture, whose speed would mean nothing."""
-    frame, scene = baked_figure(20_000)
+    frame, scene = baked_cloud(20_000)
     picture = Player().draw(frame, camera(192, 108), scene)
     alpha = picture[..., 3] / 255
     assert 0.15 < (alpha > 0.5).mean() < 0.6

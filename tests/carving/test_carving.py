@@ -72,7 +72,7 @@ def test_one_bad_mask_of_twenty_is_tolerated(one_ball: MemoryCapture) -> None:
 def test_points_outside_some_views_survive() -> None:
     """Catches parts of the object cut off because a close camera does not see them."""
     cameras = ring_cameras(12, 96)
-    close = [camera.cropped(30, 30, 36, 36) if index % 4 == 0 else camera for index, camera in enumerate(cameras)]
+    close = [camera.crop(30, 30, 36, 36) if index % 4 == 0 else camera for index, camera in enumerate(cameras)]
     masks = [mask(camera, [ball((0, 0, 0), 0.4)]) for camera in close]
     carved = carve_frame(masks, close, box(), points=2000)
     assert carved.xyz[:, 2].max() > 0.35

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.gpu import cuda_missing, gpu_of
-from fourd.ops.points.validation import camera_numbers
+from fourd.ops.gpu import cuda_unavailable_reason, load_gpu
+from fourd.ops.points.validation import pack_camera
 from fourd.raster import point_visibility, render_points
 from tests.ops.test_points_parity import NEAR, OUTPUTS, assert_parity, run
 from tests.raster.clouds import Cloud, random_cloud, spoilt_cloud, turned_camera
@@ -84,7 +84,7 @@ def test_too_little_room_gives_the_same_picture(entries: int, gpu: torch.device,
     """Catches entries written past their room, and tiles that lose points where there is too little of it."""
     cloud, camera = random_cloud(rng, 200, 3), turned_camera(50, 34)
     inputs = [array.to(gpu) for array in cloud.arrays]
-    found = gpu_of(gpu)
+    found = load_gpu(gpu)
     gradients = (torch.ones(34, 50, 3, device=gpu), torch.ones(34, 50, device=gpu), torch.ones(34, 50, device=gpu))
     pictures, sums = [], []
     for room in (entries, 200_000):
@@ -92,9 +92,9 @@ def test_too_little_room_gives_the_same_picture(entries: int, gpu: torch.device,
         workspace = torch.zeros(64 << 20, dtype=torch.uint8, device=gpu)
         memory = (found.rooms, room, workspace, found.stream)
         out = [torch.empty(34, 50, 3, device=gpu), torch.empty(34, 50, device=gpu), torch.empty(34, 50, device=gpu)]
-        found.kernels.render_points(*inputs, camera_numbers(camera), 15, NEAR, 0.0, *memory, *out)
+        found.kernels.render_points(*inputs, pack_camera(camera), 15, NEAR, 0.0, *memory, *out)
         grown = [torch.empty_like(array) for array in inputs]
-        found.kernels.render_points_backward(*inputs, camera_numbers(camera), 15, NEAR, *memory, *gradients, *grown)
+        found.kernels.render_points_backward(*inputs, pack_camera(camera), 15, NEAR, *memory, *gradients, *grown)
         pictures.append(out)
         sums.append(grown)
     assert all(torch.equal(a, b) for a, b in zip(*pictures, strict=True))
@@ -104,7 +104,7 @@ def test_too_little_room_gives_the_same_picture(entries: int, gpu: torch.device,
 
 def test_room_grows_to_what_pictures_need(gpu: torch.device) -> None:
     """Catches a need that is never learnt, so that a scene of large points stays slow for ever."""
-    kernels = gpu_of(gpu).kernels
+    kernels = load_gpu(gpu).kernels
     rooms, camera, count = kernels.Rooms(), turned_camera(128, 128), 3000
     arrays = [torch.zeros(count, 3), torch.full((count,), 6.0), torch.full((count,), 0.5)]
     inputs = [array.to(gpu) for array in arrays]
@@ -112,8 +112,8 @@ def test_room_grows_to_what_pictures_need(gpu: torch.device) -> None:
     planned = []
     for _ in range(2):
         entries, size = kernels.plan_points(rooms, count, 0, 128, 128)
-        memory = (rooms, entries, torch.empty(size, dtype=torch.uint8, device=gpu), gpu_of(gpu).stream)
-        kernels.point_visibility(*inputs, camera_numbers(camera), 128, 128, 15, NEAR, *memory, out)
+        memory = (rooms, entries, torch.empty(size, dtype=torch.uint8, device=gpu), load_gpu(gpu).stream)
+        kernels.point_visibility(*inputs, pack_camera(camera), 128, 128, 15, NEAR, *memory, out)
         if gpu.type == "cuda":
             torch.cuda.synchronize()
         planned.append(entries)
@@ -135,14 +135,14 @@ def test_more_layers_than_a_gradient_takes_are_named(gpu: torch.device, rng: np.
 
 def test_small_workspaces_and_wrong_shapes_are_refused(gpu: torch.device, rng: np.random.Generator) -> None:
     """Catches memory of another size taken as it comes: kernels would write past it."""
-    found, camera = gpu_of(gpu), turned_camera(20, 10)
+    found, camera = load_gpu(gpu), turned_camera(20, 10)
     inputs = [array.to(gpu) for array in random_cloud(rng, 30, 3).arrays]
     out = [torch.empty(10, 20, 3, device=gpu), torch.empty(10, 20, device=gpu), torch.empty(10, 20, device=gpu)]
 
     def draw(size: int, images: list[Tensor]) -> None:
         workspace = torch.empty(size, dtype=torch.uint8, device=gpu)
         memory = (found.rooms, 1000, workspace, found.stream)
-        found.kernels.render_points(*inputs, camera_numbers(camera), 15, NEAR, 0.0, *memory, *images)
+        found.kernels.render_points(*inputs, pack_camera(camera), 15, NEAR, 0.0, *memory, *images)
 
     with pytest.raises(ValueError, match="workspace: expected the bytes that the plan names"):
         draw(1000, out)
@@ -150,11 +150,13 @@ def test_small_workspaces_and_wrong_shapes_are_refused(gpu: torch.device, rng: n
         draw(1 << 24, [*out[:2], out[2][:5].contiguous()])
 
 
-@pytest.mark.skipif(not cuda_missing() and torch.cuda.is_available(), reason="the CUDA kernels run here")
+@pytest.mark.skipif(not cuda_unavailable_reason() and torch.cuda.is_available(), reason="the CUDA kernels run here")
 def test_cuda_asked_for_in_vain_is_one_line(rng: np.random.Generator) -> None:
     """Catches a traceback from within torch, or a quiet run on the CPU, where a GPU was asked for."""
     cloud = random_cloud(rng, 3, 3)
-    expected = "built without.*install CUDA's compiler nvcc" if cuda_missing() else "expected a tensor on 'cuda'"
+    expected = (
+        "built without.*install CUDA's compiler nvcc" if cuda_unavailable_reason() else "expected a tensor on 'cuda'"
+    )
     with pytest.raises((RuntimeError, ValueError), match=expected) as caught:
         render_points(*cloud.arrays, turned_camera(8, 8), backend="cuda")
     assert "\n" not in str(caught.value)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fourd.ops.loading import native
 from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
-from fourd.ops.points.validation import LONGEST_SIDE, camera_numbers
+from fourd.ops.points.validation import LONGEST_SIDE, pack_camera
 from fourd.raster import point_visibility, render_points
 from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
 
@@ -210,7 +210,7 @@ def test_custom_ops_of_gradient_and_visibility(rng: np.random.Generator) -> None
     """Catches a fake implementation whose shapes or strides torch.compile would trip over."""
     from fourd.ops.points import op as ops
 
-    cloud, numbers = random_cloud(rng, 20, 2), camera_numbers(turned_camera(18, 11))
+    cloud, numbers = random_cloud(rng, 20, 2), pack_camera(turned_camera(18, 11))
     image = (torch.randn(11, 18, 2), torch.randn(11, 18))
     for grad_depth in (torch.randn(11, 18), None):
         torch.library.opcheck(ops.render_backward, (*cloud.arrays, *image, grad_depth, numbers, 15, NEAR, 2))
@@ -257,9 +257,7 @@ def test_an_image_of_more_tiles_than_are_counted(rng: np.random.Generator) -> No
         point_visibility(cloud.xyz, cloud.radius, cloud.density, camera)
     arrays = [array.numpy() for array in (cloud.xyz, cloud.radius, cloud.density)]
     with pytest.raises(ValueError, match="out of range"):
-        native().point_visibility(
-            *arrays, camera_numbers(camera), 2**20, 2**20, 4, NEAR, 1, "", np.empty(3, np.float32)
-        )
+        native().point_visibility(*arrays, pack_camera(camera), 2**20, 2**20, 4, NEAR, 1, "", np.empty(3, np.float32))
 
 
 def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
@@ -268,10 +266,10 @@ def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
     image = [np.empty((6, 8, 3), np.float32), np.empty((6, 8), np.float32), np.empty((6, 7), np.float32)]
     arrays = [array.numpy() for array in cloud.arrays]
     with pytest.raises(ValueError, match="out_depth: unexpected shape"):
-        native().render_points(*arrays, camera_numbers(camera), 4, NEAR, 0.0, 1, "", *image)
+        native().render_points(*arrays, pack_camera(camera), 4, NEAR, 0.0, 1, "", *image)
     with pytest.raises(ValueError, match="density: unexpected shape"):
         short = [*arrays[:3], arrays[3][:4]]
-        native().render_points(*short, camera_numbers(camera), 4, NEAR, 0.0, 1, "", *image)
+        native().render_points(*short, pack_camera(camera), 4, NEAR, 0.0, 1, "", *image)
 
 
 def test_arguments_of_the_wrong_kind_are_named() -> None:

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
-from fourd.ops.gpu import gpu_of
+from fourd.ops.gpu import load_gpu
 from fourd.ops.loading import native
-from fourd.ops.points.validation import camera_numbers
+from fourd.ops.points.validation import pack_camera
 from fourd.ops.sources.op import sample
 from tests.baking.scenes import ring
 
@@ -132,7 +132,7 @@ def test_points_behind_and_beyond_stay_out(gpu: torch.device, rng: np.random.Gen
 def test_operators_keep_torch_s_rules(gpu: torch.device, rng: np.random.Generator) -> None:
     """Catches a fake implementation of another shape, and a gradient that autograd does not know."""
     sources = moved(views(rng, True), gpu)
-    cameras = [number for camera in sources.cameras for number in camera_numbers(camera)]
+    cameras = [number for camera in sources.cameras for number in pack_camera(camera)]
     xyz = torch.randn(20, 3).to(gpu).requires_grad_()
     features = torch.randn(VIEWS, 2, 20, 24).to(gpu).requires_grad_()
     arguments = (xyz, features, sources.images, sources.mattes, sources.depth, cameras, softness(xyz).detach())
@@ -145,7 +145,7 @@ def test_too_many_views_are_refused(gpu: torch.device) -> None:
     """Catches cameras written past the kernel's argument."""
     many = torch.zeros(17, 3, 4, 4, device=gpu)
     with pytest.raises(ValueError, match="images: expected at most 16 views on a GPU"):
-        gpu_of(gpu).kernels.sample_sources(
+        load_gpu(gpu).kernels.sample_sources(
             torch.zeros(1, 3, device=gpu),
             many,
             many[:, 0].contiguous(),

@@ -204,12 +204,12 @@ def test_visibility_equals_reference(rng: np.random.Generator) -> None:
 def test_custom_ops_keep_torch_s_rules(rng: np.random.Generator) -> None:
     """Catches an op that torch.compile or autograd would take wrongly: shapes, mutation, registration."""
     from fourd.ops.points import op as native
-    from fourd.ops.points.validation import camera_numbers
+    from fourd.ops.points.validation import pack_camera
 
     camera = turned_camera(20, 14)
     cloud = random_cloud(rng, 30, 3)
     free = [array.clone().requires_grad_() for array in cloud.arrays]
-    torch.library.opcheck(native.render, (*free, camera_numbers(camera), 20, 14, 15, NEAR, 0.0, 1))
+    torch.library.opcheck(native.render, (*free, pack_camera(camera), 20, 14, 15, NEAR, 0.0, 1))
 
 
 @pytest.mark.parametrize(

@@ -103,9 +103,9 @@ class UploadedFrame:
         recoloured = frame.shadowed or self._shadowed
         self._still = None
         for name in self._textures:
-            self._write(name, frame, slice(0, frame.moving_count), 0)
+            self._write(name, frame, slice(0, frame.dynamic_count), 0)
             if frame.still is not None and (not kept or (name == "rgb" and recoloured)):
-                self._write(name, frame, slice(frame.moving_count, None), self._room)
+                self._write(name, frame, slice(frame.dynamic_count, None), self._room)
         self._still, self._shadowed = frame.still, frame.shadowed
         self.frame = frame
 
@@ -114,7 +114,7 @@ class UploadedFrame:
         assert self.frame is not None
         for unit, texture in enumerate(self._textures.values()):
             texture.use(unit)
-        moving = self.frame.moving_count
+        moving = self.frame.dynamic_count
         gap = 0 if self.frame.still is None else self._room - moving
         return {"moving": moving, "gap": gap, **{name: unit for unit, name in enumerate(self._textures)}}
 
@@ -125,10 +125,10 @@ class UploadedFrame:
 
     def _make_room(self, frame: BakedFrame) -> bool:
         """Have room for all points; whether the still ones are there already."""
-        kept = frame.still is not None and frame.still is self._still and frame.moving_count <= self._room
+        kept = frame.still is not None and frame.still is self._still and frame.dynamic_count <= self._room
         if not kept:
             # Frames differ in their points by a few: the largest need not come first.
-            self._room = frame.moving_count if frame.still is None else int(1.25 * frame.moving_count)
+            self._room = frame.dynamic_count if frame.still is None else int(1.25 * frame.dynamic_count)
         behind = 0 if frame.still is None else frame.still.point_count
         for name, texture in self._textures.items():
             kept &= texture.require_room((self._room + behind) * self._texels(name, frame))

@@ -9,7 +9,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.shade import chosen_views
+from fourd.baking.shade import select_source_views
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.viewer.gl.arrays import UploadedFrame
@@ -211,7 +211,7 @@ def _camera_uniforms(camera: Camera) -> dict[str, tuple[float, ...]]:
 
 def _shading_uniforms(shot: Shot) -> dict[str, object]:
     manifest = shot.manifest
-    chosen = chosen_views(shot.camera, manifest)
+    chosen = select_source_views(shot.camera, manifest)
     return {
         "chosen": [*chosen, *[0] * (64 - len(chosen))],
         "chosen_count": len(chosen),

@@ -23,7 +23,7 @@ class RunSource:
     """
 
     def __init__(self, folder: Path) -> None:
-        from fourd.baking.bake import manifest_of, require_bakeable
+        from fourd.baking.bake import make_manifest, require_bakeable
 
         _yield_to_training()
         self._folder = folder
@@ -32,7 +32,7 @@ class RunSource:
         self._trained_step = -1  # of the checkpoint that the background is of
         trained = self._newest()
         require_bakeable(trained.run)
-        self.manifest: SceneManifest = manifest_of(trained)
+        self.manifest: SceneManifest = make_manifest(trained)
 
     @property
     def checkpoint(self) -> str:
@@ -53,10 +53,10 @@ class RunSource:
     def _baked(self, index: int) -> BakedFrame:
         import torch
 
-        from fourd.baking.bake import bake_background, bake_frame, baked_sources
+        from fourd.baking.bake import bake_background, bake_frame, select_baked_views
 
         trained, last = self._newest(), self._trained_step
-        sources = baked_sources(trained.run)
+        sources = select_baked_views(trained.run)
         with torch.no_grad():
             frame = bake_frame(trained, index, sources)
             if trained.step != last:
@@ -64,7 +64,7 @@ class RunSource:
                 self._trained_step = trained.step
         if self._background is not None:
             frame = joined(frame, self._background)
-        bad = frame.first_bad()
+        bad = frame.find_invalid_array()
         if bad is not None:
             raise UserError(
                 f"{self._folder}: expected finite numbers, got others in {bad} of frame {index} "

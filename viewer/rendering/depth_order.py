@@ -129,6 +129,6 @@ class BackgroundOrders:
     def _sorted(self, shot: Shot) -> Order:
         started = time.perf_counter()
         camera = shot.camera
-        wider = camera.cropped(-(camera.width // 2), -(camera.height // 2), 2 * camera.width, 2 * camera.height)
+        wider = camera.crop(-(camera.width // 2), -(camera.height // 2), 2 * camera.width, 2 * camera.height)
         points = self._sorter.sort(shot.frame, wider, shot.manifest.near / 2)
         return Order(shot.frame, camera, points, time.perf_counter() - started)

@@ -22,7 +22,7 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.guidance import guided
 from fourd.background.stereo.patches import GreyView
 from fourd.errors import UserError
-from fourd.ply import CarvedPoints
+from fourd.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 Array = NDArray[np.float64]
@@ -41,7 +41,7 @@ def field_points(
     workers: int = 1,
     log: Log = lambda line: None,
     track: Track = untracked,
-) -> CarvedPoints:
+) -> ColouredPoints:
     """Points of a still background, about one for every equal area of the pictures, with colours.
 
     Stereo measures what two plates show alike (:mod:`fourd.background.stereo`); what a single plate shows is continued

@@ -12,14 +12,14 @@ from fourd.background.stereo.depth_maps import Small
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.thinning import Samples, thinned
 from fourd.cameras import Camera
-from fourd.ply import CarvedPoints
+from fourd.ply import ColouredPoints
 
 Array = NDArray[np.float64]
 
 
 def coloured_points(
     plates: Sequence[PlateView], smalls: Sequence[Small], surfaces: Sequence[Surface], points: int, seed: int
-) -> tuple[CarvedPoints, list[NDArray[np.intp]]]:
+) -> tuple[ColouredPoints, list[NDArray[np.intp]]]:
     """Points on the surfaces, about one for every equal area of the pictures.
 
     Args:
@@ -37,7 +37,7 @@ def coloured_points(
     found = _coloured(plates, surfaces, chosen)
     cells = [surface.depths.grid.cells_at(places.xy) for surface, places in zip(surfaces, chosen, strict=True)]
     order = np.random.default_rng(seed).permutation(len(found.xyz))
-    return CarvedPoints(found.xyz[order], found.rgb[order]), cells
+    return ColouredPoints(found.xyz[order], found.rgb[order]), cells
 
 
 def _pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -48,7 +48,7 @@ def _pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.int
     return rows, columns
 
 
-def _coloured(plates: Sequence[PlateView], surfaces: Sequence[Surface], chosen: Sequence[Samples]) -> CarvedPoints:
+def _coloured(plates: Sequence[PlateView], surfaces: Sequence[Surface], chosen: Sequence[Samples]) -> ColouredPoints:
     """The chosen places as points, moved to the mean of the surfaces that agree on them, of the mean of their colours.
 
     What is near is measured more finely: weights are one by the depth's square.
@@ -74,4 +74,4 @@ def _coloured(plates: Sequence[PlateView], surfaces: Sequence[Surface], chosen: 
         total[agree] += weight * np.hstack([there, plate.rgb[rows[agree], columns[agree]]])
         weights[agree] += weight
     mean = total / weights
-    return CarvedPoints(mean[:, :3].astype(np.float32), np.rint(mean[:, 3:]).clip(0, 255).astype(np.uint8))
+    return ColouredPoints(mean[:, :3].astype(np.float32), np.rint(mean[:, 3:]).clip(0, 255).astype(np.uint8))

@@ -88,7 +88,7 @@ class Small:
     @staticmethod
     def of(plate: PlateView) -> Small:
         scale = min(1.0, LONGEST_SIDE / max(plate.camera.width, plate.camera.height))
-        camera = plate.camera.scaled(scale)
+        camera = plate.camera.rescale(scale)
         size = (camera.width, camera.height)
         rgb = cv2.resize(plate.rgb, size, interpolation=cv2.INTER_AREA)
         share = cv2.resize(plate.seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
@@ -138,7 +138,7 @@ def _ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)
-        depths.append(depth[camera.holds(pixels, depth)])
+        depths.append(depth[camera.is_in_image(pixels, depth)])
     everything = np.concatenate(depths)
     ends = [np.percentile(mine if len(mine) >= LEAST_FEATURES else everything, (1, 99)) for mine in depths]
     return [(NEARER * float(low), FARTHER * float(high)) for low, high in ends]

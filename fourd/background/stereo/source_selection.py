@@ -57,7 +57,7 @@ def _places(camera: Camera, nearest: float, farthest: float) -> Array:
 def _worth(camera: Camera, other: Camera, xyz: Array) -> Array:
     """(N,) in [0, 1], 0 where the other camera does not see the place."""
     pixels, depth = other.project(xyz)
-    seen = other.holds(pixels, depth)
+    seen = other.is_in_image(pixels, depth)
     cosine = np.einsum("nc,nc->n", _directions(camera, xyz), _directions(other, xyz))
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     return seen / (1 + (np.log(np.maximum(angle, 0.01) / BEST_ANGLE_DEG) / ANGLE_SPREAD) ** 2)

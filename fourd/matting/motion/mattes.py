@@ -80,7 +80,7 @@ def _behind(look: Look, picture: Picture) -> Floats | None:
 def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
     """The capture's cameras at the size in which mattes are found."""
     longest = max(max(camera.width, camera.height) for camera in capture.cameras)
-    return tuple(camera.scaled(min(1.0, LONGEST_SIDE / longest)) for camera in capture.cameras)
+    return tuple(camera.rescale(min(1.0, LONGEST_SIDE / longest)) for camera in capture.cameras)
 
 
 def fine_background(capture: Capture, index: int, look: Look, camera: Camera) -> Background:
@@ -93,7 +93,7 @@ def fine_background(capture: Capture, index: int, look: Look, camera: Camera) ->
     second = np.zeros_like(first)
     for frame in sampled_frames(capture.frame_count):
         picture = reduced(capture.image(index, frame), camera)
-        likeness = coarse.likeness(reduced(picture, camera.resized(width, height)))
+        likeness = coarse.likeness(reduced(picture, camera.resize(width, height)))
         weight = cv2.resize(likeness, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
         value = picture.astype(np.float32) - large.mean
         total += weight

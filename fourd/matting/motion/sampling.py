@@ -46,7 +46,7 @@ def take_sample(capture: Capture, track: Track) -> list[CameraSample]:
     scale = _scale(capture.cameras, len(frames))
     samples = []
     for index in track(range(len(capture.cameras)), len(capture.cameras), "looking"):
-        camera = capture.cameras[index].scaled(scale)
+        camera = capture.cameras[index].rescale(scale)
         rgb = np.empty((len(frames), camera.height, camera.width, 3), np.uint8)
         motion = np.zeros((len(frames), camera.height, camera.width), np.float16)
         for place, frame in enumerate(frames):

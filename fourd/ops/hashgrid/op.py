@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.gpu import cuda_missing, dense, gpu_of, takes
+from fourd.ops.gpu import cuda_unavailable_reason, dense, load_gpu, takes
 from fourd.ops.loading import as_array, native, simd_name, thread_count
 
 MOST_LEVELS = 32
@@ -114,7 +114,7 @@ def encode(coordinates: Tensor, table: Tensor, shape: HashGridShape) -> Tensor:
     """
     _check(coordinates, table, shape)
     device = coordinates.device.type
-    kernels = device == "cpu" or (device == "cuda" and not cuda_missing())
+    kernels = device == "cpu" or (device == "cuda" and not cuda_unavailable_reason())
     if coordinates.dtype == torch.float64 or not kernels:
         return encode_reference(coordinates, table, shape)
     return _encode(coordinates, table, shape.resolutions, shape.log2_entries)
@@ -173,7 +173,7 @@ def _name(dtype: torch.dtype) -> str:
 def _encode(coordinates: Tensor, table: Tensor, resolutions: Sequence[int], log2_entries: int) -> Tensor:
     out = _empty_rows(coordinates, table, resolutions)
     if takes(coordinates):
-        gpu = gpu_of(coordinates.device)
+        gpu = load_gpu(coordinates.device)
         grid = (dense(coordinates), dense(table), list(resolutions), log2_entries)
         with gpu.current():
             gpu.kernels.encode_hash_grid(*grid, gpu.stream, out)
@@ -207,7 +207,7 @@ def _encode_backward(
 ) -> tuple[Tensor, Tensor]:
     grad_coordinates, grad_table = _empty_gradients(coordinates, table, moves, learns)
     if takes(coordinates):
-        gpu = gpu_of(coordinates.device)
+        gpu = load_gpu(coordinates.device)
         grid = (dense(coordinates), dense(table), list(resolutions), log2_entries)
         targets = (grad_table if learns else None, grad_coordinates if moves else None)
         with gpu.current():

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from fourd.ops.gpu import cuda_missing, dense, gpu_of, takes
+from fourd.ops.gpu import cuda_unavailable_reason, dense, load_gpu, takes
 from fourd.ops.loading import as_array, native, simd_name, thread_count
 
 MOST_PLANES_GPU = 64
@@ -36,7 +36,7 @@ def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[
     """
     _check(coordinates, planes, axes)
     device = coordinates.device.type
-    kernels = device == "cpu" or (device == "cuda" and not cuda_missing() and len(planes) <= MOST_PLANES_GPU)
+    kernels = device == "cpu" or (device == "cuda" and not cuda_unavailable_reason() and len(planes) <= MOST_PLANES_GPU)
     if coordinates.dtype == torch.float64 or not kernels:
         return sample_planes_reference(coordinates, planes, axes)
     return _sample(coordinates, list(planes), list(axes))
@@ -74,7 +74,7 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
 def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
     out = _empty_samples(coordinates, planes)
     if takes(coordinates):
-        gpu = gpu_of(coordinates.device)
+        gpu = load_gpu(coordinates.device)
         with gpu.current():
             gpu.kernels.sample_planes(dense(coordinates), [dense(plane) for plane in planes], axes, gpu.stream, out)
         return out
@@ -95,7 +95,7 @@ def _sample_backward(
 ) -> tuple[list[Tensor], Tensor]:
     grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, moves)
     if takes(coordinates):
-        gpu = gpu_of(coordinates.device)
+        gpu = load_gpu(coordinates.device)
         arrays = (dense(coordinates), [dense(plane) for plane in planes], axes, gpu.stream, dense(gradient))
         with gpu.current():
             gpu.kernels.sample_planes_backward(*arrays, grad_planes, grad_coordinates if moves else None)

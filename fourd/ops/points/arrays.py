@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.ops.loading import native, simd_name, thread_count
-from fourd.ops.points.validation import camera_numbers, check_background, check_points
+from fourd.ops.points.validation import check_background, check_points, pack_camera
 
 Floats = NDArray[np.float32]
 
@@ -45,7 +45,7 @@ def render_points_numpy(
     out = np.empty((*shape, features.shape[1]), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
     native().render_points(
         *map(np.ascontiguousarray, arrays.values()),
-        camera_numbers(camera),
+        pack_camera(camera),
         layers,
         near,
         transmittance_min,
@@ -77,7 +77,7 @@ def point_visibility_numpy(
     size = (camera.width, camera.height)
     native().point_visibility(
         *map(np.ascontiguousarray, arrays.values()),
-        camera_numbers(camera),
+        pack_camera(camera),
         *size,
         layers,
         near,

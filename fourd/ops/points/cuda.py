@@ -6,7 +6,7 @@ from typing import Any
 
 from torch import Tensor
 
-from fourd.ops.gpu import Gpu, dense, gpu_of
+from fourd.ops.gpu import Gpu, dense, load_gpu
 
 MOST_LAYERS_BACKWARD = 64
 
@@ -20,7 +20,7 @@ def render(
     out: tuple[Tensor, Tensor, Tensor],
 ) -> None:
     """Draw xyz, features, radius and density into features (H, W, C), alpha and depth (H, W)."""
-    gpu = gpu_of(inputs[0].device)
+    gpu = load_gpu(inputs[0].device)
     height, width = out[1].shape
     with gpu.current():
         room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
@@ -36,7 +36,7 @@ def render_backward(
     out: tuple[Tensor, Tensor, Tensor, Tensor],
 ) -> None:
     """Gradients of the inputs from those of the image's features, alpha and depth."""
-    gpu = gpu_of(inputs[0].device)
+    gpu = load_gpu(inputs[0].device)
     height, width = gradients[1].shape
     with gpu.current():
         room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
@@ -62,7 +62,7 @@ def visibility(
     out: Tensor,
 ) -> None:
     """The largest weight (N,) of xyz, radius and density in any pixel of a picture of ``size`` (width, height)."""
-    gpu = gpu_of(inputs[0].device)
+    gpu = load_gpu(inputs[0].device)
     with gpu.current():
         room = _room(gpu, inputs[0].shape[0], 0, *size)
         gpu.kernels.point_visibility(*_all_dense(inputs), camera, *size, layers, near, *room, gpu.stream, out)

@@ -30,7 +30,7 @@ def render(
     transmittance_min: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Features (H, W, C), alpha (H, W) and depth (H, W) of points; ``camera`` is camera_numbers(...)."""
+    """Features (H, W, C), alpha (H, W) and depth (H, W) of points; ``camera`` is pack_camera(...)."""
     out = _empty_image(features, width, height)
     if takes(xyz):
         gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)

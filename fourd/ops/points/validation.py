@@ -50,7 +50,7 @@ def check_background(background: Any, camera: Camera, channels: int) -> None:
         raise ValueError(f"background: expected shape {shapes[0]} or {shapes[1]}, got {tuple(background.shape)}")
 
 
-def camera_numbers(camera: Camera) -> list[float]:
+def pack_camera(camera: Camera) -> list[float]:
     """K, R (row by row) and T: the 21 numbers that the kernels take."""
     return [*camera.intrinsics.ravel(), *camera.rotation.ravel(), *camera.translation]
 

@@ -11,10 +11,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.gpu import dense, gpu_of, takes
+from fourd.ops.gpu import dense, load_gpu, takes
 from fourd.ops.loading import as_array, native, simd_name, thread_count
 
-MOST_VIEWS_GPU = 16
+MAX_VIEWS_GPU = 16
 
 
 @torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types=("cpu", "cuda"))
@@ -37,7 +37,7 @@ def sample(
     """
     out = _empty_samples(xyz, features, images)
     if takes(xyz):
-        gpu = gpu_of(xyz.device)
+        gpu = load_gpu(xyz.device)
         maps = (dense(images), dense(mattes), _dense(depth), _dense(_rows(features)))
         with gpu.current():
             gpu.kernels.sample_sources(dense(xyz), *maps, cameras, dense(softness), gpu.stream, *out)
@@ -84,7 +84,7 @@ def sample_backward(
     grad_xyz, grad_features = _empty_gradients(xyz, features, learns)
     to_features = _rows(grad_features) if learns else None
     if takes(xyz):
-        gpu = gpu_of(xyz.device)
+        gpu = load_gpu(xyz.device)
         maps = (dense(images), dense(mattes), _dense(_rows(features)))
         with gpu.current():
             gpu.kernels.sample_sources_backward(

@@ -82,7 +82,7 @@ def begun_with(capture: Capture, folder: Path) -> Capture:
         if name not in calibrations:
             raise UserError(f"{start}: expected camera '{name}' of the capture, got none; train in a new folder")
         whole = replace(calibrations[name].camera(lens.width, lens.height), distortion=None)
-        cameras.append(whole.resized(camera.width, camera.height))
+        cameras.append(whole.resize(camera.width, camera.height))
     return capture.with_cameras(cameras)
 
 
@@ -110,7 +110,7 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
     """``lens`` with the pose and focal length of ``camera``; pictures that lose its distortion stay as they are."""
-    whole = camera.resized(lens.width, lens.height)
+    whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)
     return replace(whole, distortion=distortion)

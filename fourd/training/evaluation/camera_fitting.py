@@ -128,7 +128,7 @@ class _Fit:
     def _pair(self, camera: Camera, frame: int, blur_px: float) -> _Pair:
         view = self.renderer.views.view(self.index, frame)
         height, width = view.matte.shape
-        part = camera.cropped(view.left, view.top, width, height)
+        part = camera.crop(view.left, view.top, width, height)
         picture = picture_of(self.parts[frame], part, self.layers)
         truth = view.target()[0].numpy()
         if self.renderer.background is not None:

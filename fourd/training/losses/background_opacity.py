@@ -29,7 +29,7 @@ def vantage(camera: Camera, others: Sequence[Camera], side_px: int, draw: np.ran
     centre = camera.centre + draw.random() * way + beside
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left, top = draw.integers(camera.width - width + 1), draw.integers(camera.height - height + 1)
-    return replace(camera, translation=-camera.rotation @ centre).cropped(int(left), int(top), width, height)
+    return replace(camera, translation=-camera.rotation @ centre).crop(int(left), int(top), width, height)
 
 
 def transparency(background: Background, viewer: Camera, hidden_weight: float) -> Tensor:

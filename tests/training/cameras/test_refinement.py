@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.baking.bake import manifest_of
+from fourd.baking.bake import make_manifest
 from fourd.calibration.perturbation import disturbed, pose_errors
 from fourd.cameras import Camera
 from fourd.capture import open_capture, read_calibration, write_calibration
@@ -169,7 +169,7 @@ def test_a_loaded_run_has_its_corrected_cameras_everywhere(ball_capture: Path, t
     assert not moved[3]
     assert trained.renderer.views.rig.cameras == cameras
     assert trained.renderer.views.view(0, 1).camera.rotation.tolist() == cameras[0].rotation.tolist()
-    assert manifest_of(trained).source_cameras == tuple(cameras[index] for index in run.training)
+    assert make_manifest(trained).source_cameras == tuple(cameras[index] for index in run.training)
     written = read_calibration(run.folder / "calibration")
     for name, camera in zip(run.capture.names, cameras, strict=True):
         assert written[name].rotation.tolist() == camera.rotation.tolist()

@@ -80,7 +80,7 @@ def require_parity(name: str, got: NDArray[np.float32], truth: NDArray[np.float3
 
 
 def small_camera(index: int, width: int = 96, height: int = 64) -> Camera:
-    return ring(5, size=64)[index].cropped(-(width - 64) // 2, -(height - 64) // 2, width, height)
+    return ring(5, size=64)[index].crop(-(width - 64) // 2, -(height - 64) // 2, width, height)
 
 
 def shot_of(frame: BakedFrame, camera: Camera, look: Look | None = None, views: int = 6) -> Shot:
@@ -136,7 +136,7 @@ def test_big_near_points_and_points_across_the_near_plane(name: RendererName, ma
 @pytest.mark.parametrize("name", ["sorted", "peel", "dual"])
 def test_centres_beside_the_picture(name: RendererName, make, context: moderngl.Context) -> None:
     """Catches sprites that vanish as soon as their centre leaves the picture."""
-    shot = shot_of(solid(400, seed=9), small_camera(0).cropped(60, 20, 24, 24))
+    shot = shot_of(solid(400, seed=9), small_camera(0).crop(60, 20, 24, 24))
     require_parity(name, drawn(make(name), shot, context), reference(shot))
 
 
