@@ -9,11 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
 from fourd.cameras import Camera
 from fourd.capture import Capture, open_capture, read_calibration
-from fourd.capture.decoding import decode_rgb
+from fourd.capture.decoding import decode_alpha, decode_rgb
 from fourd.capture.layout import pictures
 from fourd.capture.reader import Footage, Mattes
 from fourd.errors import UserError
@@ -146,7 +145,7 @@ class _Still:
 
 def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera], file: _File) -> PlateView:
     lens = lenses[name]
-    rgb, opaque = decode_rgb(file.path), _opacity(file.path)
+    rgb, opaque = decode_rgb(file.path), decode_alpha(file.path)
     height, width = opaque.shape
     if (width, height) != (lens.width, lens.height):
         mend = f"remove it and run: fourd matte {capture.path}" if file.made else "export it again at that size"
@@ -166,12 +165,6 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
             for part in (rgb, seen)
         )
     return PlateView(name, camera, rgb, seen == 255)
-
-
-def _opacity(path: Path) -> Picture:
-    """(H, W) uint8 alpha of a picture that can be read, 255 where it has none."""
-    with Image.open(path) as image:
-        return np.array(image.convert("RGBA").getchannel("A"))
 
 
 def _as_read(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,9 @@ from PIL import Image, UnidentifiedImageError
 
 from fourd.errors import UserError
 
+PICTURE_FORMATS = ("JPEG", "PNG")
+"""Formats that Pillow may try, whatever the file's suffix: some others (EPS) start other programs."""
+
 
 def decode_rgb(path: Path) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 RGB of a picture file, pixels as stored (no rotation by EXIF, no colour management).
@@ -17,35 +21,49 @@ def decode_rgb(path: Path) -> NDArray[np.uint8]:
     Raises:
         UserError: when the file is missing, no picture, or cut short.
     """
-    return np.asarray(_opened(path, "RGB"))
+    return np.asarray(_open(path, path, "RGB"))
+
+
+def decode_rgb_bytes(content: bytes, place: str) -> NDArray[np.uint8]:
+    """decode_rgb for a picture file's bytes; ``place`` identifies them in the error."""
+    return np.asarray(_open(io.BytesIO(content), place, "RGB"))
 
 
 def decode_matte(path: Path) -> NDArray[np.uint8]:
     """(H, W) uint8 matte of a picture file: its grey value, of 16 bits the upper 8. Raises as decode_rgb."""
-    return np.asarray(_opened(path, "L"))
+    return np.asarray(_open(path, path, "L"))
+
+
+def decode_alpha(path: Path) -> NDArray[np.uint8]:
+    """(H, W) uint8 alpha channel of a picture file, 255 everywhere if it has none. Raises as decode_rgb."""
+    try:
+        with Image.open(path, formats=PICTURE_FORMATS) as image:
+            return np.array(image.convert("RGBA").getchannel("A"))
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise _damaged(path, error) from error
 
 
 def picture_size(path: Path) -> tuple[int, int]:
     """(width, height) in pixels from the header alone. Raises as decode_rgb."""
     try:
-        with Image.open(path) as image:
+        with Image.open(path, formats=PICTURE_FORMATS) as image:
             return image.size
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise _damaged(path, error) from error
 
 
-def _opened(path: Path, mode: str) -> Image.Image:
+def _open(file: Path | io.BytesIO, place: Path | str, mode: str) -> Image.Image:
     try:
-        with Image.open(path) as image:
+        with Image.open(file, formats=PICTURE_FORMATS) as image:
             image.load()
             if image.mode.startswith("I;16"):
                 return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert(mode)
             return image.convert(mode)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise _damaged(path, error) from error
+        raise _damaged(place, error) from error
 
 
-def _damaged(path: Path, error: Exception) -> UserError:
+def _damaged(place: Path | str, error: Exception) -> UserError:
     if isinstance(error, FileNotFoundError):
         got = "no such file"
     elif isinstance(error, UnidentifiedImageError):
@@ -54,4 +72,4 @@ def _damaged(path: Path, error: Exception) -> UserError:
         got = f"'{error.strerror}'"
     else:
         got = f"'{error}'"
-    return UserError(f"{path}: expected a whole JPEG or PNG picture, got {got}; copy the file again")
+    return UserError(f"{place}: expected a whole JPEG or PNG picture, got {got}; copy the file again")

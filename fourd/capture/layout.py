@@ -18,7 +18,10 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts")
 VIDEOS = "videos"
 """Folder of a capture whose frames lie in videos, CAM.mp4 or another of VIDEO_SUFFIXES."""
 
-MATTES = Path(".fourd") / "mattes"
+DERIVED = Path(".fourd")
+"""Folder of a capture for everything that fourd computes from it; fourd deletes stale files there."""
+
+MATTES = DERIVED / "mattes"
 """Mattes that fourd made, CAM/FRAME.png, of the undistorted pictures."""
 
 
@@ -65,6 +68,28 @@ def videos_in(folder: Path) -> dict[str, Path]:
             )
         found[path.stem] = path
     return found
+
+
+def refuse_symlinks(capture: Path, folder: Path) -> None:
+    """Check before deleting files in ``folder`` that this deletes nothing outside CAPTURE/.fourd.
+
+    Does nothing where ``folder`` lies elsewhere.
+
+    Raises:
+        UserError: naming the first symbolic link at or below CAPTURE/.fourd.
+    """
+    derived = capture / DERIVED
+    if not Path(os.path.abspath(folder)).is_relative_to(os.path.abspath(derived)):
+        return
+    entries = [derived]
+    for parent, folders, files in os.walk(derived, followlinks=False):
+        entries += [Path(parent, name) for name in (*folders, *files)]
+    link = next((path for path in entries if path.is_symlink()), None)
+    if link is not None:
+        raise UserError(
+            f"{link}: expected no symbolic links in {derived}, where fourd deletes stale files, got a link to "
+            f"{os.readlink(link)}; remove the link"
+        )
 
 
 def evenly_spread(count: int, most: int) -> list[int]:

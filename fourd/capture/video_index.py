@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fourd.capture.layout import VIDEOS, camera_folders, videos_in
+from fourd.capture.layout import VIDEOS, camera_folders, refuse_symlinks, videos_in
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_list import KEPT, NAME, entry_of, is_of, listed, read_entries, write_entries
 from fourd.progress import Track
@@ -31,6 +31,7 @@ def kept_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dict[
     for name in track(list(files), len(files), "videos") if files else ():
         video = listed(listing, files[name], known.get(name))
         if not is_of(known.get(name), files[name]):
+            refuse_symlinks(folder, listing)
             known[name] = entry_of(video)
             write_entries(listing, known)
         indices[name] = video.index

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.capture.layout import refuse_symlinks
 from fourd.carving.bounds import Bounds, find_bounds
 from fourd.carving.carve import carve_frame
 from fourd.carving.colour import colour_points
@@ -82,6 +83,7 @@ def carve_capture(
     settings = CarveSettings(points, agreement, least_views, seed)
     folder = Path(out_folder)
     key = settings_key(capture, settings)
+    refuse_symlinks(capture.path, folder)
     try:
         remove_unfinished(folder)
         search = _search_box(capture, folder, settings, key, track)

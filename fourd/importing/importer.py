@@ -10,7 +10,7 @@ from pathlib import Path
 from fourd.calibration.ambiguities import Centres, settle
 from fourd.calibration.scale import Board, Distance, calibrated, gauged
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import DERIVED, evenly_spread, refuse_symlinks
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_index import kept_indices
 from fourd.errors import UserError
@@ -92,6 +92,7 @@ def import_source(
     Raises:
         UserError: as the importer and what follows it; a calibration is written only at the end.
     """
+    refuse_symlinks(out, out / DERIVED)
     before = read_record(out)
     if before is not None:
         check_same(out, before, source, way.name)

@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.capture.decoding import decode_rgb
+from fourd.capture.decoding import decode_rgb, decode_rgb_bytes
 from fourd.capture.frame_sources import FrameSource, PictureSource, VideoSource
 from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import aligned
@@ -27,14 +26,8 @@ class EncodedSource:
     frames: EncodedPictures
 
     def read(self, frame: int) -> Picture:
-        """(H, W, 3) uint8 RGB, as stored. Raises UserError when it is no picture."""
-        content = np.frombuffer(self.frames.read(frame), np.uint8)
-        bgr = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION) if len(content) else None
-        if bgr is None:
-            raise UserError(
-                f"{self.place(frame)}: expected an encoded picture, got something else; copy the file again"
-            )
-        return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), np.uint8)
+        """(H, W, 3) uint8 RGB, as stored. Raises UserError unless it is a whole JPEG or PNG."""
+        return decode_rgb_bytes(self.frames.read(frame), self.place(frame))
 
     def place(self, frame: int) -> str:
         """What to name in a message about a frame."""

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import MATTES, evenly_spread
+from fourd.capture.layout import MATTES, evenly_spread, refuse_symlinks
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.selection import Selection
 from fourd.parallel import spread
@@ -92,6 +92,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
     """
     capture = selection.open()
     folder = folder or capture.path / FOLDER
+    refuse_symlinks(capture.path, folder)
     remove_unfinished(folder)
     state = folder.parent / STATE
     try:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import MATTES, evenly_spread
+from fourd.capture.layout import MATTES, evenly_spread, refuse_symlinks
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, given_screen
@@ -76,6 +76,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
     """
     capture = selection.open(mattes=False)
     folder = capture.path / MATTES
+    refuse_symlinks(capture.path, folder)
     _begin(folder, matte_key(capture, settings))
     missing = [frame for frame in range(capture.frame_count) if not _is_made(folder, capture, frame)]
     if not missing:

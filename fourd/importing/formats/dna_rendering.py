@@ -17,6 +17,7 @@ import numpy as np
 from PIL import Image
 
 from fourd.cameras import Camera
+from fourd.capture.decoding import PICTURE_FORMATS
 from fourd.errors import UserError
 from fourd.importing.formats.folders import entries, first_bytes, lens, numbers
 from fourd.importing.formats.imported import EncodedPictures, Imported, ImportedCamera
@@ -25,6 +26,7 @@ SUFFIX = ".smc"
 ANNOTATIONS = "_annots.smc"
 MAGIC = b"\x89HDF\r\n\x1a\n"
 GROUPS = ("Camera_5mp", "Camera_12mp")
+MAX_SOFT_LINKS = 16
 HEADER = 1 << 16
 """Bytes of a picture within which its size stands."""
 
@@ -107,12 +109,12 @@ class _Smc:
 
     def has(self, name: str) -> bool:
         with self._told(name):
-            return name in self.file
+            return self._resolve(name) is not None
 
     def numbered(self, name: str, required: bool = True) -> dict[int, str]:
         """Paths of a group's members by their numbers, ascending; none where there is no such group."""
         with self._told(name):
-            group = self.file.get(name)
+            group = self._get(name)
             if group is None and not required:
                 return {}
             if not isinstance(group, self.h5py.Group):
@@ -129,7 +131,7 @@ class _Smc:
             raise UserError(f"{self.path}: {name}: expected pictures, got none; download it again")
         head = self.content(places[0], HEADER)
         try:
-            with Image.open(io.BytesIO(head)) as image:
+            with Image.open(io.BytesIO(head), formats=PICTURE_FORMATS) as image:
                 size, suffix = image.size, {"JPEG": ".jpg", "PNG": ".png"}[image.format or ""]
         except (OSError, ValueError, SyntaxError, KeyError, Image.DecompressionBombError) as error:
             raise UserError(f"{self.path}: {places[0]}: expected a JPEG or PNG, got something else; mend it") from error
@@ -150,10 +152,47 @@ class _Smc:
             return bytes(dataset[:most].tobytes())
 
     def _dataset(self, name: str) -> Any:
-        dataset = self.file.get(name)
+        dataset = self._get(name)
         if not isinstance(dataset, self.h5py.Dataset):
             raise UserError(f"{self.path}: expected {name}, got none; download it again")
+        if dataset.external:
+            raise self._outside(name, "external storage")
+        if dataset.is_virtual:
+            raise self._outside(name, "a virtual dataset")
         return dataset
+
+    def _get(self, name: str) -> Any:
+        path = self._resolve(name)
+        return None if path is None else self.file[path]
+
+    def _resolve(self, name: str) -> str | None:
+        """The path of an object by hard links alone; None where there is none.
+
+        Links to other files are refused before anything is opened there: an import would copy what they hold.
+        """
+        path, parts, soft_links = "/", name.split("/"), 0
+        while parts:
+            part = parts.pop(0)
+            if part in ("", "."):
+                continue
+            parent = self.file[path]
+            link = parent.get(part, getlink=True) if isinstance(parent, self.h5py.Group) else None
+            if link is None:
+                return None
+            if isinstance(link, self.h5py.ExternalLink):
+                raise self._outside(name, f"a link to {link.filename}")
+            if isinstance(link, self.h5py.SoftLink):
+                soft_links += 1
+                if soft_links > MAX_SOFT_LINKS:
+                    return None
+                path = "/" if link.path.startswith("/") else path
+                parts = link.path.split("/") + parts
+            else:
+                path = f"{path.rstrip('/')}/{part}"
+        return path
+
+    def _outside(self, name: str, got: str) -> UserError:
+        return UserError(f"{self.path}: {name}: expected data within this file, got {got}; download it again")
 
     @contextmanager
     def _told(self, name: str) -> Iterator[None]:

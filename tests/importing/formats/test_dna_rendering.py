@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+from fourd.errors import UserError
 from fourd.importing.formats.dna_rendering import read
 from fourd.importing.formats.imported import EncodedPictures
 from tests.importing.formats.sources import (
@@ -138,6 +139,65 @@ def test_files_that_are_missing_or_none_are_told(source: Path) -> None:
     with h5py.File(source / "0013_01.smc", "w") as file:
         file["Kinect"] = 1
     assert_told(read, source / "0013_01.smc", r"expected the group Camera_5mp or Camera_12mp, got neither; download")
+
+
+def _external_storage(file: h5py.File, name: str, secret: Path) -> None:
+    file.create_dataset(name, (6,), np.uint8, external=[(str(secret), 0, 6)])
+
+
+def _external_link(file: h5py.File, name: str, secret: Path) -> None:
+    file[name] = h5py.ExternalLink(str(secret.with_suffix(".h5")), "/secret")
+
+
+def _soft_link_to_external_link(file: h5py.File, name: str, secret: Path) -> None:
+    file["outside"] = h5py.ExternalLink(str(secret.with_suffix(".h5")), "/")
+    file[name] = h5py.SoftLink("/outside/secret")
+
+
+def _virtual_dataset(file: h5py.File, name: str, secret: Path) -> None:
+    layout = h5py.VirtualLayout((6,), np.uint8)
+    layout[:] = h5py.VirtualSource(str(secret.with_suffix(".h5")), "secret", (6,), np.uint8)
+    file.create_virtual_dataset(name, layout)
+
+
+@pytest.mark.parametrize(
+    ("store", "got"),
+    [
+        (_external_storage, "external storage"),
+        (_external_link, "a link to .*secret.h5"),
+        (_soft_link_to_external_link, "a link to .*secret.h5"),
+        (_virtual_dataset, "a virtual dataset"),
+    ],
+)
+@pytest.mark.parametrize("place", ["Camera_5mp/2/color/0", "Camera_5mp/2/color/3"])
+def test_data_of_other_files_are_refused(source: Path, store: object, got: str, place: str) -> None:
+    """Catches a file from the network whose import copies the user's own files into the capture."""
+    assert callable(store)
+    secret = source / "secret.txt"
+    secret.write_text("secret")
+    with h5py.File(source / "secret.h5", "w") as file:
+        file["secret"] = stored(b"secret")
+    with h5py.File(source / "0012_11.smc", "a") as file:
+        del file[place]
+        store(file, place, secret)
+    message = rf"{place}: expected data within this file, got {got}; download it again"
+    with pytest.raises(UserError, match=message):
+        for camera in read(source).cameras:
+            assert isinstance(camera.frames, EncodedPictures)
+            for index in range(FRAMES):
+                camera.frames.read(index)
+
+
+def test_soft_links_within_the_file_are_followed(source: Path) -> None:
+    """Catches data sets that share one dataset between frames, and a chain of links that never ends."""
+    with h5py.File(source / "0012_11.smc", "a") as file:
+        for frame, target in ((3, "2"), (4, "/Camera_5mp/2/color/2"), (5, "5")):
+            del file[f"Camera_5mp/2/color/{frame}"]
+            file[f"Camera_5mp/2/color/{frame}"] = h5py.SoftLink(target)
+    frames = read(source).cameras[1].frames
+    assert [grey(frames, index) for index in (3, 4)] == [40, 40]
+    with pytest.raises(UserError, match=r"expected Camera_5mp/2/color/5, got none"):
+        grey(frames, 5)
 
 
 def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
