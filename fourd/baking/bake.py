@@ -18,11 +18,11 @@ from fourd.baking.container import SceneWriter
 from fourd.baking.scene import SHADOW_ONE, BakedFrame, SceneBackground, SceneManifest, triple
 from fourd.errors import UserError
 from fourd.model import PointModel
-from fourd.model.appearance import with_say
+from fourd.model.appearance import zero_low_visibility
 from fourd.model.point_model import PointFeatures
-from fourd.model.sources import HIDDEN_SPACINGS, SourceViews, sample_sources
-from fourd.training.parts import NEAR
+from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceViews, sample_sources
 from fourd.training.points.frame_store import FramePoints
+from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
 from fourd.training.step import with_depth
 
@@ -155,9 +155,9 @@ def _blend_data(
     for column, index in enumerate(sources):
         view = seen_from(index, seen)
         encoded = model.encode_images(view.images) if view.encoded is None else view.encoded
-        samples = sample_sources(seen.xyz, view, encoded, HIDDEN_SPACINGS * seen.spacing)
+        samples = sample_sources(seen.xyz, view, encoded, OCCLUSION_FALLOFF_SPACINGS * seen.spacing)
         logits = model.blend_logits(features, samples, seen.xyz, view, None)
-        trust = with_say(samples.trust[0])
+        trust = zero_low_visibility(samples.trust[0])
         weights[:, column] = torch.exp(logits[0]) * trust
         colours = samples.colours[0]
         rgb[:, column] = colours if base is None else base.lerp(colours, trust[:, None])

@@ -14,7 +14,7 @@ from fourd.benchmarks.timing import Work
 from fourd.synth import make_synthetic
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
-from fourd.training.memory import keep_freed_memory
+from fourd.training.memory import retain_freed_memory
 from fourd.training.run import Run, create_run
 
 POINTS = 65_536
@@ -27,7 +27,7 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 
     The capture lies in a temporary folder until ``resources`` is closed.
     """
-    keep_freed_memory()
+    retain_freed_memory()
     folder = Path(resources.enter_context(TemporaryDirectory(prefix="fourd-bench-")))
     make_synthetic(folder / "capture", frames=1, cameras=CAMERAS, size=SIZE, seed=0, gloss=0.3)
     default = TrainConfig(points=POINTS, max_steps=10_000)

@@ -10,7 +10,7 @@ from fourd.model.config import ModelConfig
 from fourd.model.spherical_harmonics import SH_TERMS, sh_basis
 from fourd.ops.blend.op import LOGIT_RANGE, blend_logits
 
-LEAST_TRUST = 1e-3
+MIN_VISIBILITY = 1e-3
 """A view that is trusted less at a point has no say there. Bounds the ratio of weights that float16 has to hold."""
 
 
@@ -91,9 +91,9 @@ def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: 
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
-def with_say(trust: Tensor) -> Tensor:
+def zero_low_visibility(trust: Tensor) -> Tensor:
     """Trust in [0, 1], and exactly 0 where it is too little for any say."""
-    return torch.where(trust < LEAST_TRUST, torch.zeros_like(trust), trust)
+    return torch.where(trust < MIN_VISIBILITY, torch.zeros_like(trust), trust)
 
 
 def blend(logits: Tensor, trust: Tensor, colours: Tensor, base: Tensor | None = None) -> Tensor:
@@ -109,7 +109,7 @@ def blend(logits: Tensor, trust: Tensor, colours: Tensor, base: Tensor | None = 
         (N, 3). Where no view has a say it is ``base``, or else the views' plain mean, as of a baked point whose
         weights are all 0.
     """
-    trust = with_say(trust)
+    trust = zero_low_visibility(trust)
     if base is not None:
         colours = base.lerp(colours, trust[..., None])
     weights = torch.softmax(logits, dim=0) * trust

@@ -16,7 +16,7 @@ from fourd.model.geometry import GeometryHead
 from fourd.model.kplanes import KPlanes
 from fourd.model.shadow import Shadow, ShadowField
 from fourd.model.shared_linear import shared_linear
-from fourd.model.sources import HIDDEN_SPACINGS, SourceSamples, SourceViews, sample_sources
+from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceSamples, SourceViews, sample_sources
 
 RGB = 3
 
@@ -189,7 +189,7 @@ class PointModel(nn.Module):
             if encoded is None:
                 with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
                     encoded = self.encode_images(sources.images)
-            samples = sample_sources(xyz, sources, encoded, HIDDEN_SPACINGS * spacing)
+            samples = sample_sources(xyz, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * spacing)
             logits = self.blend_logits(features, samples, xyz, sources, viewer)
             colour = blend(logits, samples.trust, samples.colours, base)
             colour = colour if shadow is None else shadow.cast(colour)

@@ -14,9 +14,9 @@ from fourd.ops.gpu import cuda_unavailable_reason
 from fourd.ops.points.validation import pack_camera
 from fourd.ops.sources.op import MAX_VIEWS_GPU, sample
 
-HIDDEN_SPACINGS = 1.0
+OCCLUSION_FALLOFF_SPACINGS = 1.0
 """A hidden point loses its say over so many distances to its neighbours, once it is twice as far behind."""
-LEAST_SOFTNESS = 1e-12
+MIN_SOFTNESS = 1e-12
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def sample_sources_reference(
             surface = functional.grid_sample(
                 sources.depth[:, None], fixed, mode="nearest", padding_mode="border", align_corners=False
             )[:, 0, 0]
-            soft = softness.clamp(min=LEAST_SOFTNESS)
+            soft = softness.clamp(min=MIN_SOFTNESS)
             behind = (depth - surface - 2 * soft).clamp(min=0)
             trust = trust * torch.exp(-behind / soft)
     return SourceSamples(channels, trust)

@@ -21,9 +21,9 @@ from fourd.ops.points.arrays import render_points_numpy
 from fourd.ply import ColouredPoints
 from fourd.training.cameras.rig import Rig
 from fourd.training.config import TrainConfig
-from fourd.training.parts import NEAR
 from fourd.training.points.frame_store import FramePoints
 from fourd.training.points.spacing import spacings
+from fourd.training.rendering import NEAR
 
 STEP_PX = 32
 KEPT_STEPS = 100
@@ -36,9 +36,9 @@ LEAST_RADIUS = 0.6
 """In spacings."""
 
 
-def new_background(
+def create_background(
     seeded: ColouredPoints, plates: Mapping[int, PlateView], config: TrainConfig, contraction: Contraction
-) -> Background:
+) -> StaticBackground:
     """An untrained background of seeded points, which keep their colours where no source view sees them."""
     order = morton_order(seeded.xyz)
     xyz, rgb = torch.from_numpy(seeded.xyz[order]), torch.from_numpy(seeded.rgb[order]).float() / 255
@@ -66,7 +66,7 @@ def new_background(
             torch.nn.init.zeros_(plane)
     points = FramePoints.fresh(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
     points.lasting = out_of_sight(xyz, [plate.camera for plate in plates.values()])
-    return Background(model, points, plates)
+    return StaticBackground(model, points, plates)
 
 
 def out_of_sight(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
@@ -88,7 +88,7 @@ class _Seen:
 
 
 @dataclass(eq=False)
-class Background:
+class StaticBackground:
     """A static cloud and its model. Source views are plates, whose depths and features are kept for a while.
 
     Attributes:

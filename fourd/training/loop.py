@@ -31,13 +31,13 @@ from fourd.training.checkpoints import (
 )
 from fourd.training.config import TrainConfig
 from fourd.training.evaluation.render import Renderer
-from fourd.training.evaluation.scores import judge
+from fourd.training.evaluation.scores import score_view
 from fourd.training.log import MetricsLog
 from fourd.training.losses.image import ImageLoss
 from fourd.training.losses.lpips import LPIPS
-from fourd.training.memory import FULL_RESIDENT_BYTES, RESIDENT_BYTES, HeapTrimmer, keep_freed_memory
+from fourd.training.memory import FULL_RESIDENT_BYTES, RESIDENT_BYTES, HeapTrimmer, retain_freed_memory
 from fourd.training.run import Run, drop_stale_points, points_folder
-from fourd.training.schedule import Sampler, budget_spent, rate_factor
+from fourd.training.schedule import StepSampler, budget_spent, rate_factor
 from fourd.training.step import Stepper
 
 LOG_EVERY = 10
@@ -71,7 +71,7 @@ class Trainer:
         self.stepper = Stepper(
             self.model, budget, ImageLoss(budget.loss, lpips), self.views, self.background, self.refinement
         )
-        self.sampler = Sampler(budget, run.capture.cameras, run.training, run.capture.frame_count, run.focus)
+        self.sampler = StepSampler(budget, run.capture.cameras, run.training, run.capture.frame_count, run.focus)
         self.done = 0
         self.seconds = 0.0
         self.psnr = 0.0
@@ -83,7 +83,7 @@ class Trainer:
 
     def train(self) -> TrainSummary:
         """Run to the end of the budget; Ctrl-C saves a checkpoint and leaves a run to resume."""
-        keep_freed_memory()
+        retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done)
         try:
             with self._progress() as progress:
@@ -150,7 +150,7 @@ class Trainer:
             truth: NDArray[np.float32] = view.target()[0].numpy()
             if self.background is not None:
                 truth = (view.rgb / np.float32(255)).astype(np.float32)
-            image, box = judge(picture.rgb, truth, view.matte, None)
+            image, box = score_view(picture.rgb, truth, view.matte, None)
             values.append((box or image).psnr)
             pair = (np.concatenate([truth, picture.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
         log.scalars(self.done, {"validation/psnr": float(np.mean(values)), "seconds": self.seconds})

@@ -23,13 +23,13 @@ RESIDENT_BYTES = 1000 * 2**20
 FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
 """The same for a full scene, whose steps would begin with fresh memory else, every one of them."""
 
-LEAST_GROWTH_BYTES = 128 * 2**20
+MIN_GROWTH_BYTES = 128 * 2**20
 """Between two trims: with less, every step would pay for the page faults of fresh memory."""
 
 _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # of malloc.h
 
 
-def keep_freed_memory() -> None:
+def retain_freed_memory() -> None:
     """Let the process keep what it frees until a :class:`HeapTrimmer` gives it back.
 
     Large arrays would go back to the system one by one otherwise, and every step would pay for the
@@ -52,7 +52,7 @@ def in_own_pages(array: NDArray[Any]) -> NDArray[Any]:
 class HeapTrimmer:
     """Gives the heap's free pages back before the process holds too much."""
 
-    def __init__(self, resident: int = RESIDENT_BYTES, least_growth: int = LEAST_GROWTH_BYTES) -> None:
+    def __init__(self, resident: int = RESIDENT_BYTES, least_growth: int = MIN_GROWTH_BYTES) -> None:
         """Aim at ``resident`` bytes, but let ``least_growth`` bytes be touched between two trims."""
         self._malloc_trim = _function("malloc_trim")
         self._resident = resident

@@ -27,7 +27,7 @@ from fourd.model.shadow import ShadowField
 from fourd.morton import morton_order
 from fourd.ply import read_ply, write_ply
 from fourd.progress import Log, Track, untracked
-from fourd.training.background import Background, new_background
+from fourd.training.background import StaticBackground, create_background
 from fourd.training.background_seed import BACKGROUND, POINTS, run_plates, seed_background
 from fourd.training.cameras.calibration import CALIBRATION, adjust_run, begun_with
 from fourd.training.cameras.refinement import Refinement
@@ -121,14 +121,14 @@ class Run:
         x, y, z = (float(value) for value in self.focus)
         return Contraction((x, y, z), self.config.scene.reach)
 
-    def background(self, saved: Path | None) -> Background | None:
+    def background(self, saved: Path | None) -> StaticBackground | None:
         """A full scene's background, from the points ``saved`` by a checkpoint or else as seeded; None of an object."""
         if self.config.train.scene != "full":
             return None
         seeded = read_ply(self.folder / BACKGROUND / POINTS)
         plates = dict(zip(self.training, run_plates(self.capture, self.training, self.folder), strict=True))
         torch.manual_seed(self.config.train.seed + 1)
-        fresh = new_background(seeded, plates, self.config.train, self.contraction())
+        fresh = create_background(seeded, plates, self.config.train, self.contraction())
         if self.config.train.background.shadow:
             scene = self.config.scene
             fresh.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)

@@ -11,7 +11,7 @@ from fourd.training.config import RateConfig, TrainConfig
 
 
 @dataclass(frozen=True)
-class Choice:
+class StepSample:
     """What one step renders: indices of a frame, the target camera and its source cameras; K; the colour behind.
 
     Attributes:
@@ -28,7 +28,7 @@ class Choice:
     place: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-class Sampler:
+class StepSampler:
     """Draws each step's frame, target and sources from the seed and the step's number alone.
 
     No state is kept between steps, so that a resumed run draws what an unbroken one would.
@@ -45,7 +45,7 @@ class Sampler:
             target: source_pool(cameras, target, training, config.neighbour_pool, focus) for target in training
         }
 
-    def choose(self, step: int) -> Choice:
+    def choose(self, step: int) -> StepSample:
         """The choice of a step: over F * V steps every frame meets every view once."""
         views = len(self._training)
         epoch, place = divmod(step, self._frames * views)
@@ -59,7 +59,7 @@ class Sampler:
         background = draw.random(3) if self._config.random_background else np.zeros(3)
         layers = int(draw.integers(min(self._least_layers, self._config.layers), self._config.layers + 1))
         chosen = [pool[i] for i in sources]
-        choice = Choice(frame, target, chosen, background.astype(np.float32), layers)
+        choice = StepSample(frame, target, chosen, background.astype(np.float32), layers)
         if self._config.scene == "object":
             return choice
         plate = bool(draw.random() < self._config.background.share)

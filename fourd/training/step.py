@@ -14,15 +14,15 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews, project_points
-from fourd.training.background import Background, surface_depth
+from fourd.training.background import StaticBackground, surface_depth
 from fourd.training.cameras.refinement import Refinement
 from fourd.training.config import TrainConfig
 from fourd.training.losses.background_opacity import transparency, vantage
 from fourd.training.losses.image import ImageLoss
-from fourd.training.parts import Part, composite, evaluate, rows_in_sight
-from fourd.training.points.densification import densify, never_showed, note_gradients
+from fourd.training.points.densification import accumulate_gradient_magnitudes, densify, unobserved_points
 from fourd.training.points.frame_store import FramePoints
-from fourd.training.schedule import Choice
+from fourd.training.rendering import Part, composite, evaluate, visible_points
+from fourd.training.schedule import StepSample
 from fourd.training.views import ViewStore
 
 BACKGROUND_SEED = 2**31
@@ -65,7 +65,7 @@ class Stepper:
         config: TrainConfig,
         loss: ImageLoss,
         views: ViewStore,
-        background: Background | None = None,
+        background: StaticBackground | None = None,
         refinement: Refinement | None = None,
     ) -> None:
         self.model = model
@@ -90,7 +90,7 @@ class Stepper:
         )
         self.scene_size = float((model.upper - model.lower).max())
 
-    def step(self, points: FramePoints, time: float, choice: Choice, factor: float, number: int) -> StepResult:
+    def step(self, points: FramePoints, time: float, choice: StepSample, factor: float, number: int) -> StepResult:
         """Train once; ``factor`` scales all rates, ``number`` names the step in errors.
 
         Raises UserError naming the step and the loss's term when a value is not finite; nothing
@@ -139,11 +139,11 @@ class Stepper:
             if self.background is not None:
                 self.background.rig = self.views.rig
 
-    def _behind(self, choice: Choice) -> Background | None:
+    def _behind(self, choice: StepSample) -> StaticBackground | None:
         """The background, where the step's picture has one."""
         return self.background if choice.plate or self.config.background.joint else None
 
-    def _target(self, choice: Choice) -> _Target:
+    def _target(self, choice: StepSample) -> _Target:
         background = self._behind(choice)
         if background is None:
             view = self.views.view(choice.target, choice.frame)
@@ -165,12 +165,12 @@ class Stepper:
         matte = torch.tensor(wide.matte).float() / 255
         return _Target(wide.camera, rgb, matte, torch.ones_like(matte))
 
-    def _parts(self, points: FramePoints, time: float, choice: Choice, camera: Camera, number: int) -> list[Part]:
+    def _parts(self, points: FramePoints, time: float, choice: StepSample, camera: Camera, number: int) -> list[Part]:
         """What moves, unless the target is a plate, and then the background, where there is one."""
         background = self._behind(choice)
         clouds = [] if choice.plate else [points]
         clouds += [] if background is None else [background.points]
-        rows = rows_in_sight(clouds, camera, self.config.layers, self.config.hidden_weight)
+        rows = visible_points(clouds, camera, self.config.layers, self.config.hidden_weight)
         parts = []
         if not choice.plate:
             learns = number % self.config.encoder_every == 0
@@ -187,7 +187,7 @@ class Stepper:
             )
         return parts
 
-    def _shadow_term(self, time: float, choice: Choice, number: int) -> dict[str, Tensor]:
+    def _shadow_term(self, time: float, choice: StepSample, number: int) -> dict[str, Tensor]:
         """What keeps shadows away from where no picture asks for them, seen by this step or not."""
         background = self._behind(choice)
         if background is None or background.model.shadow is None or choice.plate:
@@ -195,7 +195,7 @@ class Stepper:
         some = background.points.xyz[number % SHADOW_STRIDE :: SHADOW_STRIDE]
         return {"shadow": self.config.loss.shadow * background.model.shadow.departure(some, time)}
 
-    def _closed_term(self, choice: Choice, number: int) -> dict[str, Tensor]:
+    def _closed_term(self, choice: StepSample, number: int) -> dict[str, Tensor]:
         """What closes the background for cameras that stand elsewhere than those of its plates."""
         background, weight = self.background, self.config.loss.closed
         if background is None or weight == 0 or not choice.plate:
@@ -218,12 +218,12 @@ class Stepper:
             }
             with torch.no_grad():
                 part.points.update(part.rows, gradients, self._rates(part, factor))
-                note_gradients(part.points, part.rows, gradients["xyz"])
+                accumulate_gradient_magnitudes(part.points, part.rows, gradients["xyz"])
         self.aim()
         if self.background is not None:
             self.background.advance()
 
-    def grow(self, points: FramePoints, choice: Choice, spent: float) -> None:
+    def grow(self, points: FramePoints, choice: StepSample, spent: float) -> None:
         """Give the clouds of a full scene's last step their new points, when it is time for it."""
         config = self.config.densify
         if self.background is None or not config.on or spent > config.until:
@@ -232,7 +232,10 @@ class Stepper:
         with torch.no_grad():
             if not choice.plate and int(points.age) % config.frame_every == 0:
                 densify(
-                    points, config, never_showed(points, config.frame_every), [*seed, choice.frame, int(points.age)]
+                    points,
+                    config,
+                    unobserved_points(points, config.frame_every),
+                    [*seed, choice.frame, int(points.age)],
                 )
             static = self.background.points
             if self._behind(choice) is not None and int(static.age) % config.background_every == 0:
@@ -247,7 +250,7 @@ class Stepper:
             moved = self.config.background.xyz_rate * factor * part.points.spacing[part.rows][:, None]
         return {"xyz": moved, "sh": rates.sh * factor, "rgb": rates.sh * factor}
 
-    def _sources(self, points: FramePoints, choice: Choice) -> SourceViews | None:
+    def _sources(self, points: FramePoints, choice: StepSample) -> SourceViews | None:
         if self.config.model.appearance == "sh":
             return None
         return with_depth(self.views.sources(choice.sources, choice.frame), points, self.config.model.occlusion)

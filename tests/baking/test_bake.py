@@ -12,8 +12,8 @@ import torch
 
 from fourd.baking import open_scene
 from fourd.baking.bake import bake_run
-from fourd.model.appearance import LEAST_TRUST
-from fourd.model.sources import HIDDEN_SPACINGS
+from fourd.model.appearance import MIN_VISIBILITY
+from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS
 from fourd.training.run import TrainedRun, load_run
 from tests.training.small import SMALL, full_config, quiet, trained_run, with_steps
 
@@ -72,7 +72,7 @@ def test_a_view_that_something_hides_a_point_from_weighs_nothing(trained: Traine
     towards = centres[None] - xyz[:, None]
     facing = np.einsum("nc,nvc->nv", outwards, towards) / np.linalg.norm(towards, axis=2)
     behind = -2 * BALL_RADIUS * facing  # how far behind the front of the ball
-    hidden = behind > (2 - np.log(LEAST_TRUST)) * HIDDEN_SPACINGS * trained.model.spacing + 0.05
+    hidden = behind > (2 - np.log(MIN_VISIBILITY)) * OCCLUSION_FALLOFF_SPACINGS * trained.model.spacing + 0.05
     assert hidden.sum() > 100
     assert (weights[hidden] == 0).mean() > 0.98
     assert (weights[facing > 0.7] > 0).mean() > 0.98

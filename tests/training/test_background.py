@@ -15,8 +15,8 @@ from fourd.cameras import look_at
 from fourd.errors import UserError
 from fourd.model.appearance import blend
 from fourd.training.background import KEPT_STEPS, hiding_depth, out_of_sight, surface_depth
-from fourd.training.parts import Part, composite, rows_in_sight
 from fourd.training.points.frame_store import FramePoints
+from fourd.training.rendering import Part, composite, visible_points
 from fourd.training.run import Run, create_run, load_run
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
@@ -68,8 +68,8 @@ def test_rows_in_sight_leave_out_what_the_other_cloud_hides() -> None:
     """Catches clouds that are looked at apart, so that what the subject hides is trained on."""
     viewer = ring_cameras(8, 64)[0]
     near, far = _sheet(0.5, (1.0, 0.0, 0.0), 1.2).points, _sheet(-1.0, (0.0, 0.0, 1.0), 0.3).points
-    assert len(rows_in_sight([far], viewer, 15, 0.05)[0]) > 0
-    both = rows_in_sight([near, far], viewer, 15, 0.05)
+    assert len(visible_points([far], viewer, 15, 0.05)[0]) > 0
+    both = visible_points([near, far], viewer, 15, 0.05)
     assert [len(rows) > 0 for rows in both] == [True, False]
 
 

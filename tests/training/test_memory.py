@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import ctypes
-from fourd.training.memory import HeapTrimmer, keep_freed_memory, resident_bytes
+from fourd.training.memory import HeapTrimmer, retain_freed_memory, resident_bytes
 
 def use_and_free(library, mebibytes):
     blocks = [library.malloc(ctypes.c_size_t(2**20)) for _ in range(mebibytes)]
@@ -20,7 +20,7 @@ def use_and_free(library, mebibytes):
 
 library = ctypes.CDLL(None)
 library.malloc.restype = ctypes.c_void_p
-keep_freed_memory()
+retain_freed_memory()
 before = resident_bytes()
 trimmer = HeapTrimmer(before + 64 * 2**20, least_growth=0)
 use_and_free(library, 32)

@@ -9,7 +9,7 @@ import pytest
 
 from fourd.cameras import Camera, look_at
 from fourd.training.config import RateConfig, TrainConfig
-from fourd.training.schedule import Sampler, budget_spent, rate_factor
+from fourd.training.schedule import StepSampler, budget_spent, rate_factor
 
 INTRINSICS = np.array([[40.0, 0, 16], [0, 40, 16], [0, 0, 1]])
 
@@ -21,8 +21,8 @@ def ring(count: int) -> tuple[Camera, ...]:
     return tuple(look_at(centre, np.zeros(3), up, INTRINSICS, 32, 32) for centre in centres)
 
 
-def sampler(seed: int = 3) -> Sampler:
-    return Sampler(TrainConfig(seed=seed), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
+def sampler(seed: int = 3) -> StepSampler:
+    return StepSampler(TrainConfig(seed=seed), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
 
 
 def test_held_out_views_and_the_target_are_never_sources() -> None:
@@ -54,7 +54,7 @@ def test_choices_depend_on_seed_and_step_alone() -> None:
 @pytest.mark.parametrize(("scene", "least"), [("object", 8), ("full", 12)])
 def test_full_scenes_draw_more_layers(scene: Literal["object", "full"], least: int) -> None:
     """Catches few layers on a floor, whose discs then grow until it is a blur."""
-    made = Sampler(TrainConfig(seed=3, scene=scene), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
+    made = StepSampler(TrainConfig(seed=3, scene=scene), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
     assert {made.choose(step).layers for step in range(200)} == set(range(least, 16))
 
 

@@ -17,10 +17,10 @@ from rich.table import Table
 from fourd.capture.decoding import decode_rgb
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
-from fourd.training.evaluation.camera_fitting import FittedView, fit_view
+from fourd.training.evaluation.camera_fitting import FittedView, fit_test_camera
 from fourd.training.evaluation.metrics import psnr
-from fourd.training.evaluation.render import Picture
-from fourd.training.evaluation.scores import Evaluation, ViewScores, judge, summarise
+from fourd.training.evaluation.render import RenderedView
+from fourd.training.evaluation.scores import Evaluation, ViewScores, score_view, summarize
 from fourd.training.losses.lpips import load_lpips
 from fourd.training.run import TrainedRun, load_run
 
@@ -76,9 +76,9 @@ def run(arguments: Arguments) -> None:
                 rgb = _as_shown(trained, index, fitted, picture)
             matte = capture.mask(index, frame)
             truth = _truth(capture.image(index, frame), None if whole else matte)
-            image, box = judge(rgb, truth, matte, lpips)
+            image, box = score_view(rgb, truth, matte, lpips)
             pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box))
-    evaluation = summarise(pictures)
+    evaluation = summarize(pictures)
     backgrounds = {} if arguments.plates is None else _backgrounds(trained, indices, arguments.plates, fitted)
     _print(evaluation, trained, backgrounds)
     for index, view in fitted.items():
@@ -112,12 +112,14 @@ def _fitted(trained: TrainedRun, indices: list[int], arguments: Arguments, conso
         return {}
     layers = trained.run.config.train.layers
     return {
-        index: fit_view(trained.renderer, trained.frames, index, layers, colours=arguments.refine_test_colours)
+        index: fit_test_camera(trained.renderer, trained.frames, index, layers, colours=arguments.refine_test_colours)
         for index in track(indices, description="fitting cameras", console=console)
     }
 
 
-def _as_shown(trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: Picture) -> NDArray[np.float32]:
+def _as_shown(
+    trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
+) -> NDArray[np.float32]:
     """A rendered picture in the colours of the camera ``index``, as far as these are known."""
     if index in fitted and fitted[index].colours is not None:
         return fitted[index].picture(picture.rgb, picture.alpha).clip(0, 1)

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from fourd.cameras import Camera
 from fourd.training.cameras.rig import Rig, recoloured
 from fourd.training.config import RefineConfig
-from fourd.training.parts import Part
+from fourd.training.rendering import Part
 
 TURN, MOVE = slice(0, 3), slice(3, 6)
 IDENTITY = torch.eye(3, 4)

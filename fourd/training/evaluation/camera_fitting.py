@@ -20,8 +20,8 @@ from fourd.cameras import Camera
 from fourd.capture.layout import evenly_spread
 from fourd.training.cameras.rig import recoloured
 from fourd.training.evaluation.render import Renderer, picture_of
-from fourd.training.parts import Part
 from fourd.training.points.frame_store import FrameStore
+from fourd.training.rendering import Part
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class FittedView:
         return rgb if self.colours is None else _tinted(self.colours, rgb, alpha)
 
 
-def fit_view(renderer: Renderer, frames: FrameStore, index: int, layers: int, *, colours: bool) -> FittedView:
+def fit_test_camera(renderer: Renderer, frames: FrameStore, index: int, layers: int, *, colours: bool) -> FittedView:
     """Fit the pose of camera ``index``, the same for all frames, and its colours if asked, to up to three frames."""
     given = renderer.views.rig.cameras[index]
     fit = _Fit(renderer, frames, index, layers, colours)

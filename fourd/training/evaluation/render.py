@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera, nearest_views
 from fourd.model import PointModel
-from fourd.training.background import Background
-from fourd.training.parts import Part, composite, evaluate
+from fourd.training.background import StaticBackground
 from fourd.training.points.frame_store import FramePoints
+from fourd.training.rendering import Part, composite, evaluate
 from fourd.training.step import with_depth
 from fourd.training.views import ViewStore
 
 
 @dataclass(frozen=True)
-class Picture:
+class RenderedView:
     """A rendered view, all float32.
 
     Attributes:
@@ -42,7 +42,7 @@ class Renderer:
         views: ViewStore,
         training: list[int],
         focus: NDArray[np.float64],
-        background: Background | None = None,
+        background: StaticBackground | None = None,
     ) -> None:
         self.model = model
         self.views = views
@@ -52,7 +52,7 @@ class Renderer:
 
     def render(
         self, points: FramePoints, frame: int, camera: Camera, layers: int, exclude: int | None = None
-    ) -> Picture:
+    ) -> RenderedView:
         """Render a frame (index into the selection) from ``camera`` with K = ``layers``.
 
         ``exclude`` names a source camera that must not be used, so that a training view can be
@@ -68,7 +68,7 @@ class Renderer:
                 parts.append(self._static(self.background, camera, exclude, self.views.capture.time(frame)))
             return parts
 
-    def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> Picture:
+    def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
         """The background alone, without shadows, of which a full scene has one."""
         assert self.background is not None, "an object scene has no background"
         with torch.no_grad():
@@ -89,7 +89,7 @@ class Renderer:
         return evaluate(self.model, points, None, time, camera, sources)
 
     def _static(
-        self, background: Background, camera: Camera, exclude: int | None, shadow_at: float | None = None
+        self, background: StaticBackground, camera: Camera, exclude: int | None, shadow_at: float | None = None
     ) -> Part:
         plates = None
         if background.model.config.appearance != "sh":
@@ -103,9 +103,9 @@ class Renderer:
         return [candidates[i] for i in nearest]
 
 
-def picture_of(parts: list[Part], camera: Camera, layers: int) -> Picture:
+def picture_of(parts: list[Part], camera: Camera, layers: int) -> RenderedView:
     """What was evaluated for a camera, as it or one near it sees it."""
     with torch.no_grad():
         render = composite(parts, camera, layers)
     rgb, moving = render.features[..., :3].clamp(0, 1), render.features[..., 3]
-    return Picture(rgb.numpy(), render.alpha.numpy(), render.depth.numpy(), moving.numpy())
+    return RenderedView(rgb.numpy(), render.alpha.numpy(), render.depth.numpy(), moving.numpy())

@@ -53,7 +53,7 @@ class Evaluation:
         }
 
 
-def judge(
+def score_view(
     prediction: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], lpips: LPIPS | None
 ) -> tuple[Scores, Scores | None]:
     """Scores of a picture (H, W, 3) in [0, 1] on the whole image and in the matte's box (None when empty)."""
@@ -66,7 +66,7 @@ def judge(
     return _scores(predicted, expected, lpips), _scores(predicted[inside], expected[inside], lpips)
 
 
-def summarise(pictures: Iterator[ViewScores] | list[ViewScores]) -> Evaluation:
+def summarize(pictures: Iterator[ViewScores] | list[ViewScores]) -> Evaluation:
     """Means over pictures: of each picture's dB, as the field's papers report."""
     kept = list(pictures)
     boxes = [picture.box for picture in kept if picture.box is not None]

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from fourd.cameras import Camera
 from fourd.raster import render_points
-from fourd.training.background import Background
-from fourd.training.parts import NEAR, rows_in_sight
+from fourd.training.background import StaticBackground
+from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
 """Of a picture that is asked for holes: more than lie over one another on a floor seen at a grazing angle. Where the
@@ -32,13 +32,13 @@ def vantage(camera: Camera, others: Sequence[Camera], side_px: int, draw: np.ran
     return replace(camera, translation=-camera.rotation @ centre).crop(int(left), int(top), width, height)
 
 
-def transparency(background: Background, viewer: Camera, hidden_weight: float) -> Tensor:
+def transparency(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
     """The mean square of what is left to see behind a background, differentiable in its model alone.
 
     Points keep their places: those are for the plates to say.
     """
     points, model = background.points, background.model
-    rows = rows_in_sight([points], viewer, LAYERS, hidden_weight)[0]
+    rows = visible_points([points], viewer, LAYERS, hidden_weight)[0]
     xyz = points.xyz[rows]
     radius, density = model.geometry(model.point_features(xyz, 0.0), points.spacing[rows])
     alpha = render_points(xyz, torch.ones(len(rows), 1), radius, density, viewer, layers=LAYERS, near=NEAR).alpha

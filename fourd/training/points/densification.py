@@ -26,7 +26,7 @@ class Densified:
     gone: int
 
 
-def note_gradients(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
+def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
     """Keep what a step's gradient of the positions (M, 3) says of ``rows`` (M,): how hard they pull, if they show.
 
     The measure is the change of the loss for a step as long as the point's spacing: without a unit, for near points
@@ -38,7 +38,7 @@ def note_gradients(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
     points.age += 1
 
 
-def never_showed(points: FramePoints, patience: int) -> Tensor:
+def unobserved_points(points: FramePoints, patience: int) -> Tensor:
     """(N,) bool, which points have had ``patience`` steps of the cloud to show in and did in none."""
     return (points.shown == 0) & (points.age - points.born >= patience)
 

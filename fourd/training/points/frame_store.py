@@ -17,8 +17,8 @@ from fourd.training.memory import in_own_pages
 
 BETAS = (0.9, 0.99)
 EPSILON = {"rgb": 1e-6}
-"""Of Adam, where it is not LEAST_EPSILON. Most points' own colours have next to no say, and would walk at random."""
-LEAST_EPSILON = 1e-15
+"""Of Adam, where it is not DEFAULT_EPSILON. Most points' own colours have next to no say, and would walk at random."""
+DEFAULT_EPSILON = 1e-15
 HISTORY = ("error", "shown", "born", "lasting", "age", "first")
 
 
@@ -111,7 +111,7 @@ class FramePoints:
             first = moments[0, rows].lerp(gradient, 1 - BETAS[0])
             second = moments[1, rows].lerp(gradient.square(), 1 - BETAS[1])
             moments[0, rows], moments[1, rows] = first, second
-            scale = (second / (1 - BETAS[1] ** steps)).sqrt() + EPSILON.get(name, LEAST_EPSILON)
+            scale = (second / (1 - BETAS[1] ** steps)).sqrt() + EPSILON.get(name, DEFAULT_EPSILON)
             self.free[name][rows] -= rates[name] * first / (1 - BETAS[0] ** steps) / scale
 
     def tensors(self) -> dict[str, Tensor]:

@@ -25,10 +25,10 @@ from fourd.training.cameras.calibration import begun_with, write_corrected, zoom
 from fourd.training.cameras.refinement import Refinement
 from fourd.training.cameras.rig import Rig
 from fourd.training.config import RefineConfig, TrainConfig
-from fourd.training.evaluation.camera_fitting import fit_view
+from fourd.training.evaluation.camera_fitting import fit_test_camera
 from fourd.training.loop import Trainer
-from fourd.training.parts import Part
 from fourd.training.points.frame_store import FramePoints
+from fourd.training.rendering import Part
 from fourd.training.run import create_run, load_run, open_run
 from fourd.training.step import StepResult
 from tests.captures import ring_cameras
@@ -226,7 +226,7 @@ def test_a_held_out_camera_finds_its_place(ball_capture: Path, tmp_path: Path) -
     wrong = tuple(camera if at == index else run.capture.cameras[at] for at, camera in enumerate(cameras))
     views.rig = Rig(wrong)
     before = trained.frames.get(0).xyz.clone()
-    fitted = fit_view(trained.renderer, trained.frames, index, 8, colours=True)
+    fitted = fit_test_camera(trained.renderer, trained.frames, index, 8, colours=True)
     assert torch.equal(before, trained.frames.get(0).xyz)
     true = run.capture.cameras[index]
     xyz = before.numpy()

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from fourd.cameras import look_at
-from fourd.training.background import Background
+from fourd.training.background import StaticBackground
 from fourd.training.losses.background_opacity import ASTRAY, transparency, vantage
 from fourd.training.points.frame_store import FramePoints
 from tests.captures import ring_cameras
@@ -21,7 +21,7 @@ INTRINSICS = np.array([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]])
 
 
 @pytest.fixture(scope="module")
-def background(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Background:
+def background(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> StaticBackground:
     folder = tmp_path_factory.mktemp("closing")
     run = trained_run(ball_capture, folder / "run", replace(full_config(folder / "shell.ply"), max_steps=1))
     found = run.background(None)
@@ -43,12 +43,12 @@ def test_viewers_stand_between_the_cameras(rng: np.random.Generator) -> None:
         np.testing.assert_array_equal(viewer.rotation, cameras[k % 8].rotation)
 
 
-def test_a_floor_of_many_layers_is_not_asked_for_larger_discs(background: Background) -> None:
+def test_a_floor_of_many_layers_is_not_asked_for_larger_discs(background: StaticBackground) -> None:
     """Catches a gradient against the slope: of few layers it asks for larger discs, and fewer of them fit then."""
     x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
     floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
     points = FramePoints.fresh(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
-    dense = Background(background.model, points, background.plates)
+    dense = StaticBackground(background.model, points, background.plates)
     viewer = look_at(np.array([3.0, 0, 0.2]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 64)
     radius_bias = dense.model.geometry_head.layers[-1].bias
     asked = torch.autograd.grad(transparency(dense, viewer, 0.0), radius_bias)[0][0]
@@ -61,13 +61,13 @@ def test_a_floor_of_many_layers_is_not_asked_for_larger_discs(background: Backgr
     assert float(asked) == pytest.approx(float(larger - smaller) / 0.1, rel=0.2, abs=1e-4)
 
 
-def test_a_wall_with_holes_closes(background: Background) -> None:
+def test_a_wall_with_holes_closes(background: StaticBackground) -> None:
     """Catches a term that does not reach the radii, or that leaves holes that no plate shows as they are."""
     y, z = torch.meshgrid(torch.arange(-2, 2, 0.1), torch.arange(-2, 2, 0.1), indexing="ij")
     wall = torch.stack([torch.full_like(y, -1.0), y, z], -1).reshape(-1, 3)
     # The spacing of a cloud twice as dense: so radii begin too small.
     points = FramePoints.fresh(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
-    holed = Background(background.model, points, background.plates)
+    holed = StaticBackground(background.model, points, background.plates)
     viewer = ring_cameras(8, 64)[0]
     optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)
     left = []

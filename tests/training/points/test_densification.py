@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 
 from fourd.training.background import out_of_sight
 from fourd.training.config import DensifyConfig
-from fourd.training.points.densification import densify, never_showed, note_gradients
+from fourd.training.points.densification import accumulate_gradient_magnitudes, densify, unobserved_points
 from fourd.training.points.frame_store import FramePoints
 from fourd.training.run import points_folder
 from tests.captures import ring_cameras
@@ -32,7 +32,7 @@ def pulled(points: FramePoints, hard: torch.Tensor) -> None:
     """A step in which all points show, those of ``hard`` (N,) bool with ten times the gradient."""
     gradient = torch.full_like(points.xyz, 0.1)
     gradient[hard] *= 10
-    note_gradients(points, torch.arange(len(hard)), gradient)
+    accumulate_gradient_magnitudes(points, torch.arange(len(hard)), gradient)
 
 
 def test_new_points_lie_among_those_that_pull_hardest() -> None:
@@ -40,7 +40,7 @@ def test_new_points_lie_among_those_that_pull_hardest() -> None:
     points = sheet()
     hard = points.xyz[:, 0] > 0.175
     pulled(points, hard)
-    done = densify(points, CONFIG, never_showed(points, 40), [0])
+    done = densify(points, CONFIG, unobserved_points(points, 40), [0])
     assert 30 <= done.born <= 40
     assert done.gone == 0
     new = points.xyz[400:]
@@ -60,7 +60,7 @@ def test_the_count_is_bounded() -> None:
     points = sheet(colours=False)
     for number in range(12):
         pulled(points, torch.ones(len(points.xyz), dtype=torch.bool))
-        densify(points, CONFIG, never_showed(points, 40), [number])
+        densify(points, CONFIG, unobserved_points(points, 40), [number])
     assert 0.97 * 500 <= len(points.xyz) <= 500
 
 
@@ -70,11 +70,11 @@ def test_what_never_shows_goes_and_what_stands_for_the_unseen_stays() -> None:
     shows = points.xyz[:, 1] > 0.095
     points.lasting[:7] = True
     for _ in range(5):
-        note_gradients(points, torch.nonzero(shows)[:, 0], torch.full((int(shows.sum()), 3), 0.1))
-    assert densify(points, replace(CONFIG, share=0.0), never_showed(points, 6), [0]).gone == 0
-    assert densify(points, CONFIG, never_showed(points, 5), [0]).gone == 193
+        accumulate_gradient_magnitudes(points, torch.nonzero(shows)[:, 0], torch.full((int(shows.sum()), 3), 0.1))
+    assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 6), [0]).gone == 0
+    assert densify(points, CONFIG, unobserved_points(points, 5), [0]).gone == 193
     kept = len(points.xyz)
-    assert densify(points, replace(CONFIG, share=0.0), never_showed(points, 1), [1]).gone == 0, (
+    assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 1), [1]).gone == 0, (
         "new points had no step to show in"
     )
     assert kept > 207
@@ -87,7 +87,7 @@ def test_rounds_are_the_same_for_the_same_seed(rng: np.random.Generator) -> None
     for _ in range(2):
         points = sheet()
         pulled(points, hard)
-        densify(points, CONFIG, never_showed(points, 40), [1, 2, 3])
+        densify(points, CONFIG, unobserved_points(points, 40), [1, 2, 3])
         found.append(points.xyz)
     assert torch.equal(*found)
 

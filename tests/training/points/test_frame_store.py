@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from fourd.cameras import Camera
-from fourd.training.parts import ROWS, heaviest_rows
 from fourd.training.points.frame_store import FramePoints, FrameStore
+from fourd.training.rendering import ROWS, select_heaviest
 from fourd.training.step import keep_in_hull
 
 
@@ -92,12 +92,12 @@ def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Pat
 def test_rows_in_sight_come_in_few_numbers() -> None:
     """Catches a visible point left out, and hidden ones taken before heavier ones."""
     weight = torch.rand(3 * ROWS + 5, generator=torch.Generator().manual_seed(1))
-    rows = heaviest_rows(weight, 0.5)
+    rows = select_heaviest(weight, 0.5)
     assert rows.tolist() == sorted(set(rows.tolist()))
     assert len(rows) == -(-int((weight > 0.5).sum()) // ROWS) * ROWS
     left_out = torch.ones_like(weight, dtype=torch.bool).index_fill(0, rows, False)
     assert float(weight[left_out].max()) <= min(0.5, float(weight[rows].min()))
-    assert len(heaviest_rows(weight, 0.0)) == len(weight), "never more than there are"
+    assert len(select_heaviest(weight, 0.0)) == len(weight), "never more than there are"
 
 
 def test_points_may_not_leave_a_silhouette() -> None:

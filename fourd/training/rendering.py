@@ -100,7 +100,7 @@ def composite(parts: Sequence[Part], viewer: Camera, layers: int, background: Te
     )
 
 
-def rows_in_sight(clouds: Sequence[FramePoints], viewer: Camera, layers: int, least: float) -> list[Tensor]:
+def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, least: float) -> list[Tensor]:
     """Of each cloud, the points whose largest weight in the view is above ``least``; all of them where that is 0."""
     if least == 0:
         return [torch.arange(cloud.xyz.shape[0]) for cloud in clouds]
@@ -113,13 +113,13 @@ def rows_in_sight(clouds: Sequence[FramePoints], viewer: Camera, layers: int, le
         near=NEAR,
     )
     parts = weight.split([cloud.xyz.shape[0] for cloud in clouds])
-    return [heaviest_rows(part, least) for part in parts]
+    return [select_heaviest(part, least) for part in parts]
 
 
 ROWS = 1024
 
 
-def heaviest_rows(weight: Tensor, least: float) -> Tensor:
+def select_heaviest(weight: Tensor, least: float) -> Tensor:
     """Ascending indices of the weights (N,) above ``least``, and of the next lower ones up to whole ROWS.
 
     Tensors of a step then come in few sizes, and fit into the memory that the steps before it freed.
