@@ -1,0 +1,92 @@
+"""Import a capture from a format that fourd does not know.
+
+    python examples/custom_importer.py SOURCE CAPTURE
+
+SOURCE is a folder with `rig.json` and one folder of pictures per camera. `rig.json` is a list of cameras in the axes of
+OpenGL and Blender (x right, y up, z backwards):
+
+    [{"name": "left", "width": 640, "height": 480, "focal_px": 500.0,
+      "R_world_camera": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "position_m": [0.0, 0.0, 3.0]}]
+
+An importer is one function that reads a source and returns an `Imported`: cameras in fourd's conventions (OpenCV axes,
+pixel centres at half-integers, metres) and the files of their frames. It decodes no pictures. `import_source` does the
+rest: it checks names and sizes, links the files and writes `intri.yml` and `extri.yml`. To add an importer to
+`fourd import` itself, see CONTRIBUTING.md.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.importing.formats.detection import Format
+from fourd.importing.formats.folders import picture_files
+from fourd.importing.formats.imported import Imported, ImportedCamera
+from fourd.importing.importer import ImportOptions, import_source
+from fourd.progress import untracked
+
+RIG_NAME = "rig.json"
+OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
+"""Turns camera axes x right, y up, z backwards into x right, y down, z forward."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Source and destination."""
+
+    source: tyro.conf.Positional[Path]
+    """Folder with rig.json and one folder of pictures per camera."""
+    out: tyro.conf.Positional[Path]
+    """Folder of the capture: new, or of an earlier import of the same source."""
+
+
+def looks_like(source: Path) -> bool:
+    """Whether ``source`` is in this format. Decided by file names alone."""
+    return (source / RIG_NAME).is_file()
+
+
+def read(source: Path) -> Imported:
+    """The cameras of ``source``.
+
+    Raises:
+        UserError: rig.json is malformed or a camera has no pictures.
+    """
+    path = source / RIG_NAME
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+        cameras = tuple(read_camera(source, entry) for entry in entries)
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise UserError(f"{path}: expected a list of cameras, got {error!r}; export the rig again") from error
+    return Imported(cameras, notes=("camera axes y up, z backwards -> y down, z forward (OpenCV)",))
+
+
+def read_camera(source: Path, entry: dict) -> ImportedCamera:
+    """One camera of rig.json."""
+    name, width, height, focal = entry["name"], entry["width"], entry["height"], entry["focal_px"]
+    R_world_camera = np.array(entry["R_world_camera"], dtype=np.float64)
+    R_camera_world = OPENCV_FROM_OPENGL @ R_world_camera.T
+    T_camera_world = -R_camera_world @ np.array(entry["position_m"], dtype=np.float64)
+    intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    frames = picture_files(source / name)
+    if frames is None:
+        raise UserError(f"{source / name}: expected a folder of JPEG or PNG pictures, got none; restore it")
+    return ImportedCamera(name, Camera(intrinsics, R_camera_world, T_camera_world, width, height), frames)
+
+
+RIG = Format("rig", "rig.json and one folder of pictures per camera", looks_like, read)
+
+
+def main(arguments: Arguments) -> None:
+    """Import and print what was found."""
+    import_source(RIG, arguments.source, arguments.out, ImportOptions(), log=print, warn=print, track=untracked)
+    print(f"wrote {arguments.out}; next: fourd check {arguments.out}")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

@@ -1,0 +1,121 @@
+"""Fit coloured points to a picture with the differentiable point renderer and Adam.
+
+    python examples/fit_points_to_picture.py picture.jpg --out fitted.png
+
+Without a picture the program fits a colour gradient with a disc.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from PIL import Image
+from torch import Tensor
+
+from fourd.cameras import Camera, look_at
+from fourd.raster import render_points
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options of the fit."""
+
+    picture: tyro.conf.Positional[Path | None] = None
+    """The picture to fit: JPEG or PNG."""
+    out: Path = Path("fitted.png")
+    """File for the target beside the rendered points."""
+    size: int = 128
+    """Side of the square picture, in pixels."""
+    points: int = 4000
+    """Number of points."""
+    steps: int = 100
+    """Steps of Adam."""
+    layers: int = 15
+    """K, the number of points composited per pixel."""
+
+
+def main(arguments: Arguments) -> float:
+    """Fit the points, write the result, return the final PSNR in dB."""
+    torch.manual_seed(0)
+    target = load_target(arguments.picture, arguments.size)
+    camera = front_camera(arguments.size)
+    parameters = initial_points(arguments.points)
+    optimizer = torch.optim.Adam(
+        [
+            {"params": [parameters["xyz"]], "lr": 2e-3},
+            {"params": [parameters["rgb"], parameters["log_radius"], parameters["density"]], "lr": 3e-2},
+        ]
+    )
+    for step in range(arguments.steps):
+        image = render(parameters, camera, arguments.layers)
+        loss = (image - target).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        if step % 20 == 0 or step == arguments.steps - 1:
+            print(f"step {step}: {psnr(loss):.2f} dB")
+    with torch.no_grad():
+        image = render(parameters, camera, arguments.layers)
+    save(torch.cat([target, image], dim=1), arguments.out)
+    print(f"wrote {arguments.out}: target left, {arguments.points} points right")
+    return psnr((image - target).square().mean())
+
+
+def front_camera(size: int) -> Camera:
+    """A camera 3 units from the origin whose field of view is the square [-1, 1] x [-1, 1] at the origin."""
+    focal_px = 1.5 * size
+    K = np.array([[focal_px, 0, size / 2], [0, focal_px, size / 2], [0, 0, 1]])
+    return look_at(np.array([0.0, -3, 0]), np.zeros(3), np.array([0.0, 0, 1]), K, width=size, height=size)
+
+
+def initial_points(count: int) -> dict[str, Tensor]:
+    """Random grey points in a thin slab that faces the camera. Each value is a leaf tensor."""
+    xyz = (torch.rand(count, 3) * 2 - 1) * torch.tensor([1.0, 0.1, 1.0])
+    radius = 1.5 / count**0.5  # in world units: neighbours overlap
+    return {
+        "xyz": xyz.requires_grad_(),
+        "rgb": torch.zeros(count, 3).requires_grad_(),  # before the sigmoid
+        "log_radius": torch.full((count,), radius).log().requires_grad_(),
+        "density": torch.zeros(count).requires_grad_(),  # before the sigmoid
+    }
+
+
+def render(parameters: dict[str, Tensor], camera: Camera, layers: int) -> Tensor:
+    """The picture of the points, (H, W, 3), over black."""
+    return render_points(
+        parameters["xyz"],
+        parameters["rgb"].sigmoid(),
+        parameters["log_radius"].exp(),
+        parameters["density"].sigmoid(),
+        camera,
+        layers=layers,
+    ).features
+
+
+def load_target(path: Path | None, size: int) -> Tensor:
+    """The picture as (size, size, 3) in [0, 1]; a gradient with a disc without a path."""
+    if path is not None:
+        with Image.open(path, formats=["JPEG", "PNG"]) as picture:
+            pixels = np.asarray(picture.convert("RGB").resize((size, size), Image.Resampling.LANCZOS))
+        return torch.from_numpy(pixels.copy()).float() / 255
+    y, x = torch.meshgrid(torch.linspace(0, 1, size), torch.linspace(0, 1, size), indexing="ij")
+    disc = ((x - 0.5) ** 2 + (y - 0.5) ** 2 < 0.09).float()
+    return torch.stack([x, y, disc], dim=-1)
+
+
+def psnr(mean_squared_error: Tensor) -> float:
+    """Peak signal-to-noise ratio in dB for values in [0, 1]."""
+    return float(-10 * torch.log10(mean_squared_error.detach()))
+
+
+def save(image: Tensor, path: Path) -> None:
+    """Write an image (H, W, 3) in [0, 1]."""
+    Image.fromarray((image.clamp(0, 1) * 255).round().byte().numpy()).save(path)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))

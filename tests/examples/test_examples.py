@@ -1,0 +1,91 @@
+"""The programs in examples/ run as a user would run them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from fourd.capture import open_capture
+from tests.baking.scenes import ring, write_scene
+
+ROOT = Path(__file__).parents[2]
+WITHOUT_TORCH = """
+import runpy, sys
+sys.argv = sys.argv[1:]
+runpy.run_path(sys.argv[0], run_name="__main__")
+assert "torch" not in sys.modules, "the example imported torch"
+"""
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def run(script: str, *arguments: object, python: tuple[str, ...] = ()) -> str:
+    """Run an example in a process of its own and return its output."""
+    command = [sys.executable, *python, str(ROOT / "examples" / script), *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("script", [path.name for path in EXAMPLES])
+def test_help_describes_every_example(script: str) -> None:
+    """Catches an example whose imports or flags broke."""
+    assert "usage:" in run(script, "--help")
+
+
+def test_readme_lists_every_example() -> None:
+    """Catches an example without an entry in examples/README.md."""
+    text = (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
+    assert [path.name for path in EXAMPLES if f"({path.name})" not in text] == []
+
+
+def test_fitting_improves_the_picture(tmp_path: Path) -> None:
+    """Catches a sign error or a missing gradient in the example's training loop."""
+    out = tmp_path / "fitted.png"
+    printed = run("fit_points_to_picture.py", "--size", 32, "--points", 400, "--steps", 60, "--out", out)
+    scores = [float(line.split()[2]) for line in printed.splitlines() if line.startswith("step")]
+    assert scores[-1] > scores[0] + 8
+    with Image.open(out) as picture:
+        assert picture.size == (64, 32)
+
+
+def test_a_scene_is_drawn_without_torch(tmp_path: Path) -> None:
+    """Catches a torch import on the path that players take, and a camera that misses the scene."""
+    write_scene(tmp_path / "scene.4dv")
+    out = tmp_path / "view.png"
+    options = ("--frame", 1, "--degrees", 30, "--out", out)
+    printed = run("draw_scene.py", tmp_path / "scene.4dv", *options, python=("-c", WITHOUT_TORCH))
+    assert "201 points" in printed
+    with Image.open(out) as picture:
+        assert np.asarray(picture)[..., 3].max() > 100
+
+
+def test_a_custom_format_becomes_a_capture(tmp_path: Path) -> None:
+    """Catches a change of the importers' interface, and axes that the example converts wrongly."""
+    rig, cameras = [], dict(zip(("left", "right"), ring(2), strict=True))
+    for name, camera in cameras.items():
+        (tmp_path / "source" / name).mkdir(parents=True)
+        Image.new("RGB", (camera.width, camera.height), "grey").save(tmp_path / "source" / name / "000000.png")
+        entry = {
+            "name": name,
+            "width": camera.width,
+            "height": camera.height,
+            "focal_px": float(camera.intrinsics[0, 0]),
+            "R_world_camera": (camera.rotation.T @ np.diag([1, -1, -1])).tolist(),
+            "position_m": camera.centre.tolist(),
+        }
+        rig.append(entry)
+    (tmp_path / "source" / "rig.json").write_text(json.dumps(rig))
+    run("custom_importer.py", tmp_path / "source", tmp_path / "capture")
+    capture = open_capture(tmp_path / "capture")
+    assert capture.frame_count == 1
+    for name, camera in zip(capture.names, capture.cameras, strict=True):
+        np.testing.assert_allclose(camera.rotation, cameras[name].rotation, atol=1e-6)
+        np.testing.assert_allclose(camera.translation, cameras[name].translation, atol=1e-6)
