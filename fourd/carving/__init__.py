@@ -1,4 +1,4 @@
-"""Space carving: a capture's masks to first points, their colours and the scene's bounds."""
+"""Space carving: from a capture's masks to initial points, their colours and the scene bounds."""
 
 from fourd.carving.bounds import Bounds, find_bounds, hull_bounds
 from fourd.carving.carve import CarvedFrame, carve_frame

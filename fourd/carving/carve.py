@@ -1,4 +1,4 @@
-"""One frame: masks in, an even cloud of points on the visual hull's surface out."""
+"""Carving of one frame: from masks to points spread evenly over the surface of the visual hull."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.carving.bounds import Bounds, empty_hull
+from fourd.carving.bounds import Bounds, empty_hull_error
 from fourd.carving.hull import Silhouettes
 from fourd.carving.silhouette import Floats
-from fourd.carving.surface import cell_side, project, surface_cells, thin
+from fourd.carving.surface import choose_cell_side, project_to_surface, surface_cells, thin_evenly
 
 
 @dataclass(frozen=True, eq=False)
 class CarvedFrame:
-    """Points on the surface of one frame's visual hull, in an order of which every prefix is a fair sample.
+    """Points on the surface of one frame's visual hull, in random order: every prefix is a uniform sample.
 
     Attributes:
         xyz: (N, 3) float32, world units.
-        normals: (N, 3) float32, outward unit normals of the hull.
+        normals: (N, 3) float32 outward unit normals of the hull.
         voxel_size: side of the finest cells, world units.
         spacing: mean distance between neighbouring points, world units.
     """
@@ -46,49 +46,49 @@ def carve_frame(
 ) -> CarvedFrame:
     """Carve one frame's visual hull and spread points evenly over its surface.
 
-    Cells are halved from coarse to fine and dropped as soon as they are certain to hold no
-    surface. The finest are so small that the surface has more cells than wanted points;
-    their centres are moved onto the surface to a tenth of a cell and thinned.
+    Cells are subdivided from coarse to fine and dropped once they certainly contain no
+    surface. At the finest level the surface has more cells than points are requested;
+    the cell centres are projected onto the surface, to a tenth of a cell, and thinned.
 
     Args:
         masks: mattes (H, W) uint8, 255 = object, one per camera.
-        cameras: undistorted pinholes.
-        bounds: box in which to look; see :func:`find_bounds`.
-        points: wanted number of points, at least 1; all of them are returned.
-        agreement: share in (0, 1] of the views seeing a point that must hold it; with 20
-            views, 0.95 lets one be wrong. Views that do not see a point abstain.
-        least_views: share in (0, 1] of all views that must see a point (at least 3 views, or all of fewer).
-        seed: of the order of the points; the same input and seed give the same bits.
+        cameras: undistorted pinhole cameras.
+        bounds: search box; see :func:`find_bounds`.
+        points: number of points to return, at least 1.
+        agreement: share in (0, 1] of the views that see a point whose silhouettes must contain
+            it; with 20 views, 0.95 tolerates one wrong view. Views that do not see a point do not count.
+        least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
+        seed: random seed of the order of the points; the same input and seed give the same bits.
         names: camera names for messages.
         label: what these masks are, for messages.
 
     Raises:
-        UserError: when the hull is empty; names the views that disagree most.
-        ValueError: when counts or shapes do not fit, or a share is outside (0, 1].
+        UserError: if the hull is empty; names the views that disagree most.
+        ValueError: if counts or shapes do not match, or a share is outside (0, 1].
     """
     if points < 1:
         raise ValueError(f"points: expected at least 1, got {points}")
     origin = bounds.centre
-    views = Silhouettes.of(masks, cameras, origin, agreement=agreement, least_views=least_views)
+    views = Silhouettes.from_masks(masks, cameras, origin, agreement=agreement, least_views=least_views)
     lower, upper = bounds.lower - origin, bounds.upper - origin
-    size = cell_side(views, lower, upper, points)
-    xyz, normals = _candidates(views, bounds, size, points)
+    size = choose_cell_side(views, lower, upper, points)
+    xyz, normals = _surface_candidates(views, bounds, size, points)
     if len(xyz) == 0:
-        raise empty_hull(views, float(bounds.extent.max()) / 2, names, label)
+        raise empty_hull_error(views, float(bounds.extent.max()) / 2, names, label)
     rng = np.random.default_rng(seed)
-    chosen = thin(xyz, points, rng)
+    chosen = thin_evenly(xyz, points, rng)
     spacing = float(size * np.sqrt(len(xyz) / max(len(chosen), 1)))
     world = (xyz[chosen] + origin).astype(np.float32)
     return CarvedFrame(world, normals[chosen], size, spacing)
 
 
-def _candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:
-    """At least ``points`` surface points (N, 3) with normals, on cells of about ``size``."""
+def _surface_candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:
+    """At least ``points`` surface points (N, 3) with normals, from cells of about ``size``."""
     lower, upper = bounds.lower - views.origin, bounds.upper - views.origin
     xyz = normals = np.zeros((3, 0), dtype=np.float32)
     for _ in range(4 if size > 0 else 0):
-        cells, distance, deciding = views.slab(surface_cells(views, lower, upper, size), size)
-        xyz, normals = project(views, cells, distance, deciding, size)
+        cells, distance, deciding = views.surface_slab(surface_cells(views, lower, upper, size), size)
+        xyz, normals = project_to_surface(views, cells, distance, deciding, size)
         if xyz.shape[1] >= points or xyz.shape[1] == 0:
             break
         size *= 0.95 * float(np.sqrt(xyz.shape[1] / (1.4 * points)))

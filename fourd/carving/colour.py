@@ -1,4 +1,4 @@
-"""Colours of surface points from the views that see them."""
+"""Colours of surface points, averaged over the views that see them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side of a depth-map cell in point spacings: wide enough that the nearest surface leaves no holes."""
+"""Side of a depth-map cell in point spacings: wide enough that points of the nearest surface leave no holes."""
 
 
 def colour_points(
@@ -22,25 +22,31 @@ def colour_points(
     images: Sequence[NDArray[np.uint8]],
     cameras: Sequence[Camera],
 ) -> NDArray[np.uint8]:
-    """Colours (N, 3) uint8 of points (N, 3): the mean over the views that see them, frontal views first.
+    """Colour points (N, 3) with the weighted mean of the views that see them.
 
-    A view sees a point when the point faces it and lies no more than a few point
-    spacings behind the nearest point there. Weights are the fourth power of the cosine,
-    so that rims, which touch the background, count for little.
+    A view sees a point if the point faces it and lies at most a few point spacings behind
+    the nearest point in the same cell of a depth map. The weight is the fourth power of the
+    cosine between normal and view direction, which suppresses silhouette edges, where
+    pixels mix with the background.
 
     Args:
+        xyz: (N, 3) world points.
         normals: (N, 3) outward unit normals.
         spacing: distance between neighbouring points, world units.
         images: RGB uint8 (H, W, 3), one per camera.
+        cameras: undistorted pinhole cameras.
+
+    Returns:
+        (N, 3) uint8 RGB.
     """
     total = np.zeros((len(xyz), 3), dtype=np.float32)
     weights = np.full((len(xyz), 1), 1e-12, dtype=np.float32)
     for image, camera in zip(images, cameras, strict=True):
-        x, y, depth = _projected(xyz, camera)
-        cosine = _facing(xyz, normals, camera)
+        x, y, depth = _project(xyz, camera)
+        cosine = _view_cosine(xyz, normals, camera)
         inside = (depth > 0) & (x >= 0) & (y >= 0) & (x < camera.width) & (y < camera.height)
         seen = np.flatnonzero(inside)
-        visible = _nearest(x[seen], y[seen], depth[seen], camera, spacing)
+        visible = _is_unoccluded(x[seen], y[seen], depth[seen], camera, spacing)
         weight = np.float32(1e-6) + visible * np.maximum(cosine[seen], 0) ** 4
         values = sample(image, x[seen], y[seen], cv2.INTER_LINEAR).astype(np.float32)
         total[seen] += weight[:, None] * values
@@ -48,7 +54,8 @@ def colour_points(
     return np.rint(total / weights).clip(0, 255).astype(np.uint8)
 
 
-def _projected(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
+def _project(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
+    """Pixels x, y (N,) and depth (N,) of world points (N, 3) in float32."""
     matrix = camera.intrinsics @ camera.rotation
     offset = camera.intrinsics @ camera.translation
     x, y, depth = matrix.astype(np.float32) @ xyz.T + offset.astype(np.float32)[:, None]
@@ -56,14 +63,14 @@ def _projected(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
     return x * inverse, y * inverse, depth
 
 
-def _facing(xyz: Floats, normals: Floats, camera: Camera) -> Floats:
+def _view_cosine(xyz: Floats, normals: Floats, camera: Camera) -> Floats:
     """Cosine (N,) between the outward normal and the direction to the camera."""
     rays = camera.centre.astype(np.float32) - xyz
     return (rays * normals).sum(axis=1) / np.maximum(np.sqrt((rays**2).sum(axis=1)), np.float32(1e-12))
 
 
-def _nearest(x: Floats, y: Floats, depth: Floats, camera: Camera, spacing: float) -> NDArray[np.bool_]:
-    """Which points are the nearest in their depth-map cell, up to the cell's own width of slope."""
+def _is_unoccluded(x: Floats, y: Floats, depth: Floats, camera: Camera, spacing: float) -> NDArray[np.bool_]:
+    """(N,) bool: which points are within three cell widths of the nearest depth in their depth-map cell."""
     if depth.size == 0:
         return np.zeros(0, dtype=np.bool_)
     focal = float(np.sqrt(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))

@@ -1,4 +1,4 @@
-"""What carving needs of a capture, so that tests and importers can stand in for one."""
+"""The interface to a capture that carving depends on; tests and importers can implement it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class MaskSource(Protocol):
 
     @property
     def path(self) -> Path:
-        """The capture's folder, for messages."""
+        """Folder of the capture, for messages."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -24,7 +24,7 @@ class MaskSource(Protocol):
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
-        """Undistorted pinholes."""
+        """Undistorted pinhole cameras."""
 
     @property
     def frame_count(self) -> int:
@@ -32,15 +32,15 @@ class MaskSource(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """The frames' numbers in the capture."""
+        """Frame numbers in the capture."""
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
-        """(H, W) uint8 matte, 255 = object."""
+        """Matte (H, W) uint8, 255 = object."""
 
     def image(self, camera: int, frame: int) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 RGB."""
+        """RGB picture (H, W, 3) uint8."""
 
 
 def frame_masks(capture: MaskSource, frame: int) -> list[NDArray[np.uint8]]:
-    """All cameras' masks of one frame."""
+    """Masks of all cameras for one frame."""
     return [capture.mask(camera, frame) for camera in range(len(capture.cameras))]

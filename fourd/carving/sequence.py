@@ -1,4 +1,4 @@
-"""A whole capture: one PLY a frame and the scene's bounds, streaming and resumable."""
+"""Carving of a whole capture: one PLY per frame and the scene bounds, streaming and resumable."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ Corners = tuple[NDArray[np.float32], NDArray[np.float32]]
 BOUNDS_NAME = "bounds.json"
 VERSION = 2
 MARGIN = 0.05
-MOST_SEARCHED = 120
-WORTH_SPREADING_SECONDS = 10.0
-"""Of carving that is left: processes take some seconds to start."""
+MAX_BOUNDS_FRAMES = 120
+MIN_PARALLEL_SECONDS = 10.0
+"""Remaining work below which worker processes are not started: their start takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
 
 
 @dataclass(frozen=True)
 class CarveSettings:
-    """What carving depends on beside the capture; see :func:`fourd.carving.carve_frame`."""
+    """Settings of carving; see :func:`fourd.carving.carve_frame`. The field names are keys in bounds.json."""
 
     points: int = 65536
     agreement: float = 0.95
@@ -59,26 +59,26 @@ def carve_capture(
 ) -> Bounds:
     """Carve every frame into ``out_folder``: ``FRAME.ply`` (xyz, rgb) each, and ``bounds.json``.
 
-    FRAME is the frame's number in the capture, six digits. Files are written atomically and
-    one frame is held at a time. A second call with the same capture and settings skips the
-    frames whose PLY is there and whole; with others it carves all of them again.
+    FRAME is the six-digit frame number in the capture. Files are written atomically, and one
+    frame is in memory at a time. A second call with the same capture and settings skips the
+    frames that have a complete PLY; with other settings it carves all frames again.
 
     Args:
         capture: cameras, images and masks.
-        out_folder: made when missing.
-        points: points a frame, at least 1.
-        agreement: share in (0, 1] of the views seeing a point that must hold it.
-        least_views: share in (0, 1] of all views that must see a point (at least 3 views, or all of fewer).
-        seed: of the points' order.
-        track: for progress.
-        workers: processes, between which frames are shared out once one has shown to be worth it. The capture goes to
-            them pickled, and the points are the same for any number.
+        out_folder: created if missing.
+        points: points per frame, at least 1.
+        agreement: share in (0, 1] of the views that see a point whose silhouettes must contain it.
+        least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
+        seed: random seed of the order of the points.
+        track: progress callback.
+        workers: number of processes. They start if the time of the first frame shows that it pays. The capture is
+            pickled for them. The points do not depend on the number.
 
     Returns:
-        the box of all frames' points with a margin of 5% of its longest side.
+        the bounding box of all frames' points, with a margin of 5% of its longest side.
 
     Raises:
-        UserError: when a frame's hull is empty, or a file cannot be written.
+        UserError: if a frame's hull is empty or a file cannot be written.
     """
     settings = CarveSettings(points, agreement, least_views, seed)
     folder = Path(out_folder)
@@ -89,23 +89,23 @@ def carve_capture(
         search = _search_box(capture, folder, settings, key, track)
         lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
         job = _Job(capture, folder, search, settings, tuple(range(capture.frame_count)))
-        for low, high in track(_shared_out(job, workers), capture.frame_count, "carving"):
+        for low, high in track(_carve_parallel(job, workers), capture.frame_count, "carving"):
             lower, upper = np.minimum(lower, low), np.maximum(upper, high)
         pad = MARGIN * float((upper - lower).max())
         bounds = Bounds(lower - pad, upper + pad)
         _save(folder, key, settings, search, bounds)
     except OSError as error:
         raise UserError(
-            f"{folder}: expected to write there, got '{error.strerror}'; free space or name another"
+            f"{folder}: expected a writable folder, got '{error.strerror}'; free disk space or choose another folder"
         ) from error
     return bounds
 
 
 def read_bounds(folder: Path | str) -> Bounds:
-    """The bounds that :func:`carve_capture` left in ``folder``.
+    """Read the bounds that :func:`carve_capture` wrote to ``folder``.
 
     Raises:
-        UserError: when bounds.json is missing, unreadable, or of a carving that did not finish.
+        UserError: if bounds.json is missing, unreadable, or from an unfinished carving.
     """
     path = Path(folder) / BOUNDS_NAME
     state = _load(path)
@@ -118,7 +118,7 @@ def read_bounds(folder: Path | str) -> Bounds:
 
 
 def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
-    """A hash of all that the points depend on: settings, calibration, frames, and the files' sizes and times."""
+    """Hash of all inputs of the points: settings, calibration, frame numbers, and sizes and times of the files."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):
         digest.update(f"{name} {camera.width} {camera.height}".encode())
@@ -132,9 +132,9 @@ def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
 
 
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
-    """The box to carve in: as an earlier call with the same key found it, or else found and saved now.
+    """The box to carve in: read from an earlier call with the same key, otherwise found and saved.
 
-    Frames that were not looked at get three margins.
+    If not all frames are examined, the margin is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:
@@ -148,25 +148,25 @@ def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key:
         capture,
         agreement=settings.agreement,
         least_views=settings.least_views,
-        margin=MARGIN if capture.frame_count <= MOST_SEARCHED else 3 * MARGIN,
-        most_frames=MOST_SEARCHED,
+        margin=MARGIN if capture.frame_count <= MAX_BOUNDS_FRAMES else 3 * MARGIN,
+        max_frames=MAX_BOUNDS_FRAMES,
         track=track,
     )
     _save(folder, key, settings, box, None)
     return box
 
 
-def _carved_points(
+def _load_or_carve(
     capture: MaskSource, frame: int, folder: Path, search: Bounds, settings: CarveSettings
 ) -> NDArray[np.float32]:
-    """Points (N, 3) of one frame, from its PLY when that is whole, carved and written otherwise."""
+    """Points (N, 3) of one frame: read from its PLY if that is complete, otherwise carved and written."""
     number = capture.frame_numbers[frame]
     path = _frame_path(folder, number)
     if path.exists():
         try:
-            done = read_ply(path).xyz
-            if len(done) == settings.points:
-                return done
+            existing = read_ply(path).xyz
+            if len(existing) == settings.points:
+                return existing
         except UserError:
             path.unlink(missing_ok=True)
     carved = carve_frame(
@@ -194,25 +194,25 @@ class _Job:
     frames: tuple[int, ...]
 
 
-def _shared_out(job: _Job, workers: int) -> Iterator[Corners]:
-    """Each frame's corners, of frames in any order; by other processes where they are worth their start."""
+def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
+    """Corners of each frame's points, in any order of frames; uses worker processes if that is faster."""
     numbers = job.capture.frame_numbers
-    left = [frame for frame in job.frames if not _frame_path(job.folder, numbers[frame]).exists()]
-    yield from _carved(replace(job, frames=tuple(sorted(set(job.frames) - set(left)))))
-    begun = monotonic()
-    yield from _carved(replace(job, frames=tuple(left[:1])))
-    left = left[1:]
-    if workers == 1 or (monotonic() - begun) * len(left) < WORTH_SPREADING_SECONDS:
-        yield from _carved(replace(job, frames=tuple(left)))
+    missing = [frame for frame in job.frames if not _frame_path(job.folder, numbers[frame]).exists()]
+    yield from _carve_frames(replace(job, frames=tuple(sorted(set(job.frames) - set(missing)))))
+    start = monotonic()
+    yield from _carve_frames(replace(job, frames=tuple(missing[:1])))
+    missing = missing[1:]
+    if workers == 1 or (monotonic() - start) * len(missing) < MIN_PARALLEL_SECONDS:
+        yield from _carve_frames(replace(job, frames=tuple(missing)))
     else:
-        jobs = [replace(job, frames=tuple(block)) for block in blocks(left, workers)]
-        yield from spread(_carved, jobs, workers)
+        jobs = [replace(job, frames=tuple(block)) for block in blocks(missing, workers)]
+        yield from spread(_carve_frames, jobs, workers)
 
 
-def _carved(job: _Job) -> Iterator[Corners]:
-    """Carve a job's frames; the least and the greatest coordinates of each when its file is there."""
+def _carve_frames(job: _Job) -> Iterator[Corners]:
+    """Carve a job's frames; yields the smallest and largest coordinates of each frame once its file is written."""
     for frame in job.frames:
-        xyz = _carved_points(job.capture, frame, job.folder, job.search, job.settings)
+        xyz = _load_or_carve(job.capture, frame, job.folder, job.search, job.settings)
         yield xyz.min(axis=0), xyz.max(axis=0)
 
 
@@ -234,7 +234,7 @@ def _load(path: Path, *, missing_is_empty: bool = False) -> dict[str, Any]:
     except FileNotFoundError as error:
         if missing_is_empty:
             return {}
-        raise UserError(f"{path}: expected the bounds of a carving, got no such file; run fourd carve") from error
+        raise UserError(f"{path}: expected the bounds of carved points, got no such file; run fourd carve") from error
     except (UnicodeDecodeError, json.JSONDecodeError):
         return {}
     return state if isinstance(state, dict) else {}

@@ -13,28 +13,28 @@ from fourd.cameras import Array, Camera
 Floats = NDArray[np.float32]
 
 ROW = 4096
-"""Samples in a row of the maps given to OpenCV's remap, which takes no side beyond 32,767."""
+"""Samples per row of the maps for OpenCV's remap, whose sides are limited to 32,767."""
 
 
-LONGEST_SIDE = 1024
-"""Pixels; the part of a matte about the object is reduced to it, which bounds the memory of large captures."""
+MAX_SIDE_PX = 1024
+"""The crop of a matte around the object is reduced to this size, which bounds the memory of large captures."""
 
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteView:
     """One matte with its camera, relative to an origin.
 
-    Pixels are those of the distance image: the part of the matte about the object, reduced
-    where it is large.
+    Pixels are those of the distance image: the crop of the matte around the object, reduced
+    if it is large.
 
     Attributes:
         matrix: (3, 3) float32 K R.
         offset: (3,) float32, the projection of the origin.
         focal: geometric mean of the focal lengths, pixels.
         reach: largest pixel displacement of a unit displacement at unit depth inside the image.
-        frame: the whole image's left, top, right and bottom, pixels.
+        frame: left, top, right and bottom of the whole image, pixels.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside.
-            Beyond its border, the nearest value is a lower bound of the distance outside.
+            Beyond the crop's border, the nearest value is a lower bound of the distance outside.
     """
 
     matrix: Floats
@@ -45,17 +45,17 @@ class SilhouetteView:
     distance: Floats
 
     @staticmethod
-    def of(mask: NDArray[np.uint8], camera: Camera, origin: Array) -> SilhouetteView:
-        """The view of ``mask`` (H, W) uint8 by ``camera``; points will be given relative to ``origin``.
+    def from_mask(mask: NDArray[np.uint8], camera: Camera, origin: Array) -> SilhouetteView:
+        """Build the view of ``mask`` (H, W) uint8 by ``camera``, for points relative to ``origin``.
 
         Raises:
-            ValueError: when the mask's shape is not the camera's.
+            ValueError: if the mask's shape is not the camera's.
         """
         if mask.shape != (camera.height, camera.width):
             raise ValueError(f"mask: expected shape {(camera.height, camera.width)} as the camera, got {mask.shape}")
-        left, top, width, height = _crop(mask)
+        left, top, width, height = _object_box(mask)
         part: NDArray[np.uint8] = mask[top : top + height, left : left + width]
-        close = camera.crop(left, top, width, height).rescale(min(1.0, LONGEST_SIDE / max(width, height)))
+        close = camera.crop(left, top, width, height).rescale(min(1.0, MAX_SIDE_PX / max(width, height)))
         if (close.width, close.height) != (width, height):
             part = np.asarray(cv2.resize(part, (close.width, close.height), interpolation=cv2.INTER_AREA), np.uint8)
         zoom_x, zoom_y = close.width / width, close.height / height
@@ -73,7 +73,7 @@ class SilhouetteView:
         )
 
     def project(self, xyz: Floats) -> tuple[Floats, Floats, Floats]:
-        """Pixels x, y and depth of points (3, N) relative to the origin; pixels mean nothing where z <= 0."""
+        """Pixels x, y and depth of points (3, N) relative to the origin; pixels are undefined where z <= 0."""
         x, y, z = self.matrix @ xyz + self.offset[:, None]
         inverse = 1 / np.where(np.abs(z) > 1e-12, z, np.float32(1e-12))
         x *= inverse
@@ -81,20 +81,20 @@ class SilhouetteView:
         return x, y, z
 
     def sees(self, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
-        """Which projected points fall into the image, in front of the camera."""
+        """(N,) bool: which projected points lie inside the image and in front of the camera."""
         left, top, right, bottom = self.frame
         return (z > 0) & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
 
-    def border(self, x: Floats, y: Floats) -> Floats:
-        """Distance (N,) of pixels to the image's nearest border, negative outside."""
+    def border_distance(self, x: Floats, y: Floats) -> Floats:
+        """Distance (N,) in pixels to the nearest border of the image, negative outside."""
         left, top, right, bottom = (np.float32(side) for side in self.frame)
         return np.minimum(np.minimum(x - left, right - x), np.minimum(y - top, bottom - y))
 
 
-def _crop(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the object's box in ``mask`` with a wide margin, within the image.
+def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """Left, top, width and height of the object's box in ``mask``, with a wide margin, within the image.
 
-    The margin, a sixteenth of the image, lets coarse cells be judged beside the object.
+    The margin, a sixteenth of the image, keeps distances exact enough to classify coarse cells beside the object.
     """
     left, top, width, height = cv2.boundingRect((mask >= 128).view(np.uint8))
     if width == 0:
@@ -106,11 +106,11 @@ def _crop(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def signed_distance(mask: NDArray[np.uint8]) -> Floats:
-    """Signed distance (H, W) float32 in pixels to where a soft matte (H, W) uint8 crosses one half.
+    """Signed distance (H, W) float32 in pixels to the contour where a soft matte (H, W) uint8 crosses one half.
 
-    Pixels beside the crossing hold ``matte - 0.5``, so that bilinear samples cross zero where
-    the matte's do. The image's border is no silhouette. A matte that is empty or full is
-    65,536 pixels away from it everywhere.
+    Pixels beside the contour hold ``matte - 0.5``, so that bilinear samples of the distance
+    and of the matte cross at the same place. The image border is not part of the contour.
+    An empty or full matte has distance -65,536 or 65,536 everywhere.
     """
     inside = (mask >= 128).astype(np.uint8)
     far = float(1 << 16)
@@ -129,9 +129,9 @@ def signed_distance(mask: NDArray[np.uint8]) -> Floats:
 
 
 def sample(image: NDArray[np.float32] | NDArray[np.uint8], x: Floats, y: Floats, method: int) -> NDArray:
-    """Values of ``image`` (H, W[, C]) at pixels x, y (N,), where pixel centres lie at half integers.
+    """Sample ``image`` (H, W[, C]) at pixels x, y (N,), with pixel centres at half integers.
 
-    ``method`` is cv2.INTER_NEAREST or cv2.INTER_LINEAR. Outside the image the border repeats.
+    ``method`` is cv2.INTER_NEAREST or cv2.INTER_LINEAR. The border is replicated outside the image.
     Returns (N[, C]) of the image's dtype.
     """
     count = x.size

@@ -1,4 +1,4 @@
-"""Points on the hull's surface: candidates from the cells, moved onto it, thinned to an even spread."""
+"""Points on the hull's surface: candidates from cells, projection onto the surface, thinning to an even density."""
 
 from __future__ import annotations
 
@@ -12,49 +12,49 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, sample
 
 CANDIDATES = 1.3
-"""Candidates for each wanted point: what thinning needs to choose from, and what projection costs."""
+"""Candidates per requested point: thinning is more even with more of them, and projection costs more."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
-    """Centres (3, N) of cells of side ``size``, all that may hold surface inside the box among them.
+    """Centres (3, N) of cells of side ``size``, a superset of those that intersect the surface inside the box.
 
-    The cells come from halving larger ones, of which only those survive that may hold
-    surface; the last are not judged. The box is relative to the origin of ``views``.
+    Larger cells are subdivided if they may contain surface; the finest cells are not
+    classified. The box is relative to the origin of ``views``.
     """
     longest = float((upper - lower).max())
     levels = max(0, int(np.log2(max(longest / size / 6, 1))))
     side = size * 2**levels
     cells = root_cells(lower, upper, side)
     for _ in range(levels):
-        cells, side = refine(cells[:, views.may_hold_surface(cells, side)], side)
+        cells, side = refine(cells[:, views.may_contain_surface(cells, side)], side)
     return cells
 
 
-def project(
+def project_to_surface(
     views: Silhouettes, xyz: Floats, distance: Floats, deciding: NDArray[np.int16], size: float
 ) -> tuple[Floats, Floats]:
-    """Move points (3, N) onto the surface along the gradient; drop those that do not arrive.
+    """Move points (3, N) onto the surface along the gradient; drop those that do not converge.
 
-    Two steps settle all but creases, where another view takes over; a point arrives when
-    it is within a tenth of ``size`` of the surface.
+    Two steps suffice except at creases, where the deciding view changes. A point has
+    converged if it is within a tenth of ``size`` of the surface.
 
     Returns:
         xyz (3, M) and outward unit normals (3, M).
     """
     for _ in range(2):
-        slope = gradient(views, xyz, deciding)
+        slope = distance_gradient(views, xyz, deciding)
         steps = (distance / np.maximum((slope**2).sum(axis=0), np.float32(0.25))).clip(-size, size)
         xyz = xyz - steps * slope
         distance, deciding = views.distance(xyz)
-    arrived = np.abs(distance) <= size / 10
-    xyz = xyz[:, arrived]
-    slope = gradient(views, xyz, deciding[arrived])
+    converged = np.abs(distance) <= size / 10
+    xyz = xyz[:, converged]
+    slope = distance_gradient(views, xyz, deciding[converged])
     length = np.maximum(np.sqrt((slope**2).sum(axis=0)), np.float32(1e-6))
     return xyz, -slope / length
 
 
-def gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int16]) -> Floats:
-    """World gradient (3, N) of the deciding view's distance at points (3, N), about unit length inwards."""
+def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int16]) -> Floats:
+    """World gradient (3, N) of the deciding view's distance at points (3, N); it points inwards, about unit length."""
     out = np.zeros_like(xyz)
     half = np.float32(0.5)
     for index, view in enumerate(views.views):
@@ -65,44 +65,44 @@ def gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int16]) -> Fl
         taps_x = np.concatenate([x + half, x - half, x, x])
         taps_y = np.concatenate([y, y, y + half, y - half])
         right, left, down, up = sample(view.distance, taps_x, taps_y, cv2.INTER_LINEAR).reshape(4, -1)
-        along_x, along_y = right - left, down - up
-        toward = along_x * x + along_y * y
+        gradient_x, gradient_y = right - left, down - up
+        gradient_z = gradient_x * x + gradient_y * y
         rows = view.matrix
         out[:, chosen] = (
-            rows[0][:, None] * along_x + rows[1][:, None] * along_y - rows[2][:, None] * toward
+            rows[0][:, None] * gradient_x + rows[1][:, None] * gradient_y - rows[2][:, None] * gradient_z
         ) / np.float32(view.focal)
     return out
 
 
-def thin(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of ``count`` of the points (N, 3), N >= count, evenly spread, in random order.
+def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+    """Indices of ``count`` of the points (N, 3), N >= count, at an even density and in random order.
 
-    Of the closest pairs one point goes, round by round. The random order makes every
-    prefix a fair sample of the whole.
+    Each round removes one point of each of the closest pairs. With the random order every
+    prefix is a uniform sample.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:
         surplus = len(kept) - count
         distance, other = cKDTree(xyz[kept], leafsize=12).query(xyz[kept], k=2)
         gap, nearest = distance[:, 1], other[:, 1]
-        loser = (gap[nearest] < gap) | ((gap[nearest] == gap) & (nearest > np.arange(len(kept))))
-        order = np.argsort(np.where(loser, np.inf, gap), kind="stable")
-        most = max(1, min(surplus, int((~loser).sum()), len(kept) // 6))
+        is_kept = (gap[nearest] < gap) | ((gap[nearest] == gap) & (nearest > np.arange(len(kept))))
+        order = np.argsort(np.where(is_kept, np.inf, gap), kind="stable")
+        drop_count = max(1, min(surplus, int((~is_kept).sum()), len(kept) // 6))
         drop = np.zeros(len(kept), dtype=np.bool_)
-        drop[order[:most]] = True
+        drop[order[:drop_count]] = True
         kept = kept[~drop]
     return rng.permutation(kept)
 
 
-def cell_side(views: Silhouettes, lower: Array, upper: Array, points: int) -> float:
-    """The side of cells at which the surface inside the box has CANDIDATES cells for each point.
+def choose_cell_side(views: Silhouettes, lower: Array, upper: Array, points: int) -> float:
+    """The cell side at which the surface inside the box has CANDIDATES cells per point.
 
-    Measured as the surface's area on cells of 1/64 of the box, or smaller ones when it has
-    few of those; 0 when there is no surface.
+    The surface's area is measured on cells of 1/64 of the box, or smaller ones if there are
+    few of them. 0 if there is no surface.
     """
     side = float((upper - lower).max()) / 64
     for _ in range(3):
-        count = views.slab(surface_cells(views, lower, upper, side), side)[0].shape[1]
+        count = views.surface_slab(surface_cells(views, lower, upper, side), side)[0].shape[1]
         if count >= 200:
             break
         side /= 2

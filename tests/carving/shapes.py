@@ -1,4 +1,4 @@
-"""Captures in memory: exact silhouettes of analytic shapes from a ring of cameras."""
+"""In-memory captures: exact silhouettes of analytic shapes from a ring of cameras."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Hit = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 
 
 def ball(centre: tuple[float, float, float], radius: float) -> Hit:
-    """Which rays (origin (3,), directions (N, 3) unit) meet a ball."""
+    """A test for which rays (origin (3,), unit directions (N, 3)) intersect a ball."""
 
     def hit(origin: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.bool_]:
         towards = np.asarray(centre) - origin
@@ -28,7 +28,7 @@ def ball(centre: tuple[float, float, float], radius: float) -> Hit:
 
 
 def mask(camera: Camera, shapes: list[Hit]) -> Picture:
-    """(H, W) matte by 3 x 3 rays a pixel."""
+    """(H, W) matte from 3 x 3 rays per pixel."""
     total = np.zeros(camera.height * camera.width)
     for dy in (1 / 6, 0.5, 5 / 6):
         for dx in (1 / 6, 0.5, 5 / 6):
@@ -42,7 +42,7 @@ def mask(camera: Camera, shapes: list[Hit]) -> Picture:
 
 @dataclass
 class MemoryCapture:
-    """Satisfies MaskSource; counts what was decoded."""
+    """Implements MaskSource and counts decoded masks."""
 
     cameras: tuple[Camera, ...]
     masks: list[list[Picture]]

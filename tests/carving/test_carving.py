@@ -1,4 +1,4 @@
-"""Hulls of shapes whose hulls are known."""
+"""Visual hulls of shapes whose hulls are known."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def box() -> Bounds:
 
 
 def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
-    """Catches half-pixel and sign errors: the hull holds the ball and touches it where views are frontal."""
+    """Catches half-pixel and sign errors: the hull contains the ball and touches it where views are frontal."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=4000)
     distance = np.linalg.norm(carved.xyz - CENTRE, axis=1)
     pixel = 2 / (1.1 * 128)
@@ -44,8 +44,8 @@ def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
     assert np.median(outward[equator]) > 0.97
 
 
-def test_points_are_spread_evenly(one_ball: MemoryCapture) -> None:
-    """Catches clumps and holes, which become blur and pinholes; an ideal lattice has 1, chance has about 0.5."""
+def test_points_have_an_even_density(one_ball: MemoryCapture) -> None:
+    """Catches clumps and holes, which render as blur and pinholes; a lattice has 1, random points about 0.5."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=3000)
     nearest = cKDTree(carved.xyz).query(carved.xyz, k=2)[0][:, 1]
     assert np.quantile(nearest, 0.05) > 0.55 * nearest.mean()
@@ -53,13 +53,13 @@ def test_points_are_spread_evenly(one_ball: MemoryCapture) -> None:
 
 
 @pytest.mark.parametrize("points", [1, 7, 500, 20_000])
-def test_the_wanted_count_comes(points: int, one_ball: MemoryCapture) -> None:
-    """Catches a count that is only met for the usual sizes."""
+def test_returns_the_requested_number_of_points(points: int, one_ball: MemoryCapture) -> None:
+    """Catches a count that is only reached for typical sizes."""
     assert len(carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=points).xyz) == points
 
 
 def test_one_bad_mask_of_twenty_is_tolerated(one_ball: MemoryCapture) -> None:
-    """Catches a hull that one failed matte empties, or one white matte inflates."""
+    """Catches a hull that is emptied by one failed matte or inflated by one white matte."""
     masks = list(one_ball.masks[0])
     masks[4] = np.zeros_like(masks[4])
     carved = carve_frame(masks, one_ball.cameras, box(), points=3000)
@@ -69,8 +69,8 @@ def test_one_bad_mask_of_twenty_is_tolerated(one_ball: MemoryCapture) -> None:
     assert np.median(np.linalg.norm(white.xyz - CENTRE, axis=1)) < RADIUS + 0.08
 
 
-def test_points_outside_some_views_survive() -> None:
-    """Catches parts of the object cut off because a close camera does not see them."""
+def test_points_outside_some_views_are_kept() -> None:
+    """Catches parts of the object that are cut off because a close camera does not see them."""
     cameras = ring_cameras(12, 96)
     close = [camera.crop(30, 30, 36, 36) if index % 4 == 0 else camera for index, camera in enumerate(cameras)]
     masks = [mask(camera, [ball((0, 0, 0), 0.4)]) for camera in close]
@@ -80,18 +80,18 @@ def test_points_outside_some_views_survive() -> None:
 
 
 @pytest.mark.parametrize(("cameras", "needed"), [(2, 2), (3, 3), (4, 3), (6, 3), (8, 4), (20, 10)])
-def test_two_of_several_views_are_no_proof(cameras: int, needed: int) -> None:
-    """Catches half of four views, two, that are enough: wherever their rays meet beside the subject is a ghost."""
+def test_minimum_number_of_views(cameras: int, needed: int) -> None:
+    """Catches two of four views that suffice: ghosts appear beside the subject wherever their rays intersect."""
     ring = ring_cameras(cameras, 32)
-    views = Silhouettes.of(
+    views = Silhouettes.from_masks(
         [mask(camera, [ball((0, 0, 0), 0.3)]) for camera in ring], ring, np.zeros(3), agreement=0.95, least_views=0.5
     )
     assert views.needed == needed
 
 
-def test_coarse_to_fine_finds_what_brute_force_finds(one_ball: MemoryCapture) -> None:
-    """Catches surface lost by an early verdict, and a search that touches every fine cell after all."""
-    views = Silhouettes.of(one_ball.masks[0], one_ball.cameras, np.zeros(3), agreement=0.95, least_views=0.5)
+def test_coarse_to_fine_search_equals_brute_force(one_ball: MemoryCapture) -> None:
+    """Catches surface lost by early rejection, and a search that visits every fine cell."""
+    views = Silhouettes.from_masks(one_ball.masks[0], one_ball.cameras, np.zeros(3), agreement=0.95, least_views=0.5)
     size = 0.04
     lower, upper = np.full(3, -0.64), np.full(3, 0.64)
     cells = surface_cells(views, lower, upper, size)
@@ -105,8 +105,8 @@ def test_coarse_to_fine_finds_what_brute_force_finds(one_ball: MemoryCapture) ->
     assert cells.shape[1] < 0.3 * everywhere.shape[1]
 
 
-def test_bounds_come_by_themselves(one_ball: MemoryCapture) -> None:
-    """Catches boxes that must be typed, and boxes that cut the object or swallow the room."""
+def test_bounds_are_found_from_masks(one_ball: MemoryCapture) -> None:
+    """Catches boxes that cut the object and boxes that include the whole room."""
     found = hull_bounds(one_ball.masks[0], one_ball.cameras)
     assert np.all(found.lower < CENTRE - RADIUS + 0.01)
     assert np.all(found.upper > CENTRE + RADIUS - 0.01)
@@ -116,16 +116,16 @@ def test_bounds_come_by_themselves(one_ball: MemoryCapture) -> None:
     assert both.lower[0] < -0.3
 
 
-def test_two_balls_are_two(one_ball: MemoryCapture) -> None:
-    """Catches a hull that keeps the connected part alone."""
+def test_disconnected_objects_are_both_carved(one_ball: MemoryCapture) -> None:
+    """Catches a hull that keeps only one connected component."""
     shapes = [ball((-0.35, 0, 0), 0.12), ball((0.35, 0, 0), 0.12)]
     carved = carve_frame([mask(camera, shapes) for camera in one_ball.cameras], one_ball.cameras, box(), points=1000)
     assert (carved.xyz[:, 0] < -0.2).sum() > 300
     assert (carved.xyz[:, 0] > 0.2).sum() > 300
 
 
-def test_an_empty_hull_names_who_disagrees(one_ball: MemoryCapture) -> None:
-    """Catches "empty hull" and nothing else, with twenty cameras to look through."""
+def test_an_empty_hull_names_the_disagreeing_views(one_ball: MemoryCapture) -> None:
+    """Catches an error that names no camera when there are twenty to check."""
     masks = list(one_ball.masks[0])
     for index in (3, 11):
         masks[index] = np.zeros_like(masks[index])
@@ -140,8 +140,8 @@ def test_an_empty_hull_names_who_disagrees(one_ball: MemoryCapture) -> None:
         carve_frame([np.zeros_like(m) for m in masks], one_ball.cameras, box(), points=10)
 
 
-def test_colours_come_from_views_that_see(one_ball: MemoryCapture) -> None:
-    """Catches colours taken through the object: each view paints the ball by its own side."""
+def test_colours_come_from_unoccluded_views(one_ball: MemoryCapture) -> None:
+    """Catches colours sampled through the object: each view colours the ball by the side it is on."""
     images = []
     for camera in one_ball.cameras:
         red = 220 if camera.centre[0] > 0 else 20
@@ -154,8 +154,8 @@ def test_colours_come_from_views_that_see(one_ball: MemoryCapture) -> None:
     assert np.all(np.abs(rgb[:, 1].astype(int) - 100) <= 1)
 
 
-def test_a_capture_is_carved_once(tmp_path: Path) -> None:
-    """Catches work done again, results kept after a changed setting, and half a file taken for a whole one."""
+def test_carving_resumes_and_invalidates(tmp_path: Path) -> None:
+    """Catches repeated work, stale results after a changed setting, and truncated files taken as complete."""
     capture = moving_ball(frames=3)
     first = carve_capture(capture, tmp_path, points=800)
     times = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.ply")}
@@ -170,14 +170,14 @@ def test_a_capture_is_carved_once(tmp_path: Path) -> None:
     assert cut.read_bytes() == whole
     carve_capture(capture, tmp_path, points=500)
     assert len(read_ply(cut).xyz) == 500
-    assert np.all(first.holds(read_ply(cut).xyz))
+    assert np.all(first.contains(read_ply(cut).xyz))
 
 
-def test_processes_carve_the_same_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches points that depend on how frames are shared out, and bounds of the last frame alone."""
+def test_worker_processes_carve_the_same_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches points that depend on the distribution of frames, and bounds of only the last frame."""
     capture = moving_ball(frames=4)
     alone = carve_capture(capture, tmp_path / "alone", points=300)
-    monkeypatch.setattr(sequence, "WORTH_SPREADING_SECONDS", 0)
+    monkeypatch.setattr(sequence, "MIN_PARALLEL_SECONDS", 0)
     together = carve_capture(capture, tmp_path / "together", points=300, workers=2)
     assert np.array_equal(np.stack([alone.lower, alone.upper]), np.stack([together.lower, together.upper]))
     for path in (tmp_path / "alone").glob("*.ply"):
