@@ -11,7 +11,7 @@ help:
 	@echo "make demo       synthetic capture -> trained 4D scene -> video, in demo/"
 	@echo "make test       the test suite"
 	@echo "make test-slow  the tests that take longer than a few seconds each"
-	@echo "make lint       ruff and mypy"
+	@echo "make lint       ruff, mypy and import-linter"
 	@echo "make docs       the documentation as a site, in build/site/"
 	@echo "make sanitize   the C++ kernels under ASan, UBSan and TSan"
 	@echo "make count      the C++ kernels' instructions against those accepted before"
@@ -37,7 +37,7 @@ test-slow: install
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	$(BIN)/python tools/lint_package.py
 
 docs: install
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet

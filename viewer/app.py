@@ -300,6 +300,7 @@ def show(
     Raises UserError when the source cannot be opened, or there is no display or no OpenGL.
     """
     session = Session(look)
+    opened = None
     try:
         if source is not None:
             session.open(source)
@@ -310,7 +311,7 @@ def show(
         with Window(size, "fourd") as window:
             app = App(window, session, wanted, console)
             try:
-                if source is not None:
+                if opened is not None:
                     app.show(opened)
                 app.run()
             finally:

@@ -1,0 +1,55 @@
+"""mypy and import-linter on the package as it is installed.
+
+The repository keeps fourd.viewer in viewer/, outside fourd/, where neither tool finds it. This program copies the
+Python files of both to build/lint/fourd and runs the tools there. `make lint` calls it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+TREE = ROOT / "build" / "lint"
+
+
+def main() -> int:
+    copy_package()
+    config = str(ROOT / "pyproject.toml")
+    types = subprocess.run([sys.executable, "-m", "mypy", "--config-file", config], cwd=TREE)
+    # -S skips the .pth file of the editable install, whose import hook hides build/lint.
+    lint_imports = "from importlinter.cli import lint_imports_command; lint_imports_command()"
+    options = ["--no-logo", "--config", config, "--cache-dir", str(TREE / ".import_linter_cache")]
+    layers = subprocess.run(
+        [sys.executable, "-S", "-c", lint_imports, *options],
+        cwd=TREE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(TREE), sysconfig.get_path("purelib")])},
+    )
+    return types.returncode or layers.returncode
+
+
+def copy_package() -> None:
+    """Copy fourd/ and viewer/ to TREE with their times of modification, by which mypy finds what changed."""
+    shutil.rmtree(TREE / "fourd", ignore_errors=True)
+    shutil.copytree(ROOT / "fourd", TREE / "fourd", ignore=_not_python)
+    shutil.copytree(ROOT / "viewer", TREE / "fourd" / "viewer", ignore=_not_python)
+
+
+def _not_python(folder: str, names: list[str]) -> list[str]:
+    """The entries of a folder that are neither Python sources nor folders, and worktrees' link fourd/viewer."""
+    entries = (Path(folder) / name for name in names)
+    return [
+        entry.name
+        for entry in entries
+        if entry.is_symlink()
+        or entry.name == "__pycache__"
+        or (entry.is_file() and entry.suffix not in {".py", ".pyi", ".typed"})
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
