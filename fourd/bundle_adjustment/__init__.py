@@ -1,1 +1,1 @@
-"""Given cameras brought into agreement with the pictures, before anything is carved from them."""
+"""Bundle adjustment of the given cameras to the pictures, before carving."""

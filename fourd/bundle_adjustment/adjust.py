@@ -1,4 +1,4 @@
-"""Cameras adjusted to what their pictures show: features, bundle adjustment, and again in narrower bands."""
+"""Camera adjustment from pictures: feature matching and bundle adjustment, repeated with narrower epipolar bands."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from numpy.typing import NDArray
 from fourd.background.plates import PlateView
 from fourd.background.stereo.features import (
     Features,
-    Quiet,
-    alike,
-    extract,
-    likely_pairs,
+    QuietColmap,
+    extract_features,
+    match_features,
+    pairs_to_match,
     read_features,
     write_pictures,
 )
-from fourd.bundle_adjustment.solver import Prior, adjusted, errors_px
-from fourd.bundle_adjustment.tracks import Moment, Observations, observations, placed_points
+from fourd.bundle_adjustment.solver import Prior, reprojection_errors_px, solve
+from fourd.bundle_adjustment.tracks import FrameMatches, Observations, build_tracks, triangulate_points
 from fourd.cameras import Camera
 from fourd.capture.layout import evenly_spread
 from fourd.carving.mask_source import MaskSource
 from fourd.parallel import cores
 from fourd.progress import Track
 
-MOST_MOMENTS = 2
-LEAST_FEATURES = 20
-"""Of a camera; one with fewer stays as it was given."""
-AGREES = 4.0
-"""Features this many times the scale away count as wrong matches."""
-NARROW_PX = 3.0
-SHARP_PX = 1.0
+MAX_FRAMES = 2
+MIN_FEATURES = 20
+"""Per camera; a camera with fewer keeps its given calibration."""
+INLIER_SCALES = 4.0
+"""Features with a reprojection error above this multiple of the robust scale are outliers."""
+FINAL_BAND_PX = 3.0
+FINAL_SCALE_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """Cameras that agree with the pictures.
+    """Result of a camera adjustment.
 
     Attributes:
-        cameras: in the order of those given.
-        features: (V,) of each camera that took part.
-        before_px, after_px: median distance of these from where their points project.
+        cameras: adjusted cameras, in the order of the given ones.
+        features: (V,) number of inlier features of each camera.
+        before_px, after_px: median reprojection error of the inliers; NaN if there are none.
     """
 
     cameras: tuple[Camera, ...]
@@ -56,76 +56,78 @@ class Adjustment:
 
 
 def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, band: float, track: Track) -> Adjustment:
-    """Adjust some of a capture's cameras (indices) by the features that their pictures of two moments share.
+    """Adjust some of a capture's cameras with the feature matches of two frames.
 
     Args:
-        capture: its pictures are undistorted, its cameras nearly right.
-        prior: how far they may be off.
-        band: greatest distance of matched features from the given cameras' epipolar lines, as a share of a picture's
+        capture: undistorted pictures and an approximate calibration.
+        cameras: indices of the cameras to adjust.
+        prior: standard deviations of the given calibration.
+        band: maximum distance of a match from the epipolar lines of the given cameras, as a share of a picture's
             longer side.
+        track: progress callback.
 
     Returns:
-        the cameras in the order of ``cameras``; those that share too few features as they are given.
+        the cameras in the order of ``cameras``; those with too few matches keep their given calibration.
     """
     given = tuple(capture.cameras[index] for index in cameras)
-    moments = []
-    for frame in evenly_spread(capture.frame_count, MOST_MOMENTS):
-        features = _features(capture, cameras, frame, track)
-        matches = {(i, j): alike(features[i], features[j]) for i, j in likely_pairs(given)}
-        moments.append(Moment(tuple(features), matches))
-    return agreeing(given, moments, prior, band)
+    frames = []
+    for frame in evenly_spread(capture.frame_count, MAX_FRAMES):
+        features = _frame_features(capture, cameras, frame, track)
+        matches = {(i, j): match_features(features[i], features[j]) for i, j in pairs_to_match(given)}
+        frames.append(FrameMatches(tuple(features), matches))
+    return adjust_to_matches(given, frames, prior, band)
 
 
-def agreeing(given: Sequence[Camera], moments: Sequence[Moment], prior: Prior, band: float) -> Adjustment:
-    """The cameras that agree with what is matched in ``moments``; see :func:`adjust_cameras`."""
+def adjust_to_matches(given: Sequence[Camera], frames: Sequence[FrameMatches], prior: Prior, band: float) -> Adjustment:
+    """Adjust cameras to the feature matches of some frames; see :func:`adjust_cameras`."""
     wide = band * max(max(camera.width, camera.height) for camera in given)
-    cameras, found, after = tuple(given), observations(moments, given, wide), float("nan")
-    for band_px, scale_px in ((wide, wide / 4), (wide / 2, SHARP_PX), (NARROW_PX, SHARP_PX)):
-        found = observations(moments, cameras, band_px)
-        cameras, found, after = _round(given, cameras, found, prior, band_px, scale_px)
-    xyz, _ = placed_points(found, given)
-    before = float(np.median(errors_px(found, given, xyz))) if len(found.camera) else float("nan")
-    return Adjustment(cameras, np.bincount(found.camera, minlength=len(given)), before, after)
+    cameras, tracks, after = tuple(given), build_tracks(frames, given, wide), float("nan")
+    for band_px, scale_px in ((wide, wide / 4), (wide / 2, FINAL_SCALE_PX), (FINAL_BAND_PX, FINAL_SCALE_PX)):
+        tracks = build_tracks(frames, cameras, band_px)
+        cameras, tracks, after = _adjust_once(given, cameras, tracks, prior, band_px, scale_px)
+    xyz, _ = triangulate_points(tracks, given)
+    before = float(np.median(reprojection_errors_px(tracks, given, xyz))) if len(tracks.camera) else float("nan")
+    return Adjustment(cameras, np.bincount(tracks.camera, minlength=len(given)), before, after)
 
 
-def _round(
+def _adjust_once(
     given: Sequence[Camera],
     start: Sequence[Camera],
-    found: Observations,
+    tracks: Observations,
     prior: Prior,
     band_px: float,
     scale_px: float,
 ) -> tuple[tuple[Camera, ...], Observations, float]:
-    """Cameras adjusted once from ``start``, the features that they agree with, and these's median error in pixels."""
-    xyz, apart = placed_points(found, start)
-    found = found.of_points(apart)
-    xyz = xyz[apart]
-    found = found.only(errors_px(found, start, xyz) < 2 * band_px)
-    count = np.bincount(found.camera, minlength=len(given))
-    found = found.only(count[found.camera] >= LEAST_FEATURES)
-    if not len(found.camera):
-        return tuple(given), found, float("nan")
-    xyz, _ = placed_points(found, start)
-    cameras, xyz = adjusted(given, start, found, xyz, prior, scale_px)
-    errors = errors_px(found, cameras, xyz)
-    good = errors < AGREES * scale_px
-    return cameras, found.only(good), float(np.median(errors[good])) if good.any() else float("nan")
+    """One bundle adjustment from ``start``: the cameras, the inlier features, and their median error in pixels."""
+    xyz, is_wide = triangulate_points(tracks, start)
+    tracks = tracks.of_points(is_wide)
+    xyz = xyz[is_wide]
+    tracks = tracks.select(reprojection_errors_px(tracks, start, xyz) < 2 * band_px)
+    count = np.bincount(tracks.camera, minlength=len(given))
+    tracks = tracks.select(count[tracks.camera] >= MIN_FEATURES)
+    if not len(tracks.camera):
+        return tuple(given), tracks, float("nan")
+    xyz, _ = triangulate_points(tracks, start)
+    cameras, xyz = solve(given, start, tracks, xyz, prior, scale_px)
+    errors = reprojection_errors_px(tracks, cameras, xyz)
+    inliers = errors < INLIER_SCALES * scale_px
+    return cameras, tracks.select(inliers), float(np.median(errors[inliers])) if inliers.any() else float("nan")
 
 
-def _features(capture: MaskSource, cameras: Sequence[int], frame: int, track: Track) -> list[Features]:
-    """The cameras' features in a frame."""
+def _frame_features(capture: MaskSource, cameras: Sequence[int], frame: int, track: Track) -> list[Features]:
+    """The features of each camera in one frame."""
     views = []
     for index in cameras:
         picture = capture.image(index, frame)
         views.append(PlateView(capture.names[index], capture.cameras[index], picture, np.ones(picture.shape[:2], bool)))
-    with tempfile.TemporaryDirectory(prefix="fourd-cameras-") as name, Quiet():
+    with tempfile.TemporaryDirectory(prefix="fourd-cameras-") as name, QuietColmap():
         folder = Path(name)
         database = folder / "database.db"
         names = write_pictures(folder, views)
         batch = cores()
         batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
         for some in track(batches, len(batches), "features"):
-            extract(folder, database, some)
+            extract_features(folder, database, some)
         with closing(pycolmap.Database.open(database)) as store:
             images = sorted(store.read_all_images(), key=lambda image: image.name)
             return [read_features(store, image.image_id) for image in images]

@@ -1,4 +1,4 @@
-"""Places that several cameras' features show, and where they lie as the cameras stand."""
+"""Feature tracks across cameras, and their triangulation."""
 
 from __future__ import annotations
 
@@ -17,12 +17,18 @@ Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Pair = tuple[int, int]
 
-LEAST_ANGLE_DEG = 2.0
+MIN_ANGLE_DEG = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """M features of points: which camera's (M,), which point's (M,), and where, in pixels (M, 2)."""
+    """M observed features of P points.
+
+    Attributes:
+        camera: (M,) index of the camera.
+        point: (M,) index of the point.
+        pixel: (M, 2) position, pixels.
+    """
 
     camera: Index
     point: Index
@@ -30,39 +36,44 @@ class Observations:
 
     @property
     def points(self) -> int:
-        """Number of points, which are numbered from 0 without gaps."""
+        """Number of points; their indices are 0 to P - 1 without gaps."""
         return int(self.point.max()) + 1 if len(self.point) else 0
 
     def of_points(self, kept: NDArray[np.bool_]) -> Observations:
-        """Those of some of the points (P,), numbered anew."""
+        """The features of the points selected by ``kept`` (P,) bool; points are renumbered."""
         rows = kept[self.point]
         return Observations(self.camera[rows], (np.cumsum(kept) - 1)[self.point[rows]], self.pixel[rows])
 
-    def only(self, rows: NDArray[np.bool_]) -> Observations:
-        """Some of the features (M,), of the points that keep two or more."""
+    def select(self, rows: NDArray[np.bool_]) -> Observations:
+        """The features selected by ``rows`` (M,) bool; points with fewer than two features are dropped."""
         camera, point, pixel = self.camera[rows], self.point[rows], self.pixel[rows]
         enough = np.bincount(point, minlength=self.points) >= 2
         return Observations(camera, point, pixel).of_points(enough)
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
-    """What the cameras saw at one moment: each camera's features, and by pair of cameras those alike (M, 2)."""
+class FrameMatches:
+    """Features and matches of one frame.
+
+    Attributes:
+        features: of each camera.
+        matches: (M, 2) feature indices per pair of cameras.
+    """
 
     features: tuple[Features, ...]
     matches: dict[Pair, Index]
 
 
-def observations(moments: Sequence[Moment], cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Features that are alike and within ``band_px`` of their epipolar lines, joined over the pairs.
+def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band_px: float) -> Observations:
+    """Connect matches within ``band_px`` of their epipolar lines into tracks across cameras.
 
-    A point that has two features in one camera has none of them.
+    Where a track has several features in one camera, these features are dropped.
     """
     parts, points = [], 0
-    for moment in moments:
-        found = _joined(moment, cameras, band_px)
-        parts.append(Observations(found.camera, found.point + points, found.pixel))
-        points += found.points
+    for frame in frames:
+        tracks = _frame_tracks(frame, cameras, band_px)
+        parts.append(Observations(tracks.camera, tracks.point + points, tracks.pixel))
+        points += tracks.points
     return Observations(
         np.concatenate([part.camera for part in parts]),
         np.concatenate([part.point for part in parts]),
@@ -70,56 +81,63 @@ def observations(moments: Sequence[Moment], cameras: Sequence[Camera], band_px: 
     )
 
 
-def _joined(moment: Moment, cameras: Sequence[Camera], band_px: float) -> Observations:
-    features = moment.features
+def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float) -> Observations:
+    """The tracks of one frame: connected components of the graph of matches."""
+    features = frame.features
     counts = [len(each.xy) for each in features]
-    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
     ends = [np.zeros((0, 2), np.intp)]
-    for (i, j), rows in moment.matches.items():
-        here, there = features[i].xy[rows[:, 0]], features[j].xy[rows[:, 1]]
-        near = _line_distances(here, there, cameras[i], cameras[j]) < band_px
-        ends.append(rows[near] + (first[i], first[j]))
+    for (i, j), rows in frame.matches.items():
+        first_xy, second_xy = features[i].xy[rows[:, 0]], features[j].xy[rows[:, 1]]
+        near = _epipolar_distances(first_xy, second_xy, cameras[i], cameras[j]) < band_px
+        ends.append(rows[near] + (offsets[i], offsets[j]))
     edges = np.concatenate(ends)
-    total = int(first[-1])
+    total = int(offsets[-1])
     graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(total, total))
     _, label = connected_components(graph, directed=False)
     camera = np.repeat(np.arange(len(features)), counts)
-    # A wrong match ties two places together: their features in the cameras that see both say nothing.
-    _, place, times = np.unique(label * len(features) + camera, return_inverse=True, return_counts=True)
+    # A wrong match merges two points into one track: cameras that see both have two features in it.
+    _, entry, times = np.unique(label * len(features) + camera, return_inverse=True, return_counts=True)
     xy = np.concatenate([each.xy for each in features])
-    return Observations(camera, label.astype(np.intp), xy).only(times[place] == 1)
+    return Observations(camera, label.astype(np.intp), xy).select(times[entry] == 1)
 
 
-def _line_distances(here: Array, there: Array, camera: Camera, other: Camera) -> Array:
-    """(M,) greater distance of two places (M, 2) from each other's epipolar lines, in pixels."""
-    first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (here, there))
+def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
+    """(M,) larger distance of two matched features (M, 2) from each other's epipolar lines, pixels."""
+    first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
-    lines_there, lines_here = first @ matrix.T, second @ matrix
-    off = np.abs((lines_there * second).sum(axis=1))
-    lengths = (np.hypot(lines[:, 0], lines[:, 1]) for lines in (lines_there, lines_here))
-    return off / np.maximum(np.minimum(*lengths), 1e-12)
+    second_lines, first_lines = first @ matrix.T, second @ matrix
+    algebraic = np.abs((second_lines * second).sum(axis=1))
+    lengths = (np.hypot(lines[:, 0], lines[:, 1]) for lines in (second_lines, first_lines))
+    return algebraic / np.maximum(np.minimum(*lengths), 1e-12)
 
 
-def placed_points(found: Observations, cameras: Sequence[Camera]) -> tuple[Array, NDArray[np.bool_]]:
-    """Where each point (P, 3) is nearest to its rays, and (P,) whether two of these are 2 degrees apart or more."""
-    origins = np.stack([camera.centre for camera in cameras])[found.camera]
-    rays = _rays(found, cameras)
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    normal, right = np.zeros((found.points, 3, 3)), np.zeros((found.points, 3))
-    np.add.at(normal, found.point, across)
-    np.add.at(right, found.point, np.einsum("mij,mj->mi", across, origins))
-    sums = np.zeros((found.points, 3))
-    np.add.at(sums, found.point, rays)
-    # The mean of unit rays is as short as they are apart: for two of them half of cos(angle / 2).
-    count = np.bincount(found.point, minlength=found.points)
-    spread = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
-    apart = spread < np.cos(np.radians(LEAST_ANGLE_DEG) / 2)
-    normal[~apart] = np.eye(3)
-    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], np.float64), np.asarray(apart)
+def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple[Array, NDArray[np.bool_]]:
+    """Triangulate each track linearly, as the point nearest to its rays.
+
+    Returns:
+        points (P, 3), world units, and (P,) bool: whether the rays of the point span about 2 degrees or more.
+        Points with smaller angles have no defined position.
+    """
+    origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
+    rays = _ray_directions(tracks, cameras)
+    projectors = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    normal, right = np.zeros((tracks.points, 3, 3)), np.zeros((tracks.points, 3))
+    np.add.at(normal, tracks.point, projectors)
+    np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
+    sums = np.zeros((tracks.points, 3))
+    np.add.at(sums, tracks.point, rays)
+    # The mean of unit rays is shorter the wider their angle: cos(angle / 2) for two of them.
+    count = np.bincount(tracks.point, minlength=tracks.points)
+    mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
+    is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)
+    normal[~is_wide] = np.eye(3)
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], np.float64), np.asarray(is_wide)
 
 
-def _rays(found: Observations, cameras: Sequence[Camera]) -> Array:
-    """(M, 3) unit directions of the features in the world."""
-    turned = np.stack([camera.rotation.T @ np.linalg.inv(camera.intrinsics) for camera in cameras])
-    rays = np.einsum("mij,mj->mi", turned[found.camera], np.column_stack([found.pixel, np.ones(len(found.pixel))]))
+def _ray_directions(tracks: Observations, cameras: Sequence[Camera]) -> Array:
+    """(M, 3) unit directions of the features' rays in the world."""
+    R_world_pixel = np.stack([camera.rotation.T @ np.linalg.inv(camera.intrinsics) for camera in cameras])
+    pixels = np.column_stack([tracks.pixel, np.ones(len(tracks.pixel))])
+    rays = np.einsum("mij,mj->mi", R_world_pixel[tracks.camera], pixels)
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)

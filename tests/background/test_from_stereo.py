@@ -9,7 +9,7 @@ import pytest
 
 from fourd.background.from_stereo import triangulated
 from fourd.background.plates import PlateView
-from fourd.background.stereo.sparse import sparse_points
+from fourd.background.stereo.sparse import triangulate_sparse
 from fourd.cameras import look_at
 from fourd.errors import UserError
 from fourd.ply import ColouredPoints
@@ -84,8 +84,8 @@ def test_points_lie_on_the_walls(stage: Stage) -> None:
 
 def test_features_lie_on_the_walls(stage: Stage) -> None:
     """Catches poses that COLMAP adjusted or counts otherwise, and wrong matches that three plates share."""
-    features = sparse_points(stage.plates, 0, untracked)
-    apart = to_walls(features.xyz)[features.sure]
+    features = triangulate_sparse(stage.plates, 0, untracked)
+    apart = to_walls(features.xyz)[features.reliable]
     assert len(apart) > 100
     assert np.median(apart) < 0.005
     assert np.percentile(apart, 95) < 0.03

@@ -1,4 +1,4 @@
-"""Cameras adjusted before carving: by exact features with noise and wrong matches, and by pictures of a room."""
+"""Camera adjustment: with synthetic features, noise and wrong matches, and with rendered pictures of a room."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.background.stereo.features import Features
-from fourd.bundle_adjustment.adjust import adjust_cameras, agreeing
+from fourd.bundle_adjustment.adjust import adjust_cameras, adjust_to_matches
 from fourd.bundle_adjustment.solver import Prior
-from fourd.bundle_adjustment.tracks import Moment
+from fourd.bundle_adjustment.tracks import FrameMatches
 from fourd.calibration.perturbation import disturbed, pose_errors
 from fourd.cameras import Camera
 from fourd.progress import untracked
@@ -21,8 +21,8 @@ from tests.captures import ring_cameras
 Matches = dict[tuple[int, int], NDArray[np.intp]]
 
 
-def _moment(cameras: list[Camera], rng: np.random.Generator, wrong: float, points: int = 400) -> Moment:
-    """Points in a box as every camera sees them, to a quarter of a pixel; a share of the matches is wrong."""
+def _frame_matches(cameras: list[Camera], rng: np.random.Generator, wrong: float, points: int = 400) -> FrameMatches:
+    """Matches of points in a box with 0.25 px of noise; a share ``wrong`` of the matches is random."""
     xyz = rng.uniform(-0.8, 0.8, (points, 3))
     features = []
     for camera in cameras:
@@ -34,7 +34,7 @@ def _moment(cameras: list[Camera], rng: np.random.Generator, wrong: float, point
             chosen = rng.choice(points, points // 3, replace=False)
             other = np.where(rng.random(len(chosen)) < wrong, rng.permutation(points)[: len(chosen)], chosen)
             matches[i, j] = np.column_stack([chosen, other])
-    return Moment(tuple(features), matches)
+    return FrameMatches(tuple(features), matches)
 
 
 def _named(cameras: list[Camera] | tuple[Camera, ...]) -> dict[str, Camera]:
@@ -50,11 +50,11 @@ def _means(truth: list[Camera], cameras: list[Camera] | tuple[Camera, ...]) -> t
     return float(np.mean([error.degrees for error in errors])), float(np.mean([error.distance for error in errors]))
 
 
-def test_disturbed_cameras_come_nearer_the_truth(rng: np.random.Generator) -> None:
-    """Catches wrong Jacobians, wrong matches that pull, and a gauge that drifts where the priors should hold it."""
+def test_adjustment_reduces_pose_errors(rng: np.random.Generator) -> None:
+    """Catches wrong Jacobians, sensitivity to wrong matches, and gauge drift in spite of the prior."""
     truth = ring_cameras(10, 512)
     given = list(disturbed(_named(truth), 0.5, 0.01, rng).values())
-    found = agreeing(given, [_moment(truth, rng, wrong=0.15)], _prior(given, 0.002), 0.03)
+    found = adjust_to_matches(given, [_frame_matches(truth, rng, wrong=0.15)], _prior(given, 0.002), 0.03)
     before, after = _means(truth, given), _means(truth, found.cameras)
     assert after[0] < 0.25 * before[0]
     assert after[1] < 0.6 * before[1]
@@ -65,37 +65,37 @@ def test_disturbed_cameras_come_nearer_the_truth(rng: np.random.Generator) -> No
     assert max(abs(zoom - 1) for zoom in zooms) < 0.004
 
 
-def test_what_is_held_stays(rng: np.random.Generator) -> None:
-    """Catches focal lengths that change where only poses are refined, and the other way round."""
+def test_fixed_parameters_stay_fixed(rng: np.random.Generator) -> None:
+    """Catches focal lengths that change if only poses are refined, and poses that change if only focal lengths are."""
     truth = ring_cameras(8, 256)
     given = list(disturbed(_named(truth), 0.3, 0.005, rng).values())
-    moment = _moment(truth, rng, wrong=0.0)
-    poses = agreeing(given, [moment], _prior(given, 0.0), 0.03).cameras
+    frame = _frame_matches(truth, rng, wrong=0.0)
+    poses = adjust_to_matches(given, [frame], _prior(given, 0.0), 0.03).cameras
     assert all(np.array_equal(now.intrinsics, was.intrinsics) for now, was in zip(poses, given, strict=True))
     held = Prior(0.0, np.zeros(len(given)), 0.01)
-    focal = agreeing(given, [moment], held, 0.03).cameras
+    focal = adjust_to_matches(given, [frame], held, 0.03).cameras
     for now, was in zip(focal, given, strict=True):
         assert np.allclose(now.rotation, was.rotation, rtol=0, atol=1e-12)
         assert np.allclose(now.centre, was.centre, rtol=0, atol=1e-12)
 
 
-def test_cameras_that_share_nothing_stay_as_given(rng: np.random.Generator) -> None:
-    """Catches cameras that a handful of chance matches moves, and a crash where no feature is found at all."""
+def test_cameras_without_matches_stay_as_given(rng: np.random.Generator) -> None:
+    """Catches cameras moved by a few random matches, and a crash if there are no features."""
     truth = ring_cameras(6, 256)
-    moment = _moment(truth, rng, wrong=0.0)
-    alone = {pair: rows for pair, rows in moment.matches.items() if 5 not in pair}
-    few = {pair: rows[:4] for pair, rows in moment.matches.items() if 5 in pair}
-    found = agreeing(truth, [Moment(moment.features, alone | few)], _prior(truth, 0.0), 0.03)
+    frame = _frame_matches(truth, rng, wrong=0.0)
+    alone = {pair: rows for pair, rows in frame.matches.items() if 5 not in pair}
+    few = {pair: rows[:4] for pair, rows in frame.matches.items() if 5 in pair}
+    found = adjust_to_matches(truth, [FrameMatches(frame.features, alone | few)], _prior(truth, 0.0), 0.03)
     assert found.features[5] == 0
     assert np.array_equal(found.cameras[5].rotation, truth[5].rotation)
-    none = agreeing(truth, [Moment(moment.features, {})], _prior(truth, 0.0), 0.03)
+    none = adjust_to_matches(truth, [FrameMatches(frame.features, {})], _prior(truth, 0.0), 0.03)
     assert none.features.sum() == 0
     assert none.cameras == tuple(truth)
 
 
 @dataclass(frozen=True)
 class _RoomCapture:
-    """One moment of a room; satisfies MaskSource."""
+    """One frame of a room; implements MaskSource."""
 
     cameras: tuple[Camera, ...]
     pictures: tuple[NDArray[np.uint8], ...]
@@ -108,14 +108,14 @@ class _RoomCapture:
         return tuple(_named(self.cameras))
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
-        raise AssertionError("adjusting looks at pictures alone")
+        raise AssertionError("adjustment must not read masks")
 
     def image(self, camera: int, frame: int) -> NDArray[np.uint8]:
         return self.pictures[camera]
 
 
-def test_pictures_of_a_room_bring_its_cameras_back() -> None:
-    """Catches features that are half a pixel off, and pairs that are matched in the wrong order."""
+def test_adjustment_from_pictures_of_a_room() -> None:
+    """Catches half-pixel offsets of features, and pairs that are matched in the wrong order."""
     rng = np.random.default_rng(3)
     truth = room_cameras(5, 320, 240)
     room = Room(rng)

@@ -15,7 +15,7 @@ from fourd.background.stereo.patches import Floats, GreyView, Grid
 from fourd.background.stereo.patchmatch import DepthMap, depth_map
 from fourd.background.stereo.plane_hypotheses import as_seen, large_planes, triangles
 from fourd.background.stereo.source_selection import best_sources
-from fourd.background.stereo.sparse import SparsePoints, sparse_points
+from fourd.background.stereo.sparse import SparsePoints, triangulate_sparse
 from fourd.cameras import Camera
 from fourd.parallel import spread
 from fourd.progress import Track
@@ -67,14 +67,14 @@ class Measured:
 
 def measured(plates: Sequence[PlateView], seed: int, workers: int, track: Track) -> Measured:
     """Triangulate features, and find of each plate's depth map what other plates confirm and none contradicts."""
-    features = sparse_points(plates, seed, track)
+    features = triangulate_sparse(plates, seed, track)
     smalls = [Small.of(plate) for plate in plates]
     cameras = [small.camera for small in smalls]
     if len(features.xyz) < LEAST_FEATURES:
         maps = [DepthMap.unknown(small.grid()) for small in smalls]
     else:
         maps = _maps(smalls, features, seed, workers, track)
-    return Measured(len(features.xyz), int(features.sure.sum()), smalls, agreed(cameras, maps))
+    return Measured(len(features.xyz), int(features.reliable.sum()), smalls, agreed(cameras, maps))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ class _Job:
 def _maps(smalls: Sequence[Small], features: SparsePoints, seed: int, workers: int, track: Track) -> list[DepthMap]:
     """A depth map of each plate."""
     cameras = [small.camera for small in smalls]
-    kept = features.sure if features.sure.sum() >= LEAST_SURE else np.ones(len(features.xyz), bool)
+    kept = features.reliable if features.reliable.sum() >= LEAST_SURE else np.ones(len(features.xyz), bool)
     distances = np.concatenate([np.linalg.norm(features.xyz[kept] - camera.centre, axis=1) for camera in cameras])
     rng = np.random.default_rng(seed)
     planes = large_planes(features.xyz, features.seen.sum(axis=1) - 1.0, float(np.median(distances)), rng)

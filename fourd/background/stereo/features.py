@@ -1,4 +1,4 @@
-"""Features of plates or pictures, which of two pictures' are alike, and the epipolar lines of one in the other."""
+"""SIFT features of plates or pictures, their matching, and fundamental matrices."""
 
 from __future__ import annotations
 
@@ -20,38 +20,38 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 IMAGES, MASKS = "images", "masks"
-MOST_FEATURES = 4096
-LONGEST_SIDE = 1600
-"""Pixels; features of larger pictures are sought in reduced ones."""
-FAINTEST = 0.003
-"""Of a feature's contrast; COLMAP takes 0.0067. Walls are smooth, and known poses sort out more wrong matches."""
+MAX_FEATURES = 4096
+MAX_SIDE_PX = 1600
+"""Larger pictures are reduced to this size before feature detection."""
+MIN_CONTRAST = 0.003
+"""SIFT's peak threshold; COLMAP's default is 0.0067. Walls have low contrast, and known poses reject wrong matches."""
 HOLE_MARGIN_PX = 6
-"""Beside holes the plate is filled in or soft."""
-CLEARLY = 0.8
-"""Ratio of distances, of the nearest and the next descriptor (Lowe, IJCV 2004)."""
-ALL_PAIRS = 8
-LEAST_COSINE = 0.4
+"""Beside holes the plate is inpainted or blurred."""
+RATIO_TEST_THRESHOLD = 0.8
+"""Maximum ratio of the distances to the nearest and the second nearest descriptor (Lowe, IJCV 2004)."""
+MAX_EXHAUSTIVE_CAMERAS = 8
+MIN_COSINE = 0.4
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Places xy (N, 2) in pixels, and descriptors (N, 128) of length 1."""
+    """Features of one picture: positions xy (N, 2) in pixels and unit-length descriptors (N, 128)."""
 
     xy: Array
     descriptors: Floats
 
 
-def likely_pairs(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Pairs to match: all of up to 8 cameras, else those whose viewing directions are within 66 degrees."""
+def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    """Camera pairs to match: all pairs of up to 8 cameras, else pairs with viewing directions within 66 degrees."""
     return [
         (i, j)
         for i, j in combinations(range(len(cameras)), 2)
-        if len(cameras) <= ALL_PAIRS or cameras[i].forward @ cameras[j].forward > LEAST_COSINE
+        if len(cameras) <= MAX_EXHAUSTIVE_CAMERAS or cameras[i].forward @ cameras[j].forward > MIN_COSINE
     ]
 
 
 def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
-    """Write the plates and the masks of where features may lie; the pictures' names, by number."""
+    """Write the plates and masks of the valid area for COLMAP; returns the file names in order."""
     images, masks = folder / IMAGES, folder / MASKS
     images.mkdir()
     masks.mkdir()
@@ -61,54 +61,54 @@ def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
         free = cv2.erode(np.where(plate.seen, 255, 0).astype(np.uint8), disc)
         for path, picture in ((images / name, plate.rgb[..., ::-1]), (masks / f"{name}.png", free)):
             if not cv2.imwrite(str(path), np.ascontiguousarray(picture)):
-                raise OSError(f"{path}: a temporary picture could not be written")
+                raise OSError(f"{path}: cannot write a temporary picture")
     return names
 
 
-def extract(folder: Path, database: Path, names: list[str]) -> None:
-    """Add the features of some of the pictures that :func:`write_pictures` wrote to COLMAP's ``database``."""
+def extract_features(folder: Path, database: Path, names: list[str]) -> None:
+    """Detect features in pictures written by :func:`write_pictures` and add them to the COLMAP ``database``."""
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Cameras of a ring stand 18 degrees apart or more: features that follow the surface's slant are what they share.
+    # Cameras of a ring are 18 degrees apart or more: only affine-covariant features match over such baselines.
     extraction.sift.estimate_affine_shape = True
-    extraction.sift.peak_threshold = FAINTEST
-    extraction.sift.max_num_features = MOST_FEATURES
-    extraction.max_image_size = LONGEST_SIDE
+    extraction.sift.peak_threshold = MIN_CONTRAST
+    extraction.sift.max_num_features = MAX_FEATURES
+    extraction.max_image_size = MAX_SIDE_PX
     reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE", mask_path=folder / MASKS)
     mode = pycolmap.CameraMode.PER_IMAGE
     pycolmap.extract_features(database, folder / IMAGES, names, mode, reader, extraction, pycolmap.Device.cpu)
 
 
 def read_features(store: Any, image: int) -> Features:
-    """The features of an image of COLMAP's database ``store``."""
+    """Read the features of an image from the COLMAP database ``store``."""
     xy = np.asarray(store.read_keypoints(image), np.float64)[:, :2]
     descriptors = np.asarray(store.read_descriptors(image).data, np.float32)
     lengths = np.linalg.norm(descriptors, axis=1, keepdims=True)
     return Features(xy, descriptors / np.maximum(lengths, 1e-9))
 
 
-def alike(first: Features, second: Features) -> NDArray[np.intp]:
-    """(M, 2) features that are each other's nearest, clearly nearer than the next of the whole picture."""
+def match_features(first: Features, second: Features) -> NDArray[np.intp]:
+    """(M, 2) indices of features that are mutual nearest neighbours and pass the ratio test."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.intp)
-    likeness = first.descriptors @ second.descriptors.T
-    best = likeness.argmax(axis=1)
-    mutual = likeness.argmax(axis=0)[best] == np.arange(len(best))
-    nearest = np.partition(likeness, -2, axis=1)[:, -2:]
-    apart = np.sqrt(np.maximum(2 - 2 * nearest, 0))
-    kept = np.flatnonzero(mutual & (apart[:, 1] < CLEARLY * apart[:, 0]))
+    similarity = first.descriptors @ second.descriptors.T
+    best = similarity.argmax(axis=1)
+    mutual = similarity.argmax(axis=0)[best] == np.arange(len(best))
+    nearest = np.partition(similarity, -2, axis=1)[:, -2:]
+    distance = np.sqrt(np.maximum(2 - 2 * nearest, 0))
+    kept = np.flatnonzero(mutual & (distance[:, 1] < RATIO_TEST_THRESHOLD * distance[:, 0]))
     return np.column_stack([kept, best[kept]])
 
 
 def fundamental_matrix(camera: Camera, other: Camera) -> Array:
-    """(3, 3): F x is the line in the other picture of x in the first."""
+    """(3, 3) fundamental matrix F: F x is the epipolar line in the other picture of pixel x in the first."""
     rotation = other.rotation @ camera.rotation.T
     x, y, z = other.translation - rotation @ camera.translation
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation
     return np.asarray(np.linalg.inv(other.intrinsics).T @ essential @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
-class Quiet:
-    """COLMAP tells its progress on stderr, line by line; errors still show."""
+class QuietColmap:
+    """Context that limits COLMAP's log on stderr to errors."""
 
     def __enter__(self) -> None:
         self._before = pycolmap.logging.minloglevel

@@ -1,4 +1,4 @@
-"""Features of clean plates, matched along known epipolar lines and triangulated by COLMAP with the cameras as given."""
+"""Sparse points of clean plates: guided feature matching and COLMAP triangulation with fixed cameras."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from fourd.background.plates import PlateView
 from fourd.background.stereo.features import (
     IMAGES,
     Features,
-    Quiet,
-    extract,
+    QuietColmap,
+    extract_features,
     fundamental_matrix,
-    likely_pairs,
+    pairs_to_match,
     read_features,
     write_pictures,
 )
@@ -31,10 +31,10 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 EPIPOLAR_PX = 1.5
-RATIO = 0.85
-LEAST_LIKENESS = 0.5
-LEAST_ANGLE_DEG = 2.0
-MOST_ERROR_PX = 2.0
+RATIO_TEST_THRESHOLD = 0.85
+MIN_SIMILARITY = 0.5
+MIN_ANGLE_DEG = 2.0
+MAX_ERROR_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,76 +43,78 @@ class SparsePoints:
 
     Attributes:
         xyz: (N, 3) float64, world units.
-        seen: (N, V) bool, by which plates' features.
+        seen: (N, V) bool: which plates have a feature of the point.
     """
 
     xyz: Array
     seen: NDArray[np.bool_]
 
     @property
-    def sure(self) -> NDArray[np.bool_]:
-        """(N,) those that three plates or more agree on; of two, half are chance on textures that repeat."""
+    def reliable(self) -> NDArray[np.bool_]:
+        """(N,) bool: points seen in three plates or more; on repetitive textures half of the others are wrong."""
         return self.seen.sum(axis=1) >= 3
 
 
-def sparse_points(plates: Sequence[PlateView], seed: int, track: Track) -> SparsePoints:
-    """Triangulate what two plates or more show, at most 2 px from where it projects, at 2 degrees or more."""
+def triangulate_sparse(plates: Sequence[PlateView], seed: int, track: Track) -> SparsePoints:
+    """Triangulate features of two or more plates, at angles of 2 degrees or more and errors of up to 2 px."""
     cameras = [plate.camera for plate in plates]
-    with tempfile.TemporaryDirectory(prefix="fourd-plates-") as name, Quiet():
+    with tempfile.TemporaryDirectory(prefix="fourd-plates-") as name, QuietColmap():
         folder = Path(name)
         database = folder / "database.db"
         names = write_pictures(folder, plates)
         batch = cores()
         batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
         for some in track(batches, len(batches), "features"):
-            extract(folder, database, some)
+            extract_features(folder, database, some)
         with closing(pycolmap.Database.open(database)) as store:
             images = sorted(store.read_all_images(), key=lambda image: image.name)
             features = [read_features(store, image.image_id) for image in images]
-            pairs = likely_pairs(cameras)
+            pairs = pairs_to_match(cameras)
             for i, j in track(pairs, len(pairs), "matches"):
-                found = _guided(features[i], features[j], cameras[i], cameras[j])
+                found = _match_guided(features[i], features[j], cameras[i], cameras[j])
                 if len(found):
                     geometry = pycolmap.TwoViewGeometry()
                     geometry.config = pycolmap.TwoViewGeometryConfiguration.CALIBRATED
                     geometry.inlier_matches = found
                     store.write_matches(images[i].image_id, images[j].image_id, found)
                     store.write_two_view_geometry(images[i].image_id, images[j].image_id, geometry)
-            known = _known(store, images, cameras)
+            known = _known_cameras(store, images, cameras)
         (folder / "model").mkdir()
         model = pycolmap.triangulate_points(
             known, database, folder / IMAGES, folder / "model", True, _options(seed), False
         )
-    return _points(model, len(plates))
+    return _read_points(model, len(plates))
 
 
-def _guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
-    """(M, 2) features that are each other's nearest of those on the epipolar lines, clearly nearer than the next."""
+def _match_guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
+    """(M, 2) mutual nearest neighbours among the features near the epipolar lines that pass the ratio test."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.uint32)
     fundamental = fundamental_matrix(camera, other)
-    here, there = (np.column_stack([f.xy, np.ones(len(f.xy))]) for f in (first, second))
-    lines_there, lines_here = here @ fundamental.T, there @ fundamental
-    for lines in (lines_there, lines_here):
+    first_xy, second_xy = (np.column_stack([f.xy, np.ones(len(f.xy))]) for f in (first, second))
+    second_lines, first_lines = first_xy @ fundamental.T, second_xy @ fundamental
+    for lines in (second_lines, first_lines):
         lines /= np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12)[:, None]
-    likeness = first.descriptors @ second.descriptors.T
-    for a, b in ((lines_there, there), (here, lines_here)):
-        likeness[np.abs(a.astype(np.float32) @ b.astype(np.float32).T) > EPIPOLAR_PX] = -1
-    best = likeness.argmax(axis=1)
-    mutual = likeness.argmax(axis=0)[best] == np.arange(len(best))
-    nearest = np.partition(likeness, -2, axis=1)[:, -2:]
-    apart = np.sqrt(np.maximum(2 - 2 * nearest, 0))
-    kept = np.flatnonzero(mutual & (nearest[:, 1] > LEAST_LIKENESS) & (apart[:, 1] < RATIO * apart[:, 0]))
+    similarity = first.descriptors @ second.descriptors.T
+    for a, b in ((second_lines, second_xy), (first_xy, first_lines)):
+        similarity[np.abs(a.astype(np.float32) @ b.astype(np.float32).T) > EPIPOLAR_PX] = -1
+    best = similarity.argmax(axis=1)
+    mutual = similarity.argmax(axis=0)[best] == np.arange(len(best))
+    nearest = np.partition(similarity, -2, axis=1)[:, -2:]
+    distance = np.sqrt(np.maximum(2 - 2 * nearest, 0))
+    kept = np.flatnonzero(
+        mutual & (nearest[:, 1] > MIN_SIMILARITY) & (distance[:, 1] < RATIO_TEST_THRESHOLD * distance[:, 0])
+    )
     return np.column_stack([kept, best[kept]]).astype(np.uint32)
 
 
-def _known(store: Any, images: list[Any], cameras: Sequence[Camera]) -> Any:
-    """A reconstruction that has the cameras and no points; the database gets the intrinsics too."""
+def _known_cameras(store: Any, images: list[Any], cameras: Sequence[Camera]) -> Any:
+    """A COLMAP reconstruction with the cameras and no points; also writes the intrinsics to the database."""
     known = pycolmap.Reconstruction()
     for image, camera in zip(images, cameras, strict=True):
         lens = store.read_camera(image.camera_id)
         k = camera.intrinsics
-        # COLMAP's first pixel has its centre at (0.5, 0.5), as this project's has.
+        # COLMAP and this project both put the centre of the first pixel at (0.5, 0.5).
         lens.params = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
         store.update_camera(lens)
         known.add_camera_with_trivial_rig(lens)
@@ -131,12 +133,12 @@ def _options(seed: int) -> Any:
     options.fix_existing_frames = options.mapper.fix_existing_frames = True
     options.ba_refine_focal_length = options.ba_refine_principal_point = options.ba_refine_extra_params = False
     options.triangulation.ignore_two_view_tracks = False
-    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = LEAST_ANGLE_DEG
-    options.mapper.filter_max_reproj_error = MOST_ERROR_PX
+    options.triangulation.min_angle = options.mapper.filter_min_tri_angle = MIN_ANGLE_DEG
+    options.mapper.filter_max_reproj_error = MAX_ERROR_PX
     return options
 
 
-def _points(model: Any, plates: int) -> SparsePoints:
+def _read_points(model: Any, plates: int) -> SparsePoints:
     numbers = {identity: int(Path(image.name).stem) for identity, image in model.images.items()}
     points = [point for _, point in sorted(model.points3D.items())]
     seen = np.zeros((len(points), plates), bool)
