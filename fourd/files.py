@@ -65,14 +65,14 @@ def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
         path.unlink(missing_ok=True)
 
 
-def remove_unfinished_of(target: Path | str) -> None:
+def remove_unfinished_file(target: Path | str) -> None:
     """Remove what killed processes left of one file, beside others of which nothing is known."""
     target = Path(target)
     for path in target.parent.glob(f"{UNFINISHED}{glob.escape(target.stem)}-????????{glob.escape(target.suffix)}"):
         path.unlink(missing_ok=True)
 
 
-def is_new(folder: Path | str) -> bool:
+def is_unused(folder: Path | str) -> bool:
     """Whether a folder is not there, or holds no file but what killed processes left half-written."""
     folder = Path(folder)
     if not folder.is_dir():

@@ -25,18 +25,18 @@ LOOK_SECONDS = 0.2
 """Between two looks for results."""
 
 
-def cores() -> int:
+def core_count() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
+def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
     """Runs of neighbouring items, some for each worker."""
     length = max(1, min(LONGEST_BLOCK, len(items) // (3 * workers)))
     return [items[begin : begin + length] for begin in range(0, len(items), length)]
 
 
-def spread(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
+def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
     """Results of ``work`` on the jobs as they come, in any order; in this process where ``workers`` is 1.
 
     When the consumer stops or a job fails, the processes are ended, and they end by themselves when this one was

@@ -10,9 +10,9 @@ import pytest
 from fourd.files import (
     UNFINISHED,
     atomic_path,
-    is_new,
+    is_unused,
     remove_unfinished,
-    remove_unfinished_of,
+    remove_unfinished_file,
     write_text_atomically,
 )
 
@@ -41,16 +41,16 @@ def test_what_a_killed_process_leaves_is_known_and_removed(tmp_path: Path) -> No
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "deep" / "a.json") as temporary:
         assert temporary.name.startswith(UNFINISHED)
         assert temporary.suffix == ".json"
-        assert is_new(tmp_path)
+        assert is_unused(tmp_path)
         temporary.rename(temporary.with_name(f"{UNFINISHED}of-a-killed-process.json"))
     write_text_atomically(tmp_path / "whole", "")
-    assert not is_new(tmp_path)
+    assert not is_unused(tmp_path)
     remove_unfinished(tmp_path)
     assert len(list((tmp_path / "deep").iterdir())) == 1
     remove_unfinished(tmp_path, deep=True)
     assert sorted(path.name for path in tmp_path.rglob("*")) == ["deep", "whole"]
-    assert is_new(tmp_path / "nothing")
-    assert not is_new(tmp_path / "whole")
+    assert is_unused(tmp_path / "nothing")
+    assert not is_unused(tmp_path / "whole")
 
 
 def test_what_is_left_of_one_file_is_removed_alone(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_what_is_left_of_one_file_is_removed_alone(tmp_path: Path) -> None:
         with pytest.raises(FileNotFoundError), atomic_path(tmp_path / name) as temporary:
             ours = temporary.stem.rsplit("-", 1)[0]
             temporary.rename(temporary.with_name(f"{ours}-a_killed{temporary.suffix}"))
-    remove_unfinished_of(tmp_path / "scene.4dv")
+    remove_unfinished_file(tmp_path / "scene.4dv")
     left = [path.name for path in tmp_path.iterdir()]
     assert len(left) == 1
     assert left[0].startswith(f"{UNFINISHED}scene-2-")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fourd.parallel import blocks, spread
+from fourd.parallel import run_jobs, split_into_blocks
 
 PARENT = """
 import signal
@@ -51,21 +51,21 @@ def without_end(job: Path) -> Iterator[int]:
 
 
 def spread_for_ever(folder: str) -> None:
-    for _ in spread(without_end, [Path(folder), Path(folder)], 2):
+    for _ in run_jobs(without_end, [Path(folder), Path(folder)], 2):
         pass
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_all_results_come_once(workers: int) -> None:
     """Catches results that are lost at the end of a job, or told twice."""
-    jobs = blocks([*range(9)], 2)
-    assert sorted(spread(squares, [tuple(job) for job in jobs], workers)) == [number**2 for number in range(9)]
+    jobs = split_into_blocks([*range(9)], 2)
+    assert sorted(run_jobs(squares, [tuple(job) for job in jobs], workers)) == [number**2 for number in range(9)]
 
 
 def test_results_come_while_their_job_goes_on(tmp_path: Path) -> None:
     """Catches a bar that stands still for the length of a job and then leaps."""
     found = []
-    for place, result in enumerate(spread(in_turns, [tmp_path / "a", tmp_path / "a"], 2)):
+    for place, result in enumerate(run_jobs(in_turns, [tmp_path / "a", tmp_path / "a"], 2)):
         found.append(result)
         if place == 1:
             (tmp_path / "a").touch()
@@ -75,7 +75,7 @@ def test_results_come_while_their_job_goes_on(tmp_path: Path) -> None:
 def test_a_job_that_fails_is_told() -> None:
     """Catches a failure that is waited for without end, and mattes that are silently left out."""
     with pytest.raises(ValueError, match="-1 is negative"):
-        list(spread(squares, [(1,), (-1,), (2,)], 2))
+        list(run_jobs(squares, [(1,), (-1,), (2,)], 2))
 
 
 @pytest.mark.parametrize(("how", "tracebacks"), [(signal.SIGKILL, 0), (signal.SIGINT, 1)])

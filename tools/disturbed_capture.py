@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.calibration.perturbation import disturbed, pose_errors
+from fourd.calibration.perturbation import perturb_cameras, pose_errors
 from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, read_calibration, write_calibration
 
@@ -26,7 +26,7 @@ def make(capture: Path, out: Path, degrees: float, metres: float, seed: int) -> 
     for entry in sorted(capture.iterdir()):
         if entry.name not in (INTRINSICS_NAME, EXTRINSICS_NAME, ".fourd"):
             (out / entry.name).symlink_to(entry.resolve())
-    moved = disturbed(cameras_of(capture), degrees, metres, np.random.default_rng(seed))
+    moved = perturb_cameras(cameras_of(capture), degrees, metres, np.random.default_rng(seed))
     write_calibration(out, list(moved), list(moved.values()))
 
 

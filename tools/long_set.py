@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import open_capture, write_calibration
-from fourd.capture.layout import VIDEOS, evenly_spread
+from fourd.capture.layout import VIDEOS, sample_indices
 from fourd.files import atomic_path
 
 Picture = NDArray[np.uint8]
@@ -30,7 +30,7 @@ def main() -> None:
     """Write the set that the command line describes."""
     arguments = _parsed()
     names = open_capture(arguments.capture, mattes=False).names
-    chosen = [names[place] for place in evenly_spread(len(names), arguments.cameras)]
+    chosen = [names[place] for place in sample_indices(len(names), arguments.cameras)]
     whole = open_capture(arguments.capture, views=chosen, mattes=False)
     longest = max(max(camera.width, camera.height) for camera in whole.cameras)
     capture = open_capture(arguments.capture, views=chosen, mattes=False, scale=arguments.size / longest)

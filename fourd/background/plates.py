@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.capture import Capture, open_capture, read_calibration
 from fourd.capture.decoding import decode_alpha, decode_rgb
-from fourd.capture.layout import pictures
+from fourd.capture.layout import find_pictures
 from fourd.capture.reader import Footage, Mattes
 from fourd.errors import UserError
 from fourd.matting.plates import FOLDER
@@ -46,7 +46,7 @@ class PlateView:
 
 def has_plate(path: Path, name: str) -> bool:
     """Whether a capture's folder has a clean plate of a camera, brought or made."""
-    return name in pictures(path / USERS) or (path / FOLDER / f"{name}.png").exists()
+    return name in find_pictures(path / USERS) or (path / FOLDER / f"{name}.png").exists()
 
 
 def read_plates(
@@ -101,7 +101,7 @@ class _File:
 
 def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _File]:
     """Each camera's plate."""
-    brought = pictures(capture.path / USERS)
+    brought = find_pictures(capture.path / USERS)
     files = {}
     for name in names:
         made = folder / f"{name}.png"
@@ -139,7 +139,7 @@ class _Still:
     def read(self, frame: int) -> Picture:
         return self.picture
 
-    def place(self, frame: int) -> str:
+    def describe(self, frame: int) -> str:
         return str(self.path)
 
 
@@ -171,6 +171,6 @@ def _as_read(
     capture: Capture, name: str, lens: Camera, path: Path, rgb: Picture, matte: Picture
 ) -> tuple[Picture, Picture]:
     """A plate and a matte with the lens's distortion taken out as the capture takes it out of its frames."""
-    footage = Footage(_Still(path, rgb), Mattes(_Still(path, matte), made=False), (lens.width, lens.height))
+    footage = Footage(_Still(path, rgb), Mattes(_Still(path, matte), is_generated=False), (lens.width, lens.height))
     alone = Capture(capture.path, [name], [lens], [footage], ["plate"], [0], 1, scale=1.0, cache_mb=0)
     return alone.image(0, 0), alone.mask(0, 0)

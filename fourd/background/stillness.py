@@ -9,7 +9,7 @@ import numpy as np
 
 from fourd.background.plates import PlateView
 from fourd.capture import Capture
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import sample_indices
 
 FRAMES = 6
 """Compared of each camera, evenly over the capture."""
@@ -30,7 +30,9 @@ def restless(capture: Capture, cameras: Sequence[int], plates: Sequence[PlateVie
         cameras: indices of the cameras of ``plates``.
     """
     shares = {
-        plate.name: max(_changed(capture, camera, frame, plate) for frame in evenly_spread(capture.frame_count, FRAMES))
+        plate.name: max(
+            _changed(capture, camera, frame, plate) for frame in sample_indices(capture.frame_count, FRAMES)
+        )
         for camera, plate in zip(cameras, plates, strict=True)
     }
     return {name: share for name, share in shares.items() if share > RESTLESS}

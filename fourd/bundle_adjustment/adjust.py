@@ -25,9 +25,9 @@ from fourd.background.stereo.features import (
 from fourd.bundle_adjustment.solver import Prior, reprojection_errors_px, solve
 from fourd.bundle_adjustment.tracks import FrameMatches, Observations, build_tracks, triangulate_points
 from fourd.cameras import Camera
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import sample_indices
 from fourd.carving.mask_source import MaskSource
-from fourd.parallel import cores
+from fourd.parallel import core_count
 from fourd.progress import Track
 
 MAX_FRAMES = 2
@@ -71,7 +71,7 @@ def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, ba
     """
     given = tuple(capture.cameras[index] for index in cameras)
     frames = []
-    for frame in evenly_spread(capture.frame_count, MAX_FRAMES):
+    for frame in sample_indices(capture.frame_count, MAX_FRAMES):
         features = _frame_features(capture, cameras, frame, track)
         matches = {(i, j): match_features(features[i], features[j]) for i, j in pairs_to_match(given)}
         frames.append(FrameMatches(tuple(features), matches))
@@ -124,7 +124,7 @@ def _frame_features(capture: MaskSource, cameras: Sequence[int], frame: int, tra
         folder = Path(name)
         database = folder / "database.db"
         names = write_pictures(folder, views)
-        batch = cores()
+        batch = core_count()
         batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
         for some in track(batches, len(batches), "features"):
             extract_features(folder, database, some)

@@ -10,7 +10,7 @@ import numpy as np
 from fourd.calibration.ambiguities import matches_of_cameras
 from fourd.calibration.residuals import WORST_PX, residuals_of
 from fourd.capture.calibration import EXTRINSICS_NAME
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import sample_indices
 from fourd.capture.reader import open_capture
 from fourd.progress import Track
 
@@ -51,7 +51,7 @@ def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     scale = min(1.0, float(np.sqrt(min(MOST_PIXELS, ALL_PIXELS / len(whole.cameras)) / largest)))
     capture = whole if scale == 1 else open_capture(path, scale=scale)
     is_few = len(capture.cameras) <= FEW_CAMERAS
-    frames = evenly_spread(capture.frame_count, FEW_FRAMES) if is_few else [capture.frame_count // 2]
+    frames = sample_indices(capture.frame_count, FEW_FRAMES) if is_few else [capture.frame_count // 2]
     pictures = [[capture.image(camera, frame) for camera in range(len(capture.cameras))] for frame in frames]
     matches = matches_of_cameras(pictures, capture.cameras, track)
     found = residuals_of(matches, capture.cameras)

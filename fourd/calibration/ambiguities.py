@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from fourd.calibration.image_sizes import SizeChoice, black_borders, pick_size, size_hypotheses
 from fourd.calibration.matching import Matches, supported, undistorted
 from fourd.calibration.plane_matching import Patch, flat_matches
-from fourd.calibration.principal_points import MOST_COMBINATIONS, MirrorChoice, centre_hypotheses, pick_centres
+from fourd.calibration.principal_points import MOST_COMBINATIONS, MirrorChoice, pick_centres, principal_point_hypotheses
 from fourd.calibration.residuals import LEAST_MATCHES, LEAST_PAIRS, WORST_PX, Pair, matched_pairs, residuals_of
 from fourd.cameras import Camera
-from fourd.capture.check import nearest_to_axes
+from fourd.capture.focus import find_focus
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
@@ -107,7 +107,7 @@ def _grounds(lenses: Sequence[Camera]) -> list[Patch]:
     """Squares of ground to look at; none where the world is not in metres with z up."""
     apart = [float(np.linalg.norm(a.centre - b.centre)) for a, b in combinations(lenses, 2)]
     up = float(np.mean([-lens.rotation[1, 2] for lens in lenses]))
-    focus = nearest_to_axes(list(lenses))
+    focus = find_focus(list(lenses))
     if focus is None or not apart or not (METRIC[0] <= min(apart) and max(apart) <= METRIC[1] and up >= UPRIGHT):
         return []
     distances = [float(np.linalg.norm(lens.centre - focus)) for lens in lenses]
@@ -217,7 +217,7 @@ def _size(
         # Mirrored principal points drown what the sizes differ by: without them it may be clear.
         mirrors = _mirrors(matches, choice.lenses)
         if mirrors is not None and mirrors.is_clear:
-            mended = [centre_hypotheses(lens)[name] for lens, name in zip(lenses, mirrors.names, strict=True)]
+            mended = [principal_point_hypotheses(lens)[name] for lens, name in zip(lenses, mirrors.names, strict=True)]
             again = pick_size(matches, mended, sizes, borders)
             choice = again if again.is_clear else choice
     if not choice.is_clear:

@@ -29,7 +29,7 @@ def pose_errors(truth: Mapping[str, Camera], cameras: Mapping[str, Camera]) -> d
     return {name: _error(truth[name], moved[name]) for name in cameras}
 
 
-def disturbed(
+def perturb_cameras(
     cameras: Mapping[str, Camera], degrees: float, distance: float, rng: np.random.Generator
 ) -> dict[str, Camera]:
     """Each camera turned about its centre by ``degrees`` and moved by ``distance`` world units, both any way."""

@@ -48,7 +48,7 @@ class MirrorChoice:
     is_clear: bool
 
 
-def centre_hypotheses(lens: Camera) -> dict[str, Camera]:
+def principal_point_hypotheses(lens: Camera) -> dict[str, Camera]:
     """The camera with its principal point as given and mirrored about the picture's middle, by name."""
     found = {}
     for name, x, y in (
@@ -75,7 +75,7 @@ def pick_centres(matches: Mapping[Pair, Matches], lenses: Sequence[Camera]) -> M
     """
     if 4 ** len(lenses) > MOST_COMBINATIONS:
         raise ValueError(f"lenses: expected at most 5 cameras, got {len(lenses)}; take a part of them")
-    options = [centre_hypotheses(lens) for lens in lenses]
+    options = [principal_point_hypotheses(lens) for lens in lenses]
     given = residuals_of(matches, lenses)
     if not given.pairs:
         raise ValueError("matches: expected a pair of cameras with at least 8, got none; add frames or other matches")

@@ -14,15 +14,16 @@ import numpy as np
 from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, survey_calibration
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
+from fourd.capture.focus import find_focus
 from fourd.capture.layout import (
     MATTES,
     VIDEOS,
     camera_folders,
+    find_pictures,
+    find_videos,
     frame_name,
     frame_order,
     missing_frame,
-    pictures,
-    videos_in,
 )
 from fourd.capture.video_list import Video, common_frames, list_videos
 from fourd.errors import UserError
@@ -35,9 +36,6 @@ NO_OBJECT = 1e-4
 ALL_OBJECT = 0.98
 FAR_OFF = 0.5
 """A camera whose axis misses the common focus by more than this share of its distance looks elsewhere."""
-
-PARALLEL = 1e-4
-"""Mean squared sine of the axes to a common direction, below which they meet nowhere that can be told: 0.6 degrees."""
 
 Track = Callable[[Sequence[Path]], Iterable[Path]]
 
@@ -107,9 +105,9 @@ class _Check:
         if has_videos:
             stems = self._video_frames(names, calibrations)
         else:
-            images = {name: self._try(pictures, images_folder / name) for name in names}
+            images = {name: self._try(find_pictures, images_folder / name) for name in names}
             stems = frame_order(set().union(*(found for found in images.values() if found)))
-        masks = {name: self._try(pictures, masks_folder / name) for name in names}
+        masks = {name: self._try(find_pictures, masks_folder / name) for name in names}
         has_masks = any(masks.values())
         for name, found in images.items():
             self._files(images_folder / name, found, stems)
@@ -154,7 +152,7 @@ class _Check:
         place = VIDEOS if has_videos else "images"
         folders = camera_folders(self.path / place)
         if has_videos:
-            folders = sorted(self._try(videos_in, self.path / place) or {})
+            folders = sorted(self._try(find_videos, self.path / place) or {})
         if not folders:
             self.problems.append(f"{self.path / place}: expected a folder of pictures for each camera, got none")
         for name in folders if calibrated else []:
@@ -270,7 +268,7 @@ class _Check:
         for name, camera in cameras.items():
             if twins[tuple(np.round(camera.centre, 6))] > 1:
                 self.warnings.append(f"{self.path / 'extri.yml'}: camera '{name}' stands where another one does")
-        focus = nearest_to_axes(list(cameras.values()))
+        focus = find_focus(list(cameras.values()))
         if focus is None:
             return 0.0
         for name, camera in cameras.items():
@@ -288,16 +286,7 @@ def _is_distorted(calibration: Calibration) -> bool:
     return calibration.distortion is not None and bool(calibration.distortion.any())
 
 
-def nearest_to_axes(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """(3,) point nearest to the cameras' optical axes, in the least-squares sense; None where these are parallel."""
-    across = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
-    if np.linalg.eigvalsh(np.mean(across, axis=0))[0] < PARALLEL:
-        return None
-    right = sum((p @ camera.centre for p, camera in zip(across, cameras, strict=True)), np.zeros(3))
-    return np.linalg.lstsq(np.sum(across, axis=0), right, rcond=None)[0]
-
-
-def shown(lines: Sequence[str], most: int) -> Iterator[str]:
+def first_lines(lines: Sequence[str], most: int) -> Iterator[str]:
     """The first ``most`` lines, and how many more there are."""
     yield from lines[:most]
     if len(lines) > most:

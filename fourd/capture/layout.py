@@ -32,7 +32,7 @@ def camera_folders(folder: Path) -> list[str]:
     return sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith("."))
 
 
-def pictures(folder: Path) -> dict[str, str]:
+def find_pictures(folder: Path) -> dict[str, str]:
     """File names of a camera's pictures by stem, which is the frame's name.
 
     Raises:
@@ -51,7 +51,7 @@ def pictures(folder: Path) -> dict[str, str]:
     return found
 
 
-def videos_in(folder: Path) -> dict[str, Path]:
+def find_videos(folder: Path) -> dict[str, Path]:
     """Videos of ``folder`` by their names without suffix, sorted.
 
     Raises:
@@ -92,7 +92,7 @@ def refuse_symlinks(capture: Path, folder: Path) -> None:
         )
 
 
-def evenly_spread(count: int, most: int) -> list[int]:
+def sample_indices(count: int, most: int) -> list[int]:
     """At most ``most`` positions of ``count``, evenly from the first to the last."""
     return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})
 
@@ -123,7 +123,7 @@ def missing_frame(folder: Path, found: dict[str, str], frames: Sequence[str]) ->
     )
 
 
-def chosen_frames(text: str | None, count: int) -> range:
+def parse_frame_range(text: str | None, count: int) -> range:
     """``A:B[:S]`` as Python slices it (from A, up to but without B, every S-th), within ``count`` frames.
 
     Raises:
@@ -146,7 +146,7 @@ def chosen_frames(text: str | None, count: int) -> range:
     return range(count)[slice(*numbers)]
 
 
-def chosen_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
+def select_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
     """The cameras asked for, in the order of ``names``; all for None.
 
     Raises:

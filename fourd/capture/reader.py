@@ -15,19 +15,19 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, read_calibration
+from fourd.capture.camera_frames import CameraFrames, Picture, PictureFrames, VideoFrames
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
-from fourd.capture.frame_sources import FrameSource, Picture, PictureSource, VideoSource
 from fourd.capture.layout import (
     MATTES,
     VIDEOS,
     camera_folders,
-    chosen_frames,
-    chosen_views,
+    find_pictures,
+    find_videos,
     frame_name,
     frame_order,
     missing_frame,
-    pictures,
-    videos_in,
+    parse_frame_range,
+    select_views,
 )
 from fourd.capture.video import VideoReader
 from fourd.capture.video_list import Video, common_frames, list_videos
@@ -43,15 +43,15 @@ class Mattes:
         made: whether fourd made them: these hold the pixels of the undistorted pictures.
     """
 
-    source: FrameSource
-    made: bool
+    frames: CameraFrames
+    is_generated: bool
 
 
 @dataclass(frozen=True)
 class Footage:
     """A camera's selected frames; mattes is None where the capture has none of it."""
 
-    images: FrameSource
+    images: CameraFrames
     mattes: Mattes | None
     size: tuple[int, int]
 
@@ -97,7 +97,7 @@ class Capture:
         self._cache = _Cache((cache_mb << 20) + cache_frames * frame_bytes)
 
     @property
-    def lenses(self) -> tuple[Camera, ...]:
+    def distorted_cameras(self) -> tuple[Camera, ...]:
         """The cameras as the files' pictures have them: at full size, with distortion."""
         return self._lenses
 
@@ -135,16 +135,16 @@ class Capture:
                 f"make them: fourd matte {self.path}"
             )
         return self._cache.get(
-            ("matte", camera, frame), lambda: self._pinhole(mattes.source, camera, frame, mattes.made)
+            ("matte", camera, frame), lambda: self._pinhole(mattes.frames, camera, frame, mattes.is_generated)
         )
 
-    def _pinhole(self, source: FrameSource, index: int, frame: int, undistorted: bool = False) -> Picture:
+    def _pinhole(self, source: CameraFrames, index: int, frame: int, undistorted: bool = False) -> Picture:
         picture = source.read(frame)
         lens, camera = self._lenses[index], self.cameras[index]
         height, width = picture.shape[:2]
         if (width, height) != (lens.width, lens.height):
             raise UserError(
-                f"{source.place(frame)}: expected {lens.width} x {lens.height} pixels, as camera "
+                f"{source.describe(frame)}: expected {lens.width} x {lens.height} pixels, as camera "
                 f"'{self.names[index]}' has, got {width} x {height}; export it again at that size"
             )
         if lens.distortion is not None and not undistorted:
@@ -197,13 +197,13 @@ def open_capture(
     names = _usable_names(path, calibrations, views)
     if camera_folders(path / "images"):
         stems = _picture_frames(path, names)
-        selected = chosen_frames(frames, len(stems))
+        selected = parse_frame_range(frames, len(stems))
         chosen = [stems[number] for number in selected]
         footage = [_of_pictures(path, name, chosen) for name in names]
     else:
         videos = list_videos(path, names)
         stems = _video_frames(path, videos)
-        selected = chosen_frames(frames, len(stems))
+        selected = parse_frame_range(frames, len(stems))
         chosen = [stems[number] for number in selected]
         footage = [_of_video(videos[name], selected) for name in names]
     if mattes:
@@ -221,7 +221,7 @@ def open_capture(
 
 def _picture_frames(path: Path, names: Sequence[str]) -> list[str]:
     """Names of all frames that any camera has a picture of, in order."""
-    found = {name: pictures(path / "images" / name) for name in names}
+    found = {name: find_pictures(path / "images" / name) for name in names}
     for name in names:
         if not found[name]:
             raise UserError(f"{path / 'images' / name}: expected pictures (FRAME.jpg or .png), got none; restore them")
@@ -230,12 +230,12 @@ def _picture_frames(path: Path, names: Sequence[str]) -> list[str]:
 
 def _of_pictures(path: Path, name: str, chosen: Sequence[str]) -> Footage:
     folder = path / "images" / name
-    found = pictures(folder)
+    found = find_pictures(folder)
     error = missing_frame(folder, found, chosen)
     if error is not None:
         raise error
     images = [folder / found[stem] for stem in chosen]
-    return Footage(PictureSource(images, decode_rgb), None, picture_size(images[0]))
+    return Footage(PictureFrames(images, decode_rgb), None, picture_size(images[0]))
 
 
 def _video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
@@ -248,14 +248,14 @@ def _video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
 
 def _of_video(video: Video, selected: range) -> Footage:
     numbers = [number + video.offset for number in selected]
-    images = VideoSource(VideoReader(video.path, video.index), numbers)
+    images = VideoFrames(VideoReader(video.path, video.index), numbers)
     return Footage(images, None, (video.index.width, video.index.height))
 
 
 def _mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
     """The user's mattes of the chosen frames, or else those that fourd made."""
     for folder, made in ((path / "masks" / name, False), (path / MATTES / name, True)):
-        files = pictures(folder)
+        files = find_pictures(folder)
         if files:
             error = missing_frame(folder, files, chosen)
             if error is not None and made:
@@ -265,7 +265,7 @@ def _mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
                 ) from error
             if error is not None:
                 raise error
-            return Mattes(PictureSource([folder / files[stem] for stem in chosen], decode_matte), made)
+            return Mattes(PictureFrames([folder / files[stem] for stem in chosen], decode_matte), made)
     return None
 
 
@@ -274,9 +274,9 @@ def _usable_names(path: Path, calibrations: dict[str, Calibration], views: Seque
     folders = camera_folders(path / "images")
     place = "images"
     if not folders and (path / VIDEOS).is_dir():
-        folders, place = list(videos_in(path / VIDEOS)), VIDEOS
+        folders, place = list(find_videos(path / VIDEOS)), VIDEOS
     everyone = list(calibrations) + [name for name in folders if name not in calibrations]
-    names = chosen_views(views, everyone)
+    names = select_views(views, everyone)
     for name in names:
         if name not in calibrations:
             raise UserError(

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from fourd.capture.layout import VIDEOS, camera_folders, refuse_symlinks, videos_in
+from fourd.capture.layout import VIDEOS, camera_folders, find_videos, refuse_symlinks
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_list import KEPT, NAME, entry_of, is_of, listed, read_entries, write_entries
 from fourd.progress import Track
@@ -46,5 +46,5 @@ def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> N
     if camera_folders(capture / "images") or not os.access(capture, os.W_OK):
         return
     known = read_entries(capture / NAME)
-    files = {name: path for name, path in videos_in(capture / VIDEOS).items() if name not in known}
+    files = {name: path for name, path in find_videos(capture / VIDEOS).items() if name not in known}
     kept_indices({name: path for name, path in files.items() if names is None or name in names}, capture, track)

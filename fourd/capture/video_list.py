@@ -9,7 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from fourd.capture.layout import VIDEOS, videos_in
+from fourd.capture.layout import VIDEOS, find_videos
 from fourd.capture.video import VideoIndex, index_video
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
@@ -54,7 +54,7 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
     Raises:
         UserError: when two videos have one name, videos.json is damaged, or a video cannot be used.
     """
-    files = videos_in(capture / VIDEOS)
+    files = find_videos(capture / VIDEOS)
     listing, kept = capture / NAME, capture / KEPT
     known, spare = read_entries(listing), read_entries(kept)
     wanted = files if names is None else [name for name in names if name in files]

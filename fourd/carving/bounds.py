@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Array, Camera
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import sample_indices
 from fourd.carving.hull import Silhouettes, refine, root_cells, view_distance
 from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
@@ -91,7 +91,7 @@ def find_bounds(
     Raises:
         UserError: if the hull of a frame is empty; names the views that disagree most.
     """
-    frames = evenly_spread(capture.frame_count, max_frames)
+    frames = sample_indices(capture.frame_count, max_frames)
     box: Bounds | None = None
     for frame in track(frames, len(frames), "bounds"):
         hull = hull_bounds(

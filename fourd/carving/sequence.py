@@ -21,7 +21,7 @@ from fourd.carving.colour import colour_points
 from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 from fourd.files import remove_unfinished, write_text_atomically
-from fourd.parallel import blocks, spread
+from fourd.parallel import run_jobs, split_into_blocks
 from fourd.ply import read_ply, write_ply
 from fourd.progress import Track, untracked
 
@@ -205,8 +205,8 @@ def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
     if workers == 1 or (monotonic() - start) * len(missing) < MIN_PARALLEL_SECONDS:
         yield from _carve_frames(replace(job, frames=tuple(missing)))
     else:
-        jobs = [replace(job, frames=tuple(block)) for block in blocks(missing, workers)]
-        yield from spread(_carve_frames, jobs, workers)
+        jobs = [replace(job, frames=tuple(block)) for block in split_into_blocks(missing, workers)]
+        yield from run_jobs(_carve_frames, jobs, workers)
 
 
 def _carve_frames(job: _Job) -> Iterator[Corners]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from fourd.calibration.ambiguities import Centres, settle
 from fourd.calibration.scale import Board, Distance, calibrated, gauged
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
-from fourd.capture.layout import DERIVED, evenly_spread, refuse_symlinks
+from fourd.capture.layout import DERIVED, refuse_symlinks, sample_indices
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_index import kept_indices
 from fourd.errors import UserError
@@ -191,7 +191,7 @@ def _with_lenses(
     names = [camera.name for camera in imported.cameras]
     with Moments(imported.cameras, indices, offsets) as moments:
         few = len(names) <= FEW_CAMERAS
-        frames = evenly_spread(moments.count, MOST_MOMENTS if few and not needs_calibration else 1)
+        frames = sample_indices(moments.count, MOST_MOMENTS if few and not needs_calibration else 1)
         pictures = [moments.pictures(frame) for frame in track(frames, len(frames), "frames")]
     first = dict(zip(names, pictures[0], strict=True))
     if needs_calibration:

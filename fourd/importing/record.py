@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fourd.errors import UserError
-from fourd.files import is_new, write_text_atomically
+from fourd.files import is_unused, write_text_atomically
 from fourd.importing.formats.imported import EncodedPictures, Imported, PictureFiles
 
 RECORD = Path(".fourd") / "import.json"
@@ -49,7 +49,7 @@ def read_record(out: Path) -> ImportRecord | None:
     Raises:
         UserError: when ``out`` is a file, or holds something that no import wrote.
     """
-    if is_new(out):
+    if is_unused(out):
         return None
     path = out / RECORD
     if not path.is_file():

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.capture.camera_frames import CameraFrames, PictureFrames, VideoFrames
 from fourd.capture.decoding import decode_rgb, decode_rgb_bytes
-from fourd.capture.frame_sources import FrameSource, PictureSource, VideoSource
 from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import aligned
 from fourd.errors import UserError
@@ -20,16 +20,16 @@ Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class EncodedSource:
+class EncodedFrames:
     """Pictures that lie encoded within another file."""
 
     frames: EncodedPictures
 
     def read(self, frame: int) -> Picture:
         """(H, W, 3) uint8 RGB, as stored. Raises UserError unless it is a whole JPEG or PNG."""
-        return decode_rgb_bytes(self.frames.read(frame), self.place(frame))
+        return decode_rgb_bytes(self.frames.read(frame), self.describe(frame))
 
-    def place(self, frame: int) -> str:
+    def describe(self, frame: int) -> str:
         """What to name in a message about a frame."""
         return f"frame {frame}{self.frames.suffix}"
 
@@ -74,11 +74,11 @@ class Moments:
         """The pictures of all cameras at one frame."""
         return [source.read(frame) for source in self._sources]
 
-    def _opened(self, frames: Frames, index: VideoIndex | None, late: int) -> tuple[FrameSource, int]:
+    def _opened(self, frames: Frames, index: VideoIndex | None, late: int) -> tuple[CameraFrames, int]:
         if isinstance(frames, PictureFiles):
-            return PictureSource(frames.paths, decode_rgb), len(frames.paths)
+            return PictureFrames(frames.paths, decode_rgb), len(frames.paths)
         if isinstance(frames, EncodedPictures):
-            return EncodedSource(frames), frames.count
+            return EncodedFrames(frames), frames.count
         assert index is not None
         reader = self._open.enter_context(VideoReader(frames.path, index))
-        return VideoSource(reader, range(late, index.frames)), index.frames - late
+        return VideoFrames(reader, range(late, index.frames)), index.frames - late

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import sample_indices
 from fourd.files import write_bytes_atomically
 from fourd.progress import Track, untracked
 
@@ -61,8 +61,8 @@ def contact_sheet(
     """
     if moments < 1:
         raise ValueError(f"moments: expected at least 1, got {moments}")
-    chosen = evenly_spread(len(capture.names), MOST_CAMERAS) if cameras is None else list(cameras)
-    frames = evenly_spread(capture.frame_count, moments)
+    chosen = sample_indices(len(capture.names), MOST_CAMERAS) if cameras is None else list(cameras)
+    frames = sample_indices(capture.frame_count, moments)
     flat = _flat_colour(capture, chosen, frames)
     rows = [_row(capture, camera, frames, flat) for camera in track(chosen, len(chosen), "sheet")]
     width = max(LEAST_WIDTH, *(row.shape[1] for row in rows))

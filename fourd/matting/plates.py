@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import MATTES, evenly_spread, refuse_symlinks
+from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.selection import Selection
-from fourd.parallel import spread
+from fourd.parallel import run_jobs
 from fourd.progress import Track
 
 Floats = NDArray[np.float32]
@@ -102,7 +102,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
     keys = {name: _camera_key(capture, name, key) for name in capture.names}
     missing = [name for name in capture.names if done.get(name) != keys[name] or not (folder / f"{name}.png").exists()]
     jobs = [_Job(selection, name, folder) for name in missing]
-    for name in track(spread(_plate, jobs, workers), len(jobs), "plates"):
+    for name in track(run_jobs(_plate, jobs, workers), len(jobs), "plates"):
         done[name] = keys[name]
         write_text_atomically(state, json.dumps(done, sort_keys=True) + "\n")
     return len(missing)
@@ -111,7 +111,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
 def _camera_key(capture: Capture, name: str, key: str) -> str:
     """A hash of ``key`` and of the mattes that the camera's plate is made by, which a person may mend."""
     digest = hashlib.sha256(key.encode())
-    for frame in evenly_spread(capture.frame_count, MOST_FRAMES):
+    for frame in sample_indices(capture.frame_count, MOST_FRAMES):
         for folder in (Path("masks"), MATTES):
             matte = capture.path / folder / name / f"{capture.frame_names[frame]}.png"
             if matte.exists():
@@ -166,7 +166,7 @@ def _weighed(capture: Capture, index: int) -> Iterator[tuple[Floats, Floats]]:
     margin = max(1, round(MARGIN * max(camera.width, camera.height)))
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     reference: Picture | None = None
-    for frame in evenly_spread(capture.frame_count, MOST_FRAMES):
+    for frame in sample_indices(capture.frame_count, MOST_FRAMES):
         rgb = capture.image(index, frame)
         weight = (1 - cv2.dilate(capture.mask(index, frame), square) / np.float32(255)).astype(np.float32)
         reference = rgb if reference is None else reference

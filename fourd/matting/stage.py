@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import MATTES, evenly_spread, refuse_symlinks
+from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, given_screen
@@ -25,7 +25,7 @@ from fourd.matting.motion.saved_model import load_matter, save_subject
 from fourd.matting.motion.subject import learn_subject
 from fourd.matting.rvm import load_rvm
 from fourd.matting.selection import Selection
-from fourd.parallel import blocks, spread
+from fourd.parallel import run_jobs, split_into_blocks
 from fourd.progress import Track
 
 Picture = NDArray[np.uint8]
@@ -91,8 +91,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         by = folder.parent / LEARNED
         if not by.exists():
             _learn(capture, settings, by, track)
-    jobs = [_Job(selection, by, folder, tuple(block)) for block in blocks(missing, workers)]
-    for _ in track(spread(_mattes, jobs, workers), len(missing), "mattes"):
+    jobs = [_Job(selection, by, folder, tuple(block)) for block in split_into_blocks(missing, workers)]
+    for _ in track(run_jobs(_mattes, jobs, workers), len(missing), "mattes"):
         pass
     return len(missing)
 
@@ -146,7 +146,7 @@ def _screens(capture: Capture, settings: MatteSettings, track: Track) -> tuple[S
     numbers = range(len(capture.names))
     if settings.screen is not None:
         return tuple(given_screen(settings.screen) for _ in numbers)
-    frames = evenly_spread(capture.frame_count, SCREEN_FRAMES)
+    frames = sample_indices(capture.frame_count, SCREEN_FRAMES)
     return tuple(
         find_screen([capture.image(index, frame) for frame in frames])
         for index in track(numbers, len(numbers), "screens")

@@ -18,7 +18,7 @@ from fourd.capture.check import check_capture
 from fourd.capture.layout import VIDEOS, camera_folders
 from fourd.capture.video_index import index_capture
 from fourd.errors import UserError
-from fourd.files import is_new, remove_unfinished, remove_unfinished_of, write_text_atomically
+from fourd.files import is_unused, remove_unfinished, remove_unfinished_file, write_text_atomically
 from fourd.importing.importer import ImportOptions, import_source, pick_format
 from fourd.matting.prepare import make_all
 from fourd.matting.selection import Selection
@@ -109,11 +109,11 @@ def make_scene(
     redoes the stages that depend on it; an interrupted one goes on where it stopped.
     """
     work = out.with_suffix(".work")
-    if not (work / "stages.json").exists() and not is_new(work):
+    if not (work / "stages.json").exists() and not is_unused(work):
         raise UserError(f"{work}: expected a folder made by fourd make, got another; move it or choose another -o")
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
-    remove_unfinished_of(out)
+    remove_unfinished_file(out)
     stages, run = Stages(work, console), work / "run"
     capture, inputs = _prepared(stages, capture, settings, train)
     carve_key = _seeded(stages, capture, run, settings, train, inputs)

@@ -1,5 +1,5 @@
 """A synthetic capture with truth: an articulated, textured figure that runs within a ring of cameras."""
 
-from fourd.synth.generate import Settings, is_finished, make_synthetic
+from fourd.synth.generate import SynthSettings, is_finished, make_synthetic
 
-__all__ = ["Settings", "is_finished", "make_synthetic"]
+__all__ = ["SynthSettings", "is_finished", "make_synthetic"]

@@ -35,7 +35,7 @@ FILLED = 0.9
 
 
 @dataclass(frozen=True)
-class Settings:
+class SynthSettings:
     """What decides every byte of a synthetic capture.
 
     Attributes:
@@ -76,13 +76,13 @@ def make_synthetic(
 
     Args:
         out: a folder that is missing, empty, or a synthetic capture.
-        frames, cameras, size, seed, gloss: see :class:`Settings`.
+        frames, cameras, size, seed, gloss: see :class:`SynthSettings`.
 
     Raises:
         UserError: when a number is out of its range or ``out`` holds something else.
     """
     out = Path(out)
-    settings = Settings(frames, cameras, size, seed, gloss)
+    settings = SynthSettings(frames, cameras, size, seed, gloss)
     if is_finished(out, settings):
         return
     _prepare(out)
@@ -106,7 +106,7 @@ def make_synthetic(
     _mark(out, settings, finished=True)
 
 
-def is_finished(out: Path | str, settings: Settings) -> bool:
+def is_finished(out: Path | str, settings: SynthSettings) -> bool:
     """Whether ``out`` holds the whole capture of these settings already."""
     return _marker(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
 
@@ -120,7 +120,7 @@ def _marker(out: Path) -> dict[str, object] | None:
     return content if isinstance(content, dict) and "version" in content else None
 
 
-def _mark(out: Path, settings: Settings, *, finished: bool) -> None:
+def _mark(out: Path, settings: SynthSettings, *, finished: bool) -> None:
     content = {"version": VERSION, **asdict(settings), "finished": finished}
     write_text_atomically(out / MARKER, json.dumps(content, indent=1) + "\n")
 
@@ -144,7 +144,7 @@ def _phase(frame: int, frames: int) -> float:
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 
-def _ring(figure: Figure, settings: Settings) -> list[Camera]:
+def _ring(figure: Figure, settings: SynthSettings) -> list[Camera]:
     """Cameras that look at the figure's middle; one focal length, the longest that never cuts the figure."""
     unit = np.eye(3)
     poses = [pose(figure, step / 48) for step in range(48)]
@@ -174,7 +174,7 @@ def _ring(figure: Figure, settings: Settings) -> list[Camera]:
 
 
 def _write_camera(
-    out: Path, name: str, camera: Camera, figure: Figure, settings: Settings, advance: Callable[[], None]
+    out: Path, name: str, camera: Camera, figure: Figure, settings: SynthSettings, advance: Callable[[], None]
 ) -> None:
     """Every frame of one camera, and its plate."""
     plate = render_plate(camera, 2 * np.pi * figure.start)

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from fourd.background.contraction import Contraction, around_cameras
 from fourd.capture import Capture, open_capture
-from fourd.capture.layout import chosen_views
+from fourd.capture.layout import select_views
 from fourd.carving import Bounds, carve_capture
 from fourd.configs import load_overlay, save_config
 from fourd.errors import UserError
@@ -328,7 +328,7 @@ def _open_views(path: Path, train: TrainConfig, run: Path | None = None) -> tupl
     """The capture's selection, with the cameras that the run in folder ``run`` begins with, and who is held out."""
     views = list(train.views) if train.views is not None else None
     capture = open_capture(path, views=views, frames=train.frames, scale=train.image_scale, cache_mb=DECODED_MB)
-    held_out = chosen_views(train.test_views, capture.names, "--test-views") if train.test_views else []
+    held_out = select_views(train.test_views, capture.names, "--test-views") if train.test_views else []
     test = [capture.names.index(name) for name in held_out]
     training = [index for index in range(len(capture.names)) if index not in test]
     if len(training) < 2:

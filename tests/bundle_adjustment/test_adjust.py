@@ -12,7 +12,7 @@ from fourd.background.stereo.features import Features
 from fourd.bundle_adjustment.adjust import adjust_cameras, adjust_to_matches
 from fourd.bundle_adjustment.solver import Prior
 from fourd.bundle_adjustment.tracks import FrameMatches
-from fourd.calibration.perturbation import disturbed, pose_errors
+from fourd.calibration.perturbation import perturb_cameras, pose_errors
 from fourd.cameras import Camera
 from fourd.progress import untracked
 from tests.calibration.rooms import Room, room_cameras
@@ -53,7 +53,7 @@ def _means(truth: list[Camera], cameras: list[Camera] | tuple[Camera, ...]) -> t
 def test_adjustment_reduces_pose_errors(rng: np.random.Generator) -> None:
     """Catches wrong Jacobians, sensitivity to wrong matches, and gauge drift in spite of the prior."""
     truth = ring_cameras(10, 512)
-    given = list(disturbed(_named(truth), 0.5, 0.01, rng).values())
+    given = list(perturb_cameras(_named(truth), 0.5, 0.01, rng).values())
     found = adjust_to_matches(given, [_frame_matches(truth, rng, wrong=0.15)], _prior(given, 0.002), 0.03)
     before, after = _means(truth, given), _means(truth, found.cameras)
     assert after[0] < 0.25 * before[0]
@@ -68,7 +68,7 @@ def test_adjustment_reduces_pose_errors(rng: np.random.Generator) -> None:
 def test_fixed_parameters_stay_fixed(rng: np.random.Generator) -> None:
     """Catches focal lengths that change if only poses are refined, and poses that change if only focal lengths are."""
     truth = ring_cameras(8, 256)
-    given = list(disturbed(_named(truth), 0.3, 0.005, rng).values())
+    given = list(perturb_cameras(_named(truth), 0.3, 0.005, rng).values())
     frame = _frame_matches(truth, rng, wrong=0.0)
     poses = adjust_to_matches(given, [frame], _prior(given, 0.0), 0.03).cameras
     assert all(np.array_equal(now.intrinsics, was.intrinsics) for now, was in zip(poses, given, strict=True))
@@ -120,7 +120,7 @@ def test_adjustment_from_pictures_of_a_room() -> None:
     truth = room_cameras(5, 320, 240)
     room = Room(rng)
     pictures = tuple(room.picture(camera) for camera in truth)
-    given = list(disturbed(_named(truth), 0.5, 0.01, rng).values())
+    given = list(perturb_cameras(_named(truth), 0.5, 0.01, rng).values())
     found = adjust_cameras(_RoomCapture(tuple(given), pictures), range(5), _prior(given, 0.0), 0.03, untracked)
     assert _means(truth, found.cameras)[0] < 0.4 * _means(truth, given)[0]
     assert found.after_px < 0.6

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fourd.calibration.image_sizes import Borders, black_borders, pick_size, size_hypotheses
 from fourd.calibration.matching import Matches, distorted
 from fourd.calibration.plane_matching import Patch, flat_matches
-from fourd.calibration.principal_points import centre_hypotheses, pick_centres
+from fourd.calibration.principal_points import pick_centres, principal_point_hypotheses
 from fourd.calibration.residuals import Pair, epipolar_distances
 from fourd.cameras import Camera
 from fourd.importing.formats.qualisys import read_lenses
@@ -115,7 +115,7 @@ def test_mirrored_principal_points_are_found(rng: np.random.Generator) -> None:
     assert set(fine.names) == {"as given"}
     assert fine.is_clear
     names = ("mirrored x", "mirrored y", "as given", "mirrored both")
-    wrong = [centre_hypotheses(lens)[name] for lens, name in zip(lenses, names, strict=True)]
+    wrong = [principal_point_hypotheses(lens)[name] for lens, name in zip(lenses, names, strict=True)]
     found = pick_centres(matches, wrong)
     assert found.names == names
     assert found.is_clear
@@ -165,7 +165,7 @@ def test_the_real_recording_was_letterboxed_and_its_calibration_mirrored() -> No
     assert centres.is_clear
     assert centres.given_px > 10
     assert centres.chosen_px < 1
-    mended = [centre_hypotheses(lens)[name] for lens, name in zip(lenses, centres.names, strict=True)]
+    mended = [principal_point_hypotheses(lens)[name] for lens, name in zip(lenses, centres.names, strict=True)]
     by_residuals = pick_size(matches, mended, sizes)
     assert by_residuals.name == "letterboxed"
     both = pick_size(matches, mended, sizes, borders)

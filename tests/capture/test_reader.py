@@ -14,7 +14,8 @@ import pytest
 
 from fourd.cameras import Camera
 from fourd.capture import open_capture, read_calibration, write_calibration
-from fourd.capture.check import check_capture, nearest_to_axes
+from fourd.capture.check import check_capture
+from fourd.capture.focus import find_focus
 from fourd.errors import UserError
 from tests.captures import ring_cameras
 
@@ -289,9 +290,9 @@ def test_the_check_goes_on_after_a_bad_calibration(capture: Path) -> None:
 def test_parallel_cameras_meet_nowhere(capture: Path) -> None:
     """Catches a focus at infinity, from which every camera looks away."""
     cameras = list(open_capture(capture).cameras)
-    assert nearest_to_axes(cameras) is not None
+    assert find_focus(cameras) is not None
     same = [replace(camera, rotation=cameras[0].rotation) for camera in cameras]
-    assert nearest_to_axes(same) is None
+    assert find_focus(same) is None
 
 
 def test_the_check_warns_of_what_looks_wrong(capture: Path) -> None:

@@ -10,7 +10,7 @@ import av
 import numpy as np
 import pytest
 
-from fourd.capture.layout import videos_in
+from fourd.capture.layout import find_videos
 from fourd.capture.matroska import SEGMENT, missing_bytes
 from fourd.capture.video import VideoReader, index_video
 from fourd.capture.video_index import index_capture
@@ -177,7 +177,7 @@ def test_twins_are_told(tmp_path: Path) -> None:
     for name in ("a.mp4", "a.mov"):
         write_film(tmp_path / name, range(2))
     with pytest.raises(UserError, match=r"a.mp4: expected each camera once, got a.mov of the same name; rename one"):
-        videos_in(tmp_path)
+        find_videos(tmp_path)
 
 
 def listed(capture: Path) -> dict[str, Video]:

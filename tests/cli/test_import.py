@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fourd.calibration.image_sizes import size_hypotheses
-from fourd.calibration.principal_points import centre_hypotheses
+from fourd.calibration.principal_points import principal_point_hypotheses
 from fourd.capture import open_capture, read_calibration, write_calibration
 from fourd.cli.main import main
 from tests.calibration.rooms import Room, room_cameras
@@ -138,7 +138,7 @@ def test_a_stretch_and_mirrored_centres_are_found(tmp_path: Path, capsys: pytest
     given = [replace(lens, intrinsics=lens.intrinsics + shift) for lens in room_cameras(4, 256, 192)]
     true = [size_hypotheses(lens, 256, 160)["stretched"] if i < 2 else lens for i, lens in enumerate(given)]
     mirrored = [
-        centre_hypotheses(lens)[what]
+        principal_point_hypotheses(lens)[what]
         for lens, what in zip(given, ("mirrored x", "mirrored both", "mirrored y", "mirrored x"), strict=True)
     ]
     source = write_room(tmp_path / "source", names, true, mirrored)

@@ -17,7 +17,7 @@ from fourd.background.stereo.plane_hypotheses import as_seen, large_planes, tria
 from fourd.background.stereo.source_selection import best_sources
 from fourd.background.stereo.sparse import SparsePoints, triangulate_sparse
 from fourd.cameras import Camera
-from fourd.parallel import spread
+from fourd.parallel import run_jobs
 from fourd.progress import Track
 
 Array = NDArray[np.float64]
@@ -129,7 +129,7 @@ def _maps(smalls: Sequence[Small], features: SparsePoints, seed: int, workers: i
         sources = tuple(smalls[other] for other in best_sources(cameras, index, nearest, farthest))
         mine = features.xyz[features.seen[:, index]]
         jobs.append(_Job(index, smalls[index], sources, mine, planes, nearest, farthest, seed))
-    maps = dict(track(spread(_map, jobs, workers), len(jobs), "depth maps"))
+    maps = dict(track(run_jobs(_map, jobs, workers), len(jobs), "depth maps"))
     return [maps[index] for index in range(len(smalls))]
 
 

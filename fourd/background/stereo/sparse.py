@@ -25,7 +25,7 @@ from fourd.background.stereo.features import (
     write_pictures,
 )
 from fourd.cameras import Camera
-from fourd.parallel import cores
+from fourd.parallel import core_count
 from fourd.progress import Track
 
 Array = NDArray[np.float64]
@@ -62,7 +62,7 @@ def triangulate_sparse(plates: Sequence[PlateView], seed: int, track: Track) -> 
         folder = Path(name)
         database = folder / "database.db"
         names = write_pictures(folder, plates)
-        batch = cores()
+        batch = core_count()
         batches = [names[begin : begin + batch] for begin in range(0, len(names), batch)]
         for some in track(batches, len(batches), "features"):
             extract_features(folder, database, some)

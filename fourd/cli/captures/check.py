@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from fourd.calibration.agreement import Agreement, check_agreement
-from fourd.capture.check import Report, check_capture, shown
+from fourd.capture.check import Report, check_capture, first_lines
 from fourd.errors import UserError
 from fourd.progress import Tracker
 
@@ -46,7 +46,7 @@ def run(arguments: Arguments) -> None:
     console.print(_facts(arguments.capture, report, agreement))
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()))
     for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
-        for line in shown(lines, MOST_LINES):
+        for line in first_lines(lines, MOST_LINES):
             console.print(Text(f"{title}: ", style).append(line, "default"), soft_wrap=True)
     if report.problems:
         more = len(report.problems) - 1

@@ -14,7 +14,7 @@ from fourd.errors import UserError
 from fourd.matting.prepare import Made, make_all
 from fourd.matting.selection import Selection
 from fourd.matting.stage import MatteSettings
-from fourd.parallel import cores
+from fourd.parallel import core_count
 from fourd.progress import Tracker
 
 
@@ -71,4 +71,4 @@ def processes(asked: int | None) -> int:
         if asked < 1:
             raise UserError(f"--workers: expected at least 1, got {asked}; leave it out for one a core")
         return asked
-    return cores()
+    return core_count()

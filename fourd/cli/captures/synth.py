@@ -8,7 +8,7 @@ from pathlib import Path
 import tyro
 from rich.console import Console
 
-from fourd.synth import Settings, is_finished, make_synthetic
+from fourd.synth import SynthSettings, is_finished, make_synthetic
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Make the capture unless it is there already."""
-    settings = Settings(arguments.frames, arguments.cameras, arguments.size, arguments.seed, arguments.gloss)
+    settings = SynthSettings(arguments.frames, arguments.cameras, arguments.size, arguments.seed, arguments.gloss)
     console = Console(stderr=True)
     if is_finished(arguments.out, settings):
         console.print(f"{arguments.out}: done already with these settings", soft_wrap=True)

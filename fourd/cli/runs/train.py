@@ -12,7 +12,7 @@ from rich.console import Console
 
 from fourd.configs import load_overlay
 from fourd.errors import UserError
-from fourd.parallel import cores
+from fourd.parallel import core_count
 from fourd.progress import Tracker, console_log
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
@@ -78,7 +78,7 @@ def run(arguments: Arguments) -> None:
         track = Tracker(console).track
         log = console_log(console)
         opened = create_run(
-            arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track, cores(), log
+            arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track, core_count(), log
         )
     if lpips is None:
         note = "LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)"

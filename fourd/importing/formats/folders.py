@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.capture.layout import camera_folders, frame_order, pictures, videos_in
+from fourd.capture.layout import camera_folders, find_pictures, find_videos, frame_order
 from fourd.errors import UserError
 from fourd.importing.formats.imported import Frames, ImportedCamera, PictureFiles, VideoFile
 
@@ -56,7 +56,7 @@ def frames_in(source: Path, places: Sequence[str] = PLACES) -> dict[str, Frames]
     """
     for place in places:
         folder = source / place
-        videos = videos_in(folder)
+        videos = find_videos(folder)
         if videos:
             return {name: VideoFile(path) for name, path in videos.items()}
         found: dict[str, Frames] = {}
@@ -74,7 +74,7 @@ def frames_in(source: Path, places: Sequence[str] = PLACES) -> dict[str, Frames]
 
 def picture_files(folder: Path) -> PictureFiles | None:
     """A folder's pictures in the order of their numbers; None where it has none."""
-    by_stem = pictures(folder)
+    by_stem = find_pictures(folder)
     if not by_stem:
         return None
     return PictureFiles(tuple(folder / by_stem[stem] for stem in frame_order(set(by_stem))))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture import Capture
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import sample_indices
 from fourd.progress import Track
 
 Floats = NDArray[np.float32]
@@ -67,7 +67,7 @@ def neighbour(frame: int, count: int) -> int | None:
 
 def sampled_frames(count: int) -> list[int]:
     """Which of ``count`` frames the subject is learned from."""
-    return evenly_spread(count, MOST_FRAMES)
+    return sample_indices(count, MOST_FRAMES)
 
 
 def reduced(picture: Picture, camera: Camera) -> Picture:

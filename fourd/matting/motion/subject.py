@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Array, Camera
-from fourd.capture.check import nearest_to_axes
+from fourd.capture.focus import find_focus
 from fourd.errors import UserError
 from fourd.matting.motion.agreement import Cells
 from fourd.matting.motion.colour_models import Colours
@@ -106,7 +106,7 @@ def _pool(learners: Sequence[Learner]) -> None:
 
 def _swept_box(swept: Sequence[Swept], cameras: Sequence[Camera], names: Sequence[str]) -> tuple[Array, Array] | None:
     """Where in space anything moves, as far as the views agree; None of one camera or of parallel ones."""
-    focus = nearest_to_axes(list(cameras)) if len(cameras) > 1 else None
+    focus = find_focus(list(cameras)) if len(cameras) > 1 else None
     if focus is None:
         return None
     reach = 1.5 * max(float(np.linalg.norm(camera.centre - focus)) for camera in cameras)

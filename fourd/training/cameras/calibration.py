@@ -78,7 +78,7 @@ def begun_with(capture: Capture, folder: Path) -> Capture:
         raise UserError(f"{start}: expected the cameras that the run begins with, got none; train in a new folder")
     calibrations = read_calibration(start)
     cameras = []
-    for name, lens, camera in zip(capture.names, capture.lenses, capture.cameras, strict=True):
+    for name, lens, camera in zip(capture.names, capture.distorted_cameras, capture.cameras, strict=True):
         if name not in calibrations:
             raise UserError(f"{start}: expected camera '{name}' of the capture, got none; train in a new folder")
         whole = replace(calibrations[name].camera(lens.width, lens.height), distortion=None)
@@ -90,7 +90,8 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
     """Write the calibration of ``rig``'s cameras, which are the capture's, and of its others as they are."""
     target = folder / CALIBRATION / below
     corrected = {
-        name: _lens(lens, camera) for name, lens, camera in zip(capture.names, capture.lenses, rig.cameras, strict=True)
+        name: _lens(lens, camera)
+        for name, lens, camera in zip(capture.names, capture.distorted_cameras, rig.cameras, strict=True)
     }
     others = {
         name: each.camera(each.width or 1, each.height or 1)
@@ -126,7 +127,7 @@ def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[n
 
 
 def _require_no_tilt(capture: Capture) -> None:
-    for name, lens in zip(capture.names, capture.lenses, strict=True):
+    for name, lens in zip(capture.names, capture.distorted_cameras, strict=True):
         if lens.distortion is not None and lens.distortion[TILT:].any():
             raise UserError(
                 f"{capture.path / INTRINSICS_NAME}: D_{name}: expected a sensor without tilt to refine focal lengths, "

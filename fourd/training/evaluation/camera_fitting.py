@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.capture.layout import evenly_spread
+from fourd.capture.layout import sample_indices
 from fourd.training.cameras.rig import recoloured
 from fourd.training.evaluation.render import Renderer, picture_of
 from fourd.training.points.frame_store import FrameStore
@@ -86,7 +86,7 @@ class _Fit:
         self.index = index
         self.layers = layers
         self.colours = colours
-        self.chosen = evenly_spread(frames.frames, MOST_FRAMES)
+        self.chosen = sample_indices(frames.frames, MOST_FRAMES)
         self.parts: dict[int, list[Part]] = {}
         self.distance = float(np.linalg.norm(renderer.views.rig.cameras[index].centre - renderer.focus))
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from fourd.baking.bake import make_manifest
-from fourd.calibration.perturbation import disturbed, pose_errors
+from fourd.calibration.perturbation import perturb_cameras, pose_errors
 from fourd.cameras import Camera
 from fourd.capture import open_capture, read_calibration, write_calibration
 from fourd.errors import UserError
@@ -183,7 +183,9 @@ def test_a_loaded_run_has_its_corrected_cameras_everywhere(ball_capture: Path, t
 def test_a_calibration_that_is_written_gives_the_same_cameras(ball_capture: Path, tmp_path: Path) -> None:
     """Catches focal lengths at the wrong scale, and cameras of the capture that are lost when only some are used."""
     half = open_capture(ball_capture, views=["01", "02", "05"], scale=0.5)
-    moved = list(disturbed(dict(zip(half.names, half.cameras, strict=True)), 2, 0.1, np.random.default_rng(0)).values())
+    moved = list(
+        perturb_cameras(dict(zip(half.names, half.cameras, strict=True)), 2, 0.1, np.random.default_rng(0)).values()
+    )
     zoom = np.diag([1.1, 1.1, 1.0])
     k = zoom @ moved[0].intrinsics
     k[:2, 2] = moved[0].intrinsics[:2, 2]
@@ -222,7 +224,7 @@ def test_a_held_out_camera_finds_its_place(ball_capture: Path, tmp_path: Path) -
     index = run.test[0]
     views = trained.renderer.views
     given = dict(zip(run.capture.names, run.capture.cameras, strict=True))
-    cameras = list(disturbed(given, 4, 0.02, np.random.default_rng(1)).values())
+    cameras = list(perturb_cameras(given, 4, 0.02, np.random.default_rng(1)).values())
     wrong = tuple(camera if at == index else run.capture.cameras[at] for at, camera in enumerate(cameras))
     views.rig = Rig(wrong)
     before = trained.frames.get(0).xyz.clone()
@@ -255,7 +257,7 @@ def test_poses_that_are_learnt_come_nearer_the_truth(ball_capture: Path, tmp_pat
     """Catches gradients that reach the wrong camera, and cameras that steps do not look through as corrected."""
     opened = open_capture(ball_capture)
     truth = dict(zip(opened.names, opened.cameras, strict=True))
-    wrong = disturbed(truth, 1.0, 0.0, np.random.default_rng(0))
+    wrong = perturb_cameras(truth, 1.0, 0.0, np.random.default_rng(0))
     capture = _copied(ball_capture, tmp_path / "capture")
     write_calibration(capture, list(wrong), list(wrong.values()))
     refine = RefineConfig(poses=True, pose_rate=2e-3)

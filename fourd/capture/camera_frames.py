@@ -1,4 +1,4 @@
-"""Where a camera's frames come from: files of pictures, or a video."""
+"""The decoded frames of one camera, from picture files or a video."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from fourd.capture.video import VideoReader
 Picture = NDArray[np.uint8]
 
 
-class FrameSource(Protocol):
-    """The selected frames of one camera, by position."""
+class CameraFrames(Protocol):
+    """The selected frames of one camera, by index into the selection."""
 
     def read(self, frame: int) -> Picture:
-        """The decoded frame, as stored. Raises UserError when it is damaged."""
+        """Decode a frame, pixels as stored. Raises UserError when it is damaged."""
 
-    def place(self, frame: int) -> str:
-        """What to name in a message about a frame."""
+    def describe(self, frame: int) -> str:
+        """The file, and the frame within it, for error messages."""
 
 
 @dataclass(frozen=True)
-class PictureSource:
-    """A file a frame."""
+class PictureFrames:
+    """One picture file per frame."""
 
     paths: Sequence[Path]
     decode: Callable[[Path], Picture]
@@ -35,13 +35,13 @@ class PictureSource:
     def read(self, frame: int) -> Picture:
         return self.decode(self.paths[frame])
 
-    def place(self, frame: int) -> str:
+    def describe(self, frame: int) -> str:
         return str(self.paths[frame])
 
 
 @dataclass(frozen=True)
-class VideoSource:
-    """Frames of a video; ``numbers`` are the selected frames' numbers in it."""
+class VideoFrames:
+    """Frames of a video; ``numbers`` are the selected frames' numbers in the video."""
 
     reader: VideoReader
     numbers: Sequence[int]
@@ -49,5 +49,5 @@ class VideoSource:
     def read(self, frame: int) -> Picture:
         return self.reader.read(self.numbers[frame])
 
-    def place(self, frame: int) -> str:
+    def describe(self, frame: int) -> str:
         return f"{self.reader.path} frame {self.numbers[frame]}"
