@@ -12,7 +12,7 @@ from torch import Tensor
 
 from fourd.cameras import Camera
 
-LIMIT = 2.0
+CONTRACTED_RADIUS = 2.0
 """Radius of the ball that infinity lies on; the part that keeps its shape has radius 1."""
 
 
@@ -33,14 +33,14 @@ class Contraction:
         centre = torch.tensor(self.centre, dtype=xyz.dtype, device=xyz.device)
         near = (xyz - centre) / self.radius
         length = torch.linalg.vector_norm(near, dim=-1, keepdim=True).clamp(min=1.0)
-        return near * ((LIMIT - 1 / length) / length)
+        return near * ((CONTRACTED_RADIUS - 1 / length) / length)
 
     def to_unit(self, xyz: Tensor) -> Tensor:
         """World points (..., 3) -> (..., 3) in [0, 1]; differentiable."""
-        return (self(xyz) + LIMIT) / (2 * LIMIT)
+        return (self(xyz) + CONTRACTED_RADIUS) / (2 * CONTRACTED_RADIUS)
 
 
-def around_cameras(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> Contraction:
+def contraction_around(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> Contraction:
     """The contraction about ``focus`` (3,) world, what the cameras look at, that keeps the shape up to the cameras."""
     distances = [float(np.linalg.norm(camera.centre - focus)) for camera in cameras]
     x, y, z = (float(value) for value in focus)

@@ -16,7 +16,7 @@ LEAST_SHARE = 0.1
 """Of the plates' cells, measured."""
 
 
-def triangulated(
+def seed_from_stereo(
     plates: Sequence[PlateView],
     points: int,
     *,

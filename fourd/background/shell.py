@@ -27,7 +27,7 @@ HIDING = 0.9
 DEPTH_CELL_PX = 6.0
 
 
-def surroundings(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
+def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
     """Points in the directions in which there are none, at distances and of colours continued from around them.
 
     Inverse distance and colour are harmonic between the known directions, more so along the horizon, which is that of
@@ -55,7 +55,7 @@ def surroundings(points: ColouredPoints, cameras: Sequence[Camera], centre: Arra
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
 
 
-def seen_share(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
+def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
     """Share of all directions about ``centre`` in which there are points, gaps between these not counted."""
     sphere = sphere_about(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))
@@ -67,7 +67,7 @@ def seen_share(points: ColouredPoints, centre: Array, cameras: Sequence[Camera])
     return float((closed * weight).sum() / (sphere.columns * weight.sum()))
 
 
-def gaze_centre(cameras: Sequence[Camera]) -> Array:
+def viewing_centre(cameras: Sequence[Camera]) -> Array:
     """(3,) world point nearest to the cameras' optical axes; the cameras' mean where these are all parallel."""
     centres = np.stack([camera.centre for camera in cameras])
     across = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from fourd.background.contraction import LIMIT, Contraction
+from fourd.background.contraction import CONTRACTED_RADIUS, Contraction
 from fourd.cameras import Camera
 from fourd.model.appearance import BlendHead, HarmonicsHead, ImageEncoder, blend, harmonics_colour
 from fourd.model.config import ModelConfig, PlanesConfig
@@ -106,7 +106,7 @@ class PointModel(nn.Module):
         if self.contraction is None:
             space = 2 * (xyz - self.lower) / (self.upper - self.lower) - 1
         else:
-            space = self.contraction(xyz) / LIMIT
+            space = self.contraction(xyz) / CONTRACTED_RADIUS
         return torch.cat([space, torch.full_like(space[:, :1], 2 * time - 1)], dim=1)
 
     def displacement(self, xyz: Tensor, time: float) -> Tensor | None:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.background.from_stereo import triangulated
+from fourd.background.from_stereo import seed_from_stereo
+from fourd.background.plate_changes import find_changing_backgrounds
 from fourd.background.plates import PlateView, has_plate, read_plates
-from fourd.background.radiance.from_radiance import field_points
-from fourd.background.shell import gaze_centre, seen_share, surroundings
-from fourd.background.stillness import restless
+from fourd.background.radiance.from_radiance import seed_from_radiance
+from fourd.background.shell import build_shell, direction_coverage, viewing_centre
 from fourd.capture import Capture
 from fourd.errors import UserError
 from fourd.matting.plates import FOLDER, make_plates
@@ -45,11 +45,11 @@ def seed_background(
         points = _brought(train.background.seeds, wanted, train.seed)
     else:
         plates = run_plates(capture, training, folder, log)
-        _say_what_moves(restless(capture, training, plates), log)
+        _say_what_moves(find_changing_backgrounds(capture, training, plates), log)
         points = _found(plates, train, workers, track, log)
         cameras = [plate.camera for plate in plates]
-        shell = surroundings(points, cameras, gaze_centre(cameras))
-        share = seen_share(points, gaze_centre(cameras), cameras)
+        shell = build_shell(points, cameras, viewing_centre(cameras))
+        share = direction_coverage(points, viewing_centre(cameras), cameras)
         log(
             f"surroundings: the plates show {share:.0%} of the directions about the scene; "
             f"{len(shell.xyz)} points stand for the rest, their colours continued from around"
@@ -72,9 +72,9 @@ def _found(plates: tuple[PlateView, ...], train: TrainConfig, workers: int, trac
     """Points of what the plates show, in the way that the config asks for."""
     wanted, seed = train.background.points, train.seed
     if train.background.seeding == "sfm":
-        return triangulated(plates, wanted, seed=seed, workers=workers, log=log, track=track)
+        return seed_from_stereo(plates, wanted, seed=seed, workers=workers, log=log, track=track)
     radiance = train.background.radiance
-    return field_points(plates, wanted, radiance, seed=seed, workers=workers, log=log, track=track)
+    return seed_from_radiance(plates, wanted, radiance, seed=seed, workers=workers, log=log, track=track)
 
 
 def run_plates(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 from scipy.spatial import cKDTree
 
-from fourd.background.contraction import Contraction, around_cameras
+from fourd.background.contraction import Contraction, contraction_around
 from fourd.capture import Capture, open_capture
 from fourd.capture.layout import select_views
 from fourd.carving import Bounds, carve_capture
@@ -249,7 +249,7 @@ def create_run(
         seed_run(capture_path, folder, train, workers, track, log)
     capture, _, _ = _open_views(capture_path, train, folder)
     first = read_ply(folder / "hull" / f"{capture.frame_numbers[0]:06d}.ply").xyz
-    reach = around_cameras(capture.cameras, bounds.centre).radius
+    reach = contraction_around(capture.cameras, bounds.centre).radius
     scene = SceneConfig(
         lower=_triple(bounds.lower),
         upper=_triple(bounds.upper),

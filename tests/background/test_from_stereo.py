@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from fourd.background.from_stereo import triangulated
+from fourd.background.from_stereo import seed_from_stereo
 from fourd.background.plates import PlateView
 from fourd.background.stereo.sparse import triangulate_sparse
 from fourd.cameras import look_at
@@ -71,7 +71,7 @@ def stage() -> Stage:
     room = Room(np.random.default_rng(3))
     plates = [plate(room, index) for index in range(4)]
     lines: list[str] = []
-    return Stage(plates, triangulated(plates, 2000, log=lines.append), lines)
+    return Stage(plates, seed_from_stereo(plates, 2000, log=lines.append), lines)
 
 
 def test_points_lie_on_the_walls(stage: Stage) -> None:
@@ -147,7 +147,7 @@ def test_blank_walls_cannot_be_triangulated(stage: Stage) -> None:
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
     ) as caught:
-        triangulated(blank, 1000)
+        seed_from_stereo(blank, 1000)
     assert "\n" not in str(caught.value)
 
 
@@ -159,20 +159,20 @@ def test_plates_with_nothing_in_common(rng: np.random.Generator) -> None:
         camera = look_at(np.array([0.1 * side, 0.0, 1.0]), np.array([2 * side, 0.0, 1.0]), up, intrinsics, 176, 132)
         plates.append(PlateView(f"{index}", camera, room.picture(camera), np.ones((132, 176), bool)))
     with pytest.raises(UserError, match=r"plates: expected at least .* in two of them alike, got .*--background"):
-        triangulated(plates, 1000)
+        seed_from_stereo(plates, 1000)
 
 
 @pytest.mark.parametrize(("count", "points"), [(1, 10), (3, 0)])
 def test_impossible_wishes(stage: Stage, count: int, points: int) -> None:
     """Catches a failure deep inside for a call that cannot be meant."""
     with pytest.raises(ValueError, match="expected at least 2 plates and 1 point"):
-        triangulated(stage.plates[:count], points)
+        seed_from_stereo(stage.plates[:count], points)
 
 
 @pytest.mark.slow
 def test_same_points_from_any_number_of_processes(stage: Stage) -> None:
     """Catches chance that depends on which process makes a map, or when."""
-    again = triangulated(stage.plates, 2000, workers=2)
+    again = seed_from_stereo(stage.plates, 2000, workers=2)
     assert np.array_equal(again.xyz, stage.points.xyz)
     assert np.array_equal(again.rgb, stage.points.rgb)
 
@@ -180,6 +180,6 @@ def test_same_points_from_any_number_of_processes(stage: Stage) -> None:
 @pytest.mark.slow
 def test_measured_points_alone(stage: Stage) -> None:
     """Catches guesses where none were asked for: what is left is measured to millimetres."""
-    measured = triangulated(stage.plates, 100_000, fill=False)
+    measured = seed_from_stereo(stage.plates, 100_000, fill=False)
     assert 5_000 < len(measured.xyz) < 100_000
     assert np.percentile(to_walls(measured.xyz), 90) < 0.01

@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.background.contraction import Contraction, around_cameras
+from fourd.background.contraction import Contraction, contraction_around
 from fourd.background.plates import PlateView
 from fourd.background.radiance import from_radiance as points_module
 from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.depths import field_depths, median_inverse_depths
 from fourd.background.radiance.field import RadianceField, bounded_exp
 from fourd.background.radiance.fitting import FittedField, fit_field
-from fourd.background.radiance.from_radiance import field_points
+from fourd.background.radiance.from_radiance import seed_from_radiance
 from fourd.background.radiance.occupancy import OccupancyGrid
 from fourd.background.radiance.pixels import Pixels
 from fourd.background.radiance.rays import Rays, camera_rays, resampled, to_distance, to_share
 from fourd.background.radiance.room_depth import Room as Around
 from fourd.background.radiance.volume_rendering import distortion, light_weights, spent_share
-from fourd.background.shell import gaze_centre
+from fourd.background.shell import viewing_centre
 from fourd.background.stereo.depth_maps import Measured, Small
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patchmatch import DepthMap
@@ -69,7 +69,7 @@ def pixels_of(smalls: list[Small], surfaces: list[Surface], contraction: Contrac
 
 def space_of(smalls: list[Small]) -> Contraction:
     cameras = [small.camera for small in smalls]
-    return around_cameras(cameras, gaze_centre(cameras))
+    return contraction_around(cameras, viewing_centre(cameras))
 
 
 def test_a_field_finds_depths_between_those_that_are_measured(smalls: list[Small]) -> None:
@@ -282,7 +282,7 @@ def test_blank_walls_are_refused(smalls: list[Small]) -> None:
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
     ) as told:
-        field_points(blank, 1000, SMALL)
+        seed_from_radiance(blank, 1000, SMALL)
     assert "\n" not in str(told.value)
 
 
@@ -293,7 +293,7 @@ def test_what_neither_stereo_nor_the_field_finds_is_told(smalls: list[Small], mo
     lines: list[str] = []
     config = replace(SMALL, steps=2)
     with pytest.raises(UserError, match=r"at least 1% .* that two of them agree on, got 0\.\d%; .*--background FILE"):
-        field_points(plates_of(smalls), 500, config, log=lines.append)
+        seed_from_radiance(plates_of(smalls), 500, config, log=lines.append)
     assert "too little to tell the field" in lines[1]
 
 
@@ -301,7 +301,7 @@ def test_what_neither_stereo_nor_the_field_finds_is_told(smalls: list[Small], mo
 def test_impossible_wishes(smalls: list[Small], count: int, points: int) -> None:
     """Catches a failure deep inside for a call that cannot be meant."""
     with pytest.raises(ValueError, match="expected at least 2 plates and 1 point"):
-        field_points(plates_of(smalls)[:count], points, SMALL)
+        seed_from_radiance(plates_of(smalls)[:count], points, SMALL)
 
 
 @pytest.mark.parametrize(
@@ -334,7 +334,7 @@ def test_points_of_a_room(rng: np.random.Generator) -> None:
         PlateView(f"{i}", camera, room.picture(camera), np.ones((108, 144), bool)) for i, camera in enumerate(cameras)
     ]
     lines: list[str] = []
-    found = field_points(plates, 1500, replace(SMALL, steps=150), log=lines.append)
+    found = seed_from_radiance(plates, 1500, replace(SMALL, steps=150), log=lines.append)
     assert 1200 <= len(found.xyz) <= 1500
     apart = to_walls(found.xyz)
     assert np.median(apart) < 0.01

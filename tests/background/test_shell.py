@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.background.shell import surroundings
+from fourd.background.shell import build_shell
 from fourd.ply import ColouredPoints
 from tests.captures import ring_cameras, sphere
 
@@ -25,7 +25,7 @@ def _room(gap_deg: float) -> ColouredPoints:
 
 @pytest.fixture(scope="module")
 def shell() -> ColouredPoints:
-    return surroundings(_room(28), ring_cameras(8, 64), CENTRE)
+    return build_shell(_room(28), ring_cameras(8, 64), CENTRE)
 
 
 def test_a_gap_is_closed_and_nothing_else(shell: ColouredPoints) -> None:
@@ -51,7 +51,7 @@ def test_it_continues_distance_and_colour_along_the_horizon(shell: ColouredPoint
 
 def test_a_whole_room_needs_none() -> None:
     """Catches gaps seen between the points of a closed surface."""
-    assert len(surroundings(_room(0), ring_cameras(8, 64), CENTRE).xyz) == 0
+    assert len(build_shell(_room(0), ring_cameras(8, 64), CENTRE).xyz) == 0
 
 
 def test_no_guess_hides_what_a_camera_sees() -> None:
@@ -67,7 +67,7 @@ def test_no_guess_hides_what_a_camera_sees() -> None:
         np.concatenate([room.xyz, wall]), np.concatenate([room.rgb, np.full(wall.shape, 90, np.uint8)])
     )
     cameras = ring_cameras(8, 64)
-    found = surroundings(points, cameras, CENTRE)
+    found = build_shell(points, cameras, CENTRE)
     for camera in cameras:
         pixels, depth = camera.project(wall)
         inside = (depth > 0) & (pixels > 4).all(axis=1) & (pixels < 60).all(axis=1)
@@ -81,4 +81,4 @@ def test_no_guess_hides_what_a_camera_sees() -> None:
 
 def test_without_points_there_is_no_shell() -> None:
     empty = ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
-    assert len(surroundings(empty, ring_cameras(8, 64), CENTRE).xyz) == 0
+    assert len(build_shell(empty, ring_cameras(8, 64), CENTRE).xyz) == 0

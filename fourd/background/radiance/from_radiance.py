@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.contraction import around_cameras
+from fourd.background.contraction import contraction_around
 from fourd.background.plates import PlateView
 from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.depths import field_depths
 from fourd.background.radiance.fitting import fit_field
 from fourd.background.radiance.pixels import Pixels
 from fourd.background.radiance.room_depth import Room
-from fourd.background.shell import gaze_centre
+from fourd.background.shell import viewing_centre
 from fourd.background.stereo.colouring import coloured_points
 from fourd.background.stereo.completion import filled
 from fourd.background.stereo.depth_maps import LEAST_FEATURES, Measured, measured
@@ -32,7 +32,7 @@ LEAST_SHARE = 0.01
 """Of the plates' cells: at depths that two plates agree on. With few the rest is guesswork; with less there is none."""
 
 
-def field_points(
+def seed_from_radiance(
     plates: Sequence[PlateView],
     points: int,
     config: RadianceConfig,
@@ -93,9 +93,9 @@ def _surfaces(stereo: Measured, config: RadianceConfig, seed: int, track: Track)
     """A surface of each plate, with all depths that were measured, that the field found, or that are guesses."""
     cameras = [small.camera for small in stereo.smalls]
     views = [small.grey() for small in stereo.smalls]
-    centre = gaze_centre(cameras)
+    centre = viewing_centre(cameras)
     continued = _continued(stereo, views, centre, seed)
-    contraction = around_cameras(cameras, centre)
+    contraction = contraction_around(cameras, centre)
     pixels = Pixels.of(stereo.smalls, stereo.surfaces, continued, contraction.radius)
     field = fit_field(pixels, contraction, config, seed, track)
     return field_depths(field, stereo.smalls, stereo.surfaces, continued, track)

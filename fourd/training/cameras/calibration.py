@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.shell import gaze_centre
+from fourd.background.shell import viewing_centre
 from fourd.bundle_adjustment.adjust import adjust_cameras
 from fourd.bundle_adjustment.solver import Prior
 from fourd.cameras import Camera
@@ -47,7 +47,7 @@ def adjust_run(
     if config.focal:
         _require_no_tilt(capture)
     given = [capture.cameras[index] for index in training]
-    focus = gaze_centre(given)
+    focus = viewing_centre(given)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])
     prior = Prior(
         np.radians(config.rotation_deg) if config.poses else 0.0,

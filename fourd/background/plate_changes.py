@@ -22,7 +22,9 @@ RESTLESS = 0.02
 """Of what is seen of the background: more is no longer chance."""
 
 
-def restless(capture: Capture, cameras: Sequence[int], plates: Sequence[PlateView]) -> dict[str, float]:
+def find_changing_backgrounds(
+    capture: Capture, cameras: Sequence[int], plates: Sequence[PlateView]
+) -> dict[str, float]:
     """By camera the largest share of the background that differs from its plate in some frame, where that is over 2%.
 
     Args:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from fourd.background.plate_changes import find_changing_backgrounds
 from fourd.background.plates import PlateView
-from fourd.background.stillness import restless
 from fourd.capture import open_capture
 
 
@@ -28,7 +28,7 @@ def plate_views(path: Path) -> list[PlateView]:
 def test_a_subject_and_another_exposure_are_no_movement(ball_capture: Path) -> None:
     """Catches the subject taken for background that moves, and plates of another exposure."""
     capture = open_capture(ball_capture)
-    assert restless(capture, range(len(capture.names)), plate_views(ball_capture)) == {}
+    assert find_changing_backgrounds(capture, range(len(capture.names)), plate_views(ball_capture)) == {}
 
 
 def test_what_changes_beside_the_subject_is_found(ball_capture: Path) -> None:
@@ -37,6 +37,6 @@ def test_what_changes_beside_the_subject_is_found(ball_capture: Path) -> None:
     changed = plates[1].rgb.copy()
     changed[:8] = 255 - changed[:8]
     plates[1] = replace(plates[1], rgb=changed)
-    found = restless(capture, range(len(plates)), plates)
+    found = find_changing_backgrounds(capture, range(len(plates)), plates)
     assert list(found) == [capture.names[1]]
     assert 0.08 < found[capture.names[1]] < 0.25
