@@ -23,10 +23,10 @@ from fourd.baking.shade import shade_reference
 from fourd.benchmarks.workloads import baked_cloud, camera
 from fourd.cameras import Camera
 from fourd.ops.points.arrays import render_points_numpy
+from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
-from fourd.viewer.gl.context import driver, offscreen_context
-from fourd.viewer.navigation.paths import fit
-from fourd.viewer.rendering.display_settings import Look, Shot
+from fourd.viewer.gl.context import driver_name, offscreen_context
+from fourd.viewer.navigation.paths import fit_camera
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 
 LAYERS = (15, 12, 8)
@@ -60,10 +60,10 @@ class Measured:
 def main(arguments: Arguments) -> int:
     context = offscreen_context()
     frame, manifest, seen = _subject(arguments)
-    print(f"{driver(context)}; {frame.point_count:,} points, {seen.width} x {seen.height}\n")
+    print(f"{driver_name(context)}; {frame.point_count:,} points, {seen.width} x {seen.height}\n")
     exact = {layers: _float_picture(frame, manifest, seen, layers) for layers in LAYERS}
-    _print_renderers(context, Shot(frame, seen, manifest, Look(12)), exact[12], arguments.seconds)
-    _print_precisions(context, Shot(frame, seen, manifest, Look(12)), exact[15], arguments.seconds)
+    _print_renderers(context, RenderRequest(frame, seen, manifest, DisplaySettings(12)), exact[12], arguments.seconds)
+    _print_precisions(context, RenderRequest(frame, seen, manifest, DisplaySettings(12)), exact[15], arguments.seconds)
     return 0
 
 
@@ -72,14 +72,16 @@ def _subject(arguments: Arguments) -> tuple[BakedFrame, SceneManifest, Camera]:
         frame, manifest = baked_cloud(arguments.points)
         return frame, manifest, camera(*arguments.size, angle=0.3)
     with open_scene(arguments.scene) as scene:
-        seen = fit(scene.manifest.cameras[0], *arguments.size)
+        seen = fit_camera(scene.manifest.cameras[0], *arguments.size)
         return scene.frame(arguments.frame), scene.manifest, seen
 
 
-def _print_renderers(context: moderngl.Context, shot: Shot, exact: NDArray[np.float32], seconds: float) -> None:
+def _print_renderers(
+    context: moderngl.Context, request: RenderRequest, exact: NDArray[np.float32], seconds: float
+) -> None:
     print("| renderer, K = 12 | ms | fps | against peel | mean difference | pixels off by over 0.02 | PSNR dB |")
     print("|---|---|---|---|---|---|---|")
-    found = {name: _measured(context, make_renderer(name, context), shot, seconds) for name in RENDERERS}
+    found = {name: _measured(context, make_renderer(name, context), request, seconds) for name in RENDERERS}
     for name, one in found.items():
         difference = np.abs(one.picture - exact)
         off = 100 * float((difference.max(axis=2) > 0.02).mean())
@@ -90,7 +92,9 @@ def _print_renderers(context: moderngl.Context, shot: Shot, exact: NDArray[np.fl
     print()
 
 
-def _print_precisions(context: moderngl.Context, shot: Shot, exact: NDArray[np.float32], seconds: float) -> None:
+def _print_precisions(
+    context: moderngl.Context, request: RenderRequest, exact: NDArray[np.float32], seconds: float
+) -> None:
     names: tuple[RendererName, ...] = ("peel", "dual")
     columns = [(name, precision) for name in names for precision in ("float32", "float16")] + [("cpu", "float16")]
     print("| K | " + " | ".join(f"{name}, {precision}: fps | PSNR dB" for name, precision in columns) + " |")
@@ -99,24 +103,24 @@ def _print_precisions(context: moderngl.Context, shot: Shot, exact: NDArray[np.f
         cells = []
         for name, precision in columns:
             renderer = make_renderer(name, context, precision)
-            one = _measured(context, renderer, replace(shot, look=Look(layers)), seconds)
+            one = _measured(context, renderer, replace(request, settings=DisplaySettings(layers)), seconds)
             cells.append(f"{1e3 / one.ms:.2f} | {_psnr(one.picture, exact):.1f}")
         print(f"| {layers} | " + " | ".join(cells) + " |")
     print()
 
 
-def _measured(context: moderngl.Context, renderer: Renderer, shot: Shot, seconds: float) -> Measured:
-    """Draws each time from another camera; the picture is that of the shot's own."""
+def _measured(context: moderngl.Context, renderer: Renderer, request: RenderRequest, seconds: float) -> Measured:
+    """Draws each time from another camera; the picture is that of the request's own."""
     canvas = Canvas(context)
     times: list[float] = []
     end = time.perf_counter() + seconds
     while len(times) < 4 or (time.perf_counter() < end and len(times) < 500):
-        turned = replace(shot, camera=_turned(shot.camera, TURN * (1 + len(times) % 50)))
+        turned = replace(request, camera=_turned(request.camera, TURN * (1 + len(times) % 50)))
         started = time.perf_counter()
         renderer.draw(turned, canvas, wait=True)
         context.finish()
         times.append(1e3 * (time.perf_counter() - started))
-    renderer.draw(shot, canvas, wait=True)
+    renderer.draw(request, canvas, wait=True)
     picture = canvas.pixels().astype(np.float32) / 255
     renderer.release()
     canvas.release()

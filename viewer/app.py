@@ -15,15 +15,15 @@ from rich.console import Console
 
 from fourd.errors import UserError
 from fourd.viewer import controls
+from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
-from fourd.viewer.gl.context import driver
-from fourd.viewer.navigation.recorded_path import Flight, Recorder, Stop
-from fourd.viewer.navigation.saved_views import RememberedViews, default_file
+from fourd.viewer.gl.context import driver_name
+from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
+from fourd.viewer.navigation.saved_views import SavedViews, default_file
 from fourd.viewer.output.png import write_png
 from fourd.viewer.panel import draw_panel, draw_progress
-from fourd.viewer.rendering.display_settings import Look, Shot
-from fourd.viewer.rendering.renderers import Chosen, Renderer, RendererName, choose, make_renderer
-from fourd.viewer.session import OpenScene, Session
+from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererName, choose_renderer, make_renderer
+from fourd.viewer.session import LoadedScene, Session
 from fourd.viewer.timings import Timings
 from fourd.viewer.window import Window
 
@@ -60,18 +60,18 @@ class App:
         self.window = window
         self.session = session
         self.context = moderngl.create_context(require=330)
-        self.chosen: Chosen = choose(wanted, driver(self.context))
+        self.chosen: RendererChoice = choose_renderer(wanted, driver_name(self.context))
         self.renderer: Renderer = make_renderer(self.chosen.name, self.context)
         console.print(f"renderer: {self.chosen.name} ({self.chosen.reason})", soft_wrap=True)
         self.timings = Timings()
-        self.recorder: Recorder | None = None
-        self.flight: Flight | None = None
+        self.recorder: PathRecorder | None = None
+        self.flight: RecordedPath | None = None
         self.panel_open = True
         self.camera_index = 0
         self._canvas = Canvas(self.context)
-        self._views = RememberedViews(default_file())
+        self._views = SavedViews(default_file())
         self._screen: moderngl.Framebuffer | None = None
-        self._drawn: Shot | None = None
+        self._drawn: RenderRequest | None = None
         self._restless = _RESTLESS
         self._stop = False
         self._pending: list[Callable[[], None]] = []
@@ -90,7 +90,7 @@ class App:
             if not self.window.hidden:
                 self._tick(elapsed)
 
-    def show(self, opened: OpenScene) -> None:
+    def show(self, opened: LoadedScene) -> None:
         """Show a scene from where it was seen last."""
         size = self.window.framebuffer_size
         self.session.show(opened, self._views.recall(opened.path) or opened.start(size))
@@ -111,7 +111,7 @@ class App:
             self.session.message = f"{name}: cannot be used here ({error})"
             return
         self.renderer.release()
-        self.renderer, self.chosen, self._drawn = fresh, Chosen(name, reason), None
+        self.renderer, self.chosen, self._drawn = fresh, RendererChoice(name, reason), None
 
     def screenshot(self) -> None:
         """Write what is seen, without the panel, beside where the viewer was started."""
@@ -124,7 +124,7 @@ class App:
     def toggle_recording(self) -> None:
         """Begin to record the camera's path; or end, and keep it as the flight and as a file."""
         if self.recorder is None:
-            self.recorder = Recorder()
+            self.recorder = PathRecorder()
             return
         flight, self.recorder = self.recorder.flight(), None
         if not flight.stops or self.session.scene is None:
@@ -170,10 +170,10 @@ class App:
         self._restless = max(0, self._restless - 1)
         if self.recorder is not None and self.session.pose is not None:
             self.recorder.advance(elapsed, self.session.pose, self.session.playback.frame)
-        shot = self.session.shot(self.window.framebuffer_size)
-        self._draw(shot)
+        request = self.session.request(self.window.framebuffer_size)
+        self._draw(request)
         with self.timings.part("panel"):
-            self._present(shot is not None)
+            self._present(request is not None)
             self.window.begin_panel()
             draw_panel(self)
             if controls.steer(self.session, self.window.size[1], elapsed):
@@ -196,18 +196,18 @@ class App:
         self._remember()
         self.show(opened)
 
-    def _draw(self, shot: Shot | None) -> None:
-        if shot is None or (self._drawn is not None and _same(shot, self._drawn) and self.renderer.behind == 0):
+    def _draw(self, request: RenderRequest | None) -> None:
+        if request is None or (self._drawn is not None and _same(request, self._drawn) and self.renderer.behind == 0):
             return
         try:
             with self.timings.part("draw"):
-                self.renderer.draw(shot, self._canvas)
+                self.renderer.draw(request, self._canvas)
         except UserError as error:
             self.session.message = str(error)
             if self.chosen.name != "cpu":
                 self.use("cpu", f"{self.chosen.name} cannot draw this scene here")
             return
-        self._drawn = shot
+        self._drawn = request
 
     def _present(self, picture: bool) -> None:
         """Copy what was drawn to the window, or clear it."""
@@ -221,7 +221,7 @@ class App:
         else:
             self._screen.clear()
 
-    def _flown(self, path: Path, flight: Flight) -> Iterator[NDArray[np.uint8]]:
+    def _flown(self, path: Path, flight: RecordedPath) -> Iterator[NDArray[np.uint8]]:
         """The flight's pictures, with the window's panel kept alive between them."""
         assert self.session.scene is not None
         size, canvas = self.window.framebuffer_size, Canvas(self.context)
@@ -232,13 +232,13 @@ class App:
         finally:
             canvas.release()
 
-    def _pictured(self, stop: Stop, size: tuple[int, int], canvas: Canvas) -> NDArray[np.uint8]:
-        scene, look = self.session.scene, self.session.look
+    def _pictured(self, stop: PathSample, size: tuple[int, int], canvas: Canvas) -> NDArray[np.uint8]:
+        scene, settings = self.session.scene, self.session.settings
         assert scene is not None
         frame = scene.stream.get(min(stop.frame, scene.manifest.frame_count - 1), wait=True)
         assert frame is not None
-        shot = Shot(look.applied(frame), stop.pose.camera(*size), scene.manifest, look)
-        self.renderer.draw(shot, canvas, wait=True)
+        request = RenderRequest(settings.applied(frame), stop.pose.camera(*size), scene.manifest, settings)
+        self.renderer.draw(request, canvas, wait=True)
         return canvas.pixels()
 
     def _progress(self, rendering: Rendering) -> None:
@@ -292,14 +292,14 @@ def show(
     source: Path | None,
     wanted: RendererName | Literal["auto"],
     size: tuple[int, int],
-    look: Look,
+    settings: DisplaySettings,
     console: Console,
 ) -> None:
     """Open a window on ``source`` and stay until it is closed.
 
     Raises UserError when the source cannot be opened, or there is no display or no OpenGL.
     """
-    session = Session(look)
+    session = Session(settings)
     opened = None
     try:
         if source is not None:
@@ -328,5 +328,5 @@ def free_name(stem: str, suffix: str) -> Path:
     return path
 
 
-def _same(one: Shot, other: Shot) -> bool:
-    return one.frame is other.frame and one.camera is other.camera and one.look == other.look
+def _same(one: RenderRequest, other: RenderRequest) -> bool:
+    return one.frame is other.frame and one.camera is other.camera and one.settings == other.settings

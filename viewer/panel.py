@@ -9,8 +9,8 @@ import numpy as np
 from imgui_bundle import imgui, implot
 
 from fourd.viewer.controls import HELP
+from fourd.viewer.display import LARGEST_SCALE, SMALLEST_SCALE
 from fourd.viewer.navigation.pose import NARROWEST, WIDEST
-from fourd.viewer.rendering.display_settings import LARGEST_SCALE, SMALLEST_SCALE
 from fourd.viewer.rendering.renderers import RENDERERS
 from fourd.viewer.timings import PARTS
 
@@ -151,27 +151,27 @@ def _viewpoint(app: App) -> None:
 
 def _look(app: App) -> None:
     session = app.session
-    if not _section("Look"):
+    if not _section("DisplaySettings"):
         return
-    look = session.look
-    changed, layers = imgui.slider_int("layers K", look.layers, 1, _MOST_LAYERS)
+    settings = session.settings
+    changed, layers = imgui.slider_int("layers K", settings.layers, 1, _MOST_LAYERS)
     if changed:
         session.choose_layers(layers)
     logarithmic = imgui.SliderFlags_.logarithmic
     changed, scale = imgui.slider_float(
-        "point size", look.point_scale, SMALLEST_SCALE, LARGEST_SCALE, "%.2f x", logarithmic
+        "point size", settings.point_scale, SMALLEST_SCALE, LARGEST_SCALE, "%.2f x", logarithmic
     )
     if changed:
-        session.look = replace(session.look, point_scale=scale)
+        session.settings = replace(session.settings, point_scale=scale)
     changed, scale = imgui.slider_float(
-        "density", look.density_scale, SMALLEST_SCALE, LARGEST_SCALE, "%.2f x", logarithmic
+        "density", settings.density_scale, SMALLEST_SCALE, LARGEST_SCALE, "%.2f x", logarithmic
     )
     if changed:
-        session.look = replace(session.look, density_scale=scale)
-    changed, colour = imgui.color_edit3("background", list(look.background))
+        session.settings = replace(session.settings, density_scale=scale)
+    changed, colour = imgui.color_edit3("background", list(settings.background))
     if changed:
         red, green, blue = (min(max(float(value), 0.0), 1.0) for value in colour)
-        session.look = replace(session.look, background=(red, green, blue))
+        session.settings = replace(session.settings, background=(red, green, blue))
 
 
 def _pictures(app: App) -> None:

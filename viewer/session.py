@@ -12,27 +12,27 @@ import numpy as np
 from fourd.baking import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 from fourd.errors import UserError
+from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.navigation.pose import Pose, between, facing, pose_of
 from fourd.viewer.navigation.up_direction import estimate_up
 from fourd.viewer.playback.clock import Playback
-from fourd.viewer.playback.prefetch import RING_BYTES, FrameSource, FrameStream
-from fourd.viewer.playback.sources import RunSource, open_source
-from fourd.viewer.rendering.display_settings import Look, Shot
+from fourd.viewer.playback.prefetch import RING_BYTES, BakedFrameSource, FramePrefetcher
+from fourd.viewer.playback.sources import RunSource, open_frame_source
 
 GLIDE_SECONDS = 0.7
 _LOOK_EVERY = 1.0
 """Seconds between looks for a new checkpoint."""
 
 
-class OpenScene:
+class LoadedScene:
     """A scene that is open: its frames as they come, its cameras, and its own start."""
 
-    def __init__(self, path: Path, source: FrameSource) -> None:
+    def __init__(self, path: Path, source: BakedFrameSource) -> None:
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
         # Frames of a run are baked where they are read: as few as can be, for training needs the processor.
-        self.stream = FrameStream(source, 0 if self._run else RING_BYTES)
+        self.stream = FramePrefetcher(source, 0 if self._run else RING_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self._checkpoint = self._run.checkpoint if self._run else ""
         self._looked = time.monotonic()
@@ -76,22 +76,22 @@ class OpenScene:
 class Session:
     """What the panel and the keys act on. Scenes are opened in the background: the open one stays meanwhile."""
 
-    def __init__(self, look: Look) -> None:
-        """``look.layers`` 0 stands for what each scene asks for."""
-        self.look = look
-        self.scene: OpenScene | None = None
+    def __init__(self, settings: DisplaySettings) -> None:
+        """``settings.layers`` 0 stands for what each scene asks for."""
+        self.settings = settings
+        self.scene: LoadedScene | None = None
         self.playback = Playback(1, 30.0)
         self.pose: Pose | None = None
         self.message = ""
         self.failure: Exception | None = None  # why the last opening failed
         self.waiting = False
         self._opening: threading.Thread | None = None
-        self._opened: OpenScene | Exception | None = None
+        self._opened: LoadedScene | Exception | None = None
         self._glide: tuple[Pose, Pose, float] | None = None
-        self._scaled: tuple[BakedFrame, Look, BakedFrame] | None = None
+        self._scaled: tuple[BakedFrame, DisplaySettings, BakedFrame] | None = None
         self._seen: tuple[Pose, tuple[int, int], Camera] | None = None
         self._shown: BakedFrame | None = None
-        self._chose_layers = look.layers > 0
+        self._chose_layers = settings.layers > 0
 
     @property
     def opening(self) -> bool:
@@ -110,18 +110,18 @@ class Session:
         self._opening = threading.Thread(target=self._open, args=(path,), name="opener", daemon=True)
         self._opening.start()
 
-    def settle_opening(self, wait: bool = False) -> OpenScene | None:
+    def settle_opening(self, wait: bool = False) -> LoadedScene | None:
         """The scene that has just been opened, once; a failure goes to ``message`` and the open scene stays."""
         if self._opening is None or (self._opening.is_alive() and not wait):
             return None
         self._opening.join()
         self._opening, opened = None, self._opened
-        if isinstance(opened, OpenScene):
+        if isinstance(opened, LoadedScene):
             return opened
         self.failure, self.message = opened, str(opened)
         return None
 
-    def show(self, scene: OpenScene, pose: Pose) -> None:
+    def show(self, scene: LoadedScene, pose: Pose) -> None:
         """Take over a scene; the one before it is closed."""
         if self.scene is not None:
             self.scene.close()
@@ -129,14 +129,14 @@ class Session:
         manifest = scene.manifest
         self.playback = Playback(manifest.frame_count, manifest.fps, playing=not scene.checkpoint)
         if not self._chose_layers:
-            self.look = replace(self.look, layers=manifest.layers)
+            self.settings = replace(self.settings, layers=manifest.layers)
         self._glide, self._scaled, self._shown = None, None, None
         self.message = ""
 
     def choose_layers(self, layers: int) -> None:
         """Set K; the scenes' own K is not taken any more."""
         self._chose_layers = True
-        self.look = replace(self.look, layers=layers)
+        self.settings = replace(self.settings, layers=layers)
 
     def glide_to(self, pose: Pose) -> None:
         """Move there over GLIDE_SECONDS."""
@@ -162,7 +162,7 @@ class Session:
             self._glide = (start, end, share) if share < 1 else None
         return renewed
 
-    def shot(self, size: tuple[int, int], wait: bool = False) -> Shot | None:
+    def request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
         """What to draw in a picture of ``size``; None while nothing is open or nothing has been read yet.
 
         While a frame is being read, the one before it stays and ``waiting`` is set. A frame that
@@ -173,14 +173,14 @@ class Session:
         frame = self._frame(wait)
         if frame is None:
             return None
-        return Shot(self._applied(frame), self._camera(self.pose, size), self.scene.manifest, self.look)
+        return RenderRequest(self._applied(frame), self._camera(self.pose, size), self.scene.manifest, self.settings)
 
     def close(self) -> None:
         """Stop what goes on in the background and close the scene."""
         if self._opening is not None:
             self._opening.join()
             self._opening = None
-            if isinstance(self._opened, OpenScene):
+            if isinstance(self._opened, LoadedScene):
                 self._opened.close()
         if self.scene is not None:
             self.scene.close()
@@ -207,18 +207,18 @@ class Session:
         return self._seen[2]
 
     def _applied(self, frame: BakedFrame) -> BakedFrame:
-        """The frame in the look's scales; the same object as long as both are the same."""
-        scales = (self.look.point_scale, self.look.density_scale)
+        """The frame in the settings's scales; the same object as long as both are the same."""
+        scales = (self.settings.point_scale, self.settings.density_scale)
         if self._scaled is not None:
-            source, look, scaled = self._scaled
-            if source is frame and (look.point_scale, look.density_scale) == scales:
+            source, settings, scaled = self._scaled
+            if source is frame and (settings.point_scale, settings.density_scale) == scales:
                 return scaled
-        applied = self.look.applied(frame)
-        self._scaled = (frame, self.look, applied)
+        applied = self.settings.applied(frame)
+        self._scaled = (frame, self.settings, applied)
         return applied
 
     def _open(self, path: Path) -> None:
         try:
-            self._opened = OpenScene(path, open_source(path))
+            self._opened = LoadedScene(path, open_frame_source(path))
         except Exception as error:  # told where the window is: nothing may be lost in a thread
             self._opened = error

@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
+from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import offscreen_context
-from fourd.viewer.rendering.display_settings import Shot
 from fourd.viewer.rendering.renderers import Renderer
 
 
@@ -35,10 +35,10 @@ def require_gl() -> None:
         pytest.skip(f"no OpenGL here: {error}")
 
 
-def drawn(renderer: Renderer, shot: Shot, context: moderngl.Context) -> NDArray[np.float32]:
+def drawn(renderer: Renderer, request: RenderRequest, context: moderngl.Context) -> NDArray[np.float32]:
     """The picture (H, W, 4) in floats, row 0 at the top."""
     canvas = Canvas(context, "f1" if renderer.name == "cpu" else "f4")
-    renderer.draw(shot, canvas, wait=True)
+    renderer.draw(request, canvas, wait=True)
     picture = canvas.numbers()
     canvas.release()
     return picture

@@ -128,7 +128,7 @@ class Viewer:
         return self.screen.picture()
 
     def keep(self, name: str) -> NDArray[np.uint8]:
-        """The screen, also as a file to look at."""
+        """The screen, also as a file to settings at."""
         picture = self.picture()
         Image.fromarray(picture).save(self.folder / f"{name}.png")
         return picture

@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from fourd.baking import SceneWriter, joined, open_scene
 from fourd.cameras import Camera, look_at
 from fourd.cli.main import main
+from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.arrays import ArrayTexture, UploadedFrame
 from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.gl.depth_order import ExactOrders
 from fourd.viewer.gl.discs import Discs
-from fourd.viewer.playback.sources import open_source
-from fourd.viewer.rendering.depth_order import ExactOrders
-from fourd.viewer.rendering.display_settings import Look, Shot
-from fourd.viewer.rendering.offscreen import Studio
+from fourd.viewer.playback.sources import open_frame_source
+from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.rendering.renderers import RENDERERS, RendererName, make_renderer
-from fourd.viewer.session import OpenScene, Session
+from fourd.viewer.session import LoadedScene, Session
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame, write_full_scene, write_scene
 from tests.viewer.gl import contexts, drawn
 from tests.viewer.rendering.test_renderers import reference, require_parity
@@ -54,12 +54,12 @@ PLACES = {
 
 
 @cache
-def shot_from(place: str) -> Shot:
+def shot_from(place: str) -> RenderRequest:
     """The ball before the walls, whose points are tens of times as far and as large."""
     room = room_frame(1200, 6, seed=2, half=HALF)
     shadow = np.where(room.xyz[:, 2] < 0, 70, 128).astype(np.uint8)
-    look = Look(MOST_LAYERS, (0.2, 0.4, 0.8))
-    return Shot(joined(solid(800, seed=1), room, shadow), PLACES[place], full_manifest(), look)
+    settings = DisplaySettings(MOST_LAYERS, (0.2, 0.4, 0.8))
+    return RenderRequest(joined(solid(800, seed=1), room, shadow), PLACES[place], full_manifest(), settings)
 
 
 @cache
@@ -73,10 +73,10 @@ def test_a_ball_in_a_room(name: RendererName, place: str, context: moderngl.Cont
     """Catches planes, depths or sizes that fit the ball alone: walls cut off, before the ball, or full of holes."""
     # Sorted composites every layer; where one looks along a wall, there are more than 12.
     layers = MOST_LAYERS if name == "sorted" else 12
-    shot = shot_from(place)
+    request = shot_from(place)
     # In float16 each of 12 layers is rounded and no pixel is empty, which would hide what is looked for here.
     renderer = make_renderer(name, context, "float32")
-    picture = drawn(renderer, replace(shot, look=replace(shot.look, layers=layers)), context)
+    picture = drawn(renderer, replace(request, settings=replace(request.settings, layers=layers)), context)
     renderer.release()
     if name == "sorted":
         require_parity(name, picture, truth(place, layers))
@@ -89,9 +89,9 @@ def test_a_ball_in_a_room(name: RendererName, place: str, context: moderngl.Cont
 @pytest.mark.parametrize("name", ["peel", "dual"])
 def test_half_precision_is_enough_for_pictures_without_gaps(name: RendererName, context: moderngl.Context) -> None:
     """Catches sums in which the far layers are lost for the near ones."""
-    shot = shot_from("in a corner")
+    request = shot_from("in a corner")
     renderer = make_renderer(name, context)
-    picture = drawn(renderer, replace(shot, look=replace(shot.look, layers=12)), context)
+    picture = drawn(renderer, replace(request, settings=replace(request.settings, layers=12)), context)
     renderer.release()
     assert np.abs(picture[..., :3] - truth("in a corner", 12)).max() < 1 / 255
 
@@ -106,9 +106,9 @@ def test_large_points_far_away_do_not_slow_sprites_down(context: moderngl.Contex
     uploaded = UploadedFrame(context, "float16")
     discs = Discs(context, {"blend": "sorted.frag"})
     for seen, sprites in ((camera, True), (near, False)):
-        shot = Shot(joined(ball, room), seen, full_manifest(), Look())
-        uploaded.load(shot.frame)
-        discs.place(uploaded, ExactOrders().order(shot, True).points, shot)
+        request = RenderRequest(joined(ball, room), seen, full_manifest(), DisplaySettings())
+        uploaded.load(request.frame)
+        discs.place(uploaded, ExactOrders().order(request, True).points, request)
         assert discs.as_sprites == sprites
     for held in (discs, uploaded, canvas):
         held.release()
@@ -129,16 +129,16 @@ def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch:
         write(texture, array, first)
 
     monkeypatch.setattr(ArrayTexture, "write", counted)
-    shot = replace(shot_from("beside the ball"), look=Look(12))
+    request = replace(shot_from("beside the ball"), settings=DisplaySettings(12))
     renderer = make_renderer("peel", context)
     for number, frame in enumerate(frames):
         sent.clear()
-        picture = drawn(renderer, replace(shot, frame=frame), context)
+        picture = drawn(renderer, replace(request, frame=frame), context)
         # Two frames are held at a time, each with the room; colours come again in a shadow and after one.
         again = room.nbytes if number in (0, 1, 8) else room.rgb.nbytes if number >= 4 else 0
         assert sum(sent) == frame.nbytes - room.nbytes + again
         alone = make_renderer("peel", context)
-        np.testing.assert_array_equal(picture, drawn(alone, replace(shot, frame=frame), context))
+        np.testing.assert_array_equal(picture, drawn(alone, replace(request, frame=frame), context))
         alone.release()
     renderer.release()
 
@@ -146,19 +146,19 @@ def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch:
 def test_a_session_plays_a_full_scene(tmp_path: Path) -> None:
     """Catches frames without their background, with that of another frame's shadow, or in each other's place."""
     moving, room, _ = write_full_scene(tmp_path / "full.4dv", frames=4, points=300, behind=2500)
-    session = Session(Look())
+    session = Session(DisplaySettings())
     session.open(tmp_path / "full.4dv")
     opened = session.settle_opening(wait=True)
     assert opened is not None, session.message
     session.show(opened, opened.start(SIZE))
-    with Studio("cpu") as studio, open_scene(tmp_path / "full.4dv") as scene:
+    with OffscreenRenderer("cpu") as offscreen, open_scene(tmp_path / "full.4dv") as scene:
         for index in range(4):
-            shot = session.shot(SIZE, wait=True)
-            assert shot is not None
+            request = session.request(SIZE, wait=True)
+            assert request is not None
             assert session.playback.frame == index
-            assert shot.frame.point_count == moving[index].point_count + room.point_count
-            expected = scene.render(shot.camera, index).to_uint8()
-            assert np.abs(studio.picture(shot).astype(int) - expected).max() <= 1
+            assert request.frame.point_count == moving[index].point_count + room.point_count
+            expected = scene.render(request.camera, index).to_uint8()
+            assert np.abs(offscreen.picture(request).astype(int) - expected).max() <= 1
             session.advance(1 / opened.manifest.fps + 1e-6)
         assert session.playback.frame == 0
     session.close()
@@ -170,7 +170,7 @@ def test_where_one_stands_does_not_depend_on_the_background(tmp_path: Path) -> N
     write_scene(tmp_path / "object.4dv")
     starts = []
     for name in ("full.4dv", "object.4dv"):
-        opened = OpenScene(tmp_path / name, open_source(tmp_path / name))
+        opened = LoadedScene(tmp_path / name, open_frame_source(tmp_path / name))
         starts.append(opened.start(SIZE))
         opened.close()
     assert starts[0].distance == starts[1].distance
@@ -179,7 +179,7 @@ def test_where_one_stands_does_not_depend_on_the_background(tmp_path: Path) -> N
     with SceneWriter(tmp_path / "bare.4dv", bare) as writer:
         writer.add_background(room_frame(100, 0, seed=1))
         writer.add_frame(0, random_frame(100, 0, seed=1))
-    opened = OpenScene(tmp_path / "bare.4dv", open_source(tmp_path / "bare.4dv"))
+    opened = LoadedScene(tmp_path / "bare.4dv", open_frame_source(tmp_path / "bare.4dv"))
     assert opened.start(SIZE).distance < 5
     opened.close()
 

@@ -20,8 +20,8 @@ from fourd.baking import SceneWriter, open_scene
 from fourd.baking.scene import FORMAT_VERSION
 from fourd.cli.main import main
 from fourd.viewer.navigation.pose import pose_of
-from fourd.viewer.navigation.recorded_path import Flight, Stop
-from fourd.viewer.rendering.offscreen import Studio
+from fourd.viewer.navigation.recorded_path import PathSample, RecordedPath
+from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.rendering.renderers import RENDERERS
 from tests.baking.scenes import manifest, random_frame
 from tests.viewer.gl import require_gl
@@ -93,7 +93,9 @@ def test_a_video_along_a_recorded_path(scene: Path, tmp_path: Path) -> None:
     with open_scene(scene) as opened:
         seen = opened.manifest
         poses = [pose_of(camera, seen.focus, np.array([0.0, 0, 1]), (48, 48)) for camera in seen.cameras[:3]]
-        flight = Flight(tuple(Stop(pose, frame) for pose, frame in zip(poses, (0, 2, 99), strict=True)), 10.0)
+        flight = RecordedPath(
+            tuple(PathSample(pose, frame) for pose, frame in zip(poses, (0, 2, 99), strict=True)), 10.0
+        )
         truths = [
             opened.render(pose.camera(48, 48), min(stop.frame, FRAMES - 1)).to_uint8()
             for pose, stop in zip(poses, flight.stops, strict=True)
@@ -120,8 +122,8 @@ def test_auto_says_what_it_took_and_why(scene: Path, tmp_path: Path, capsys: pyt
     """Catches a choice that is not told."""
     run(scene, "--screenshot", tmp_path / "seen.png")
     assert "renderer: " in capsys.readouterr().err
-    with Studio("cpu") as studio:
-        assert (studio.chosen.name, studio.chosen.reason) == ("cpu", "as asked")
+    with OffscreenRenderer("cpu") as offscreen:
+        assert (offscreen.chosen.name, offscreen.chosen.reason) == ("cpu", "as asked")
 
 
 def rewritten(scene: Path, out: Path, change) -> Path:

@@ -11,10 +11,10 @@ import pytest
 
 from fourd.baking import SceneReader
 from fourd.errors import UserError
-from fourd.viewer.playback.sources import RunSource, open_source
-from fourd.viewer.rendering.display_settings import Look
-from fourd.viewer.rendering.offscreen import Studio
-from fourd.viewer.session import GLIDE_SECONDS, OpenScene, Session
+from fourd.viewer.display import DisplaySettings
+from fourd.viewer.playback.sources import RunSource, open_frame_source
+from fourd.viewer.rendering.offscreen import OffscreenRenderer
+from fourd.viewer.session import GLIDE_SECONDS, LoadedScene, Session
 from tests.baking.scenes import manifest, random_frame, write_scene
 from tests.training.small import SMALL, train, trained_run, with_steps
 
@@ -27,7 +27,7 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "one.4dv"
 
 
-def opened(session: Session, path: Path) -> OpenScene:
+def opened(session: Session, path: Path) -> LoadedScene:
     session.open(path)
     found = session.settle_opening(wait=True)
     assert found is not None, session.message
@@ -37,14 +37,14 @@ def opened(session: Session, path: Path) -> OpenScene:
 
 def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path: Path) -> None:
     """Catches a viewer that is left with nothing to show, and a message that does not name the file."""
-    session = Session(Look())
+    session = Session(DisplaySettings())
     opened(session, scene)
-    before = session.shot(SIZE, wait=True)
+    before = session.request(SIZE, wait=True)
     (tmp_path / "broken.4dv").write_bytes(b"no scene")
     session.open(tmp_path / "broken.4dv")
     assert session.settle_opening(wait=True) is None
     assert "broken.4dv: expected a whole .4dv scene" in session.message
-    after = session.shot(SIZE, wait=True)
+    after = session.request(SIZE, wait=True)
     assert before is not None
     assert after is not None
     assert (after.frame, after.camera) == (before.frame, before.camera)
@@ -58,21 +58,21 @@ def test_a_damaged_frame_keeps_the_one_before_it_and_says_so(scene: Path) -> Non
     at = content.find(frame.xyz.tobytes())
     content[at : at + 4] = np.float32(np.nan).tobytes()
     scene.write_bytes(bytes(content))
-    session = Session(Look())
+    session = Session(DisplaySettings())
     opened(session, scene)
     session.playback.seek(1)
-    good = session.shot(SIZE, wait=True)
+    good = session.request(SIZE, wait=True)
     session.playback.seek(2)
     with pytest.raises(UserError, match=r"one\.4dv"):
-        session.shot(SIZE, wait=True)
-    damaged = session.shot(SIZE)
+        session.request(SIZE, wait=True)
+    damaged = session.request(SIZE)
     assert good is not None
     assert damaged is not None
     assert damaged.frame is good.frame
     assert "one.4dv" in session.message
     assert not session.waiting
     session.playback.seek(3)
-    assert session.shot(SIZE, wait=True) is not None
+    assert session.request(SIZE, wait=True) is not None
     session.close()
 
 
@@ -94,30 +94,30 @@ class SlowSource:
 def test_a_slow_disk_is_waited_for_without_a_stop(tmp_path: Path) -> None:
     """Catches a window that freezes until a frame is read, and time that runs on meanwhile."""
     source = SlowSource()
-    session = Session(Look())
-    session.show(OpenScene(tmp_path / "slow.4dv", source), OpenScene(tmp_path, SlowSource()).start(SIZE))
-    assert session.shot(SIZE) is None
+    session = Session(DisplaySettings())
+    session.show(LoadedScene(tmp_path / "slow.4dv", source), LoadedScene(tmp_path, SlowSource()).start(SIZE))
+    assert session.request(SIZE) is None
     assert session.waiting
     session.advance(0.05)
     assert session.playback.frame == 0, "frames are skipped while none is there"
     source.answers.set()
-    assert session.shot(SIZE, wait=True) is not None
+    assert session.request(SIZE, wait=True) is not None
     assert not session.waiting
     session.close()
 
 
 def test_what_does_not_change_is_the_same_object(scene: Path) -> None:
     """Catches cameras and scaled frames made anew for every picture: renderers would sort and upload each time."""
-    session = Session(replace(Look(), point_scale=1.5))
+    session = Session(replace(DisplaySettings(), point_scale=1.5))
     opened(session, scene)
-    one, other = session.shot(SIZE, wait=True), session.shot(SIZE, wait=True)
+    one, other = session.request(SIZE, wait=True), session.request(SIZE, wait=True)
     assert one is not None
     assert other is not None
     assert one.frame is other.frame
     assert one.camera is other.camera
     assert session.pose is not None
     session.move(session.pose.dollied(0.9))
-    moved = session.shot(SIZE, wait=True)
+    moved = session.request(SIZE, wait=True)
     assert moved is not None
     assert moved.camera is not one.camera
     assert moved.frame is one.frame
@@ -127,18 +127,18 @@ def test_what_does_not_change_is_the_same_object(scene: Path) -> None:
 def test_the_scene_s_layers_are_taken_unless_the_user_chose(tmp_path: Path) -> None:
     """Catches K of the scene before, and a user's K that the next scene undoes."""
     write_scene(tmp_path / "one.4dv")
-    session = Session(Look(layers=0))
+    session = Session(DisplaySettings(layers=0))
     opened(session, tmp_path / "one.4dv")
-    assert session.look.layers == 12
+    assert session.settings.layers == 12
     session.choose_layers(5)
     opened(session, tmp_path / "one.4dv")
-    assert session.look.layers == 5
+    assert session.settings.layers == 5
     session.close()
 
 
 def test_a_glide_ends_where_it_should_and_a_move_ends_it(scene: Path) -> None:
     """Catches a glide that goes on after the user has taken over."""
-    session = Session(Look())
+    session = Session(DisplaySettings())
     found = opened(session, scene)
     end = found.camera_pose(3, SIZE)
     session.glide_to(end)
@@ -162,18 +162,18 @@ def test_a_run_is_shown_and_shown_again_when_it_has_learnt_more(
     """Catches a run that stays at the checkpoint at which it was opened."""
     monkeypatch.setattr("fourd.viewer.session._LOOK_EVERY", 0.0)
     run = trained_run(ball_capture, tmp_path / "run")
-    session = Session(Look())
+    session = Session(DisplaySettings())
     found = opened(session, run.folder)
     assert found.checkpoint == "00000006.safetensors"
     assert not session.advance(0)
-    before = session.shot(SIZE, wait=True)
+    before = session.request(SIZE, wait=True)
     assert before is not None
-    with Studio("cpu") as studio:
-        assert studio.picture(before).max() > 30
+    with OffscreenRenderer("cpu") as offscreen:
+        assert offscreen.picture(before).max() > 30
     train(run, with_steps(SMALL, 12))
     assert session.advance(0)
-    assert session.shot(SIZE) is not None, "what was there stays until the new one comes"
-    after = session.shot(SIZE, wait=True)
+    assert session.request(SIZE) is not None, "what was there stays until the new one comes"
+    after = session.request(SIZE, wait=True)
     assert after is not None
     assert not np.array_equal(after.frame.sh, before.frame.sh)
     session.close()
@@ -187,7 +187,7 @@ def test_a_run_s_frames_are_those_of_its_export(ball_capture: Path, tmp_path: Pa
 
     run = trained_run(ball_capture, tmp_path / "run")
     bake_run(load_run(run.folder), tmp_path / "scene.4dv", quiet())
-    live, exported = RunSource(run.folder), open_source(tmp_path / "scene.4dv")
+    live, exported = RunSource(run.folder), open_frame_source(tmp_path / "scene.4dv")
     assert live.manifest.names == exported.manifest.names
     assert live.manifest.layers == exported.manifest.layers
     one, other = live.read(1), exported.read(1)
@@ -221,15 +221,15 @@ def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None
     from fourd.training.memory import resident_bytes
 
     write_scene(tmp_path / "long.4dv", frames=50, points=4000)
-    session = Session(Look())
+    session = Session(DisplaySettings())
 
     def play(pictures: int) -> None:
-        with Studio("cpu") as studio:
+        with OffscreenRenderer("cpu") as offscreen:
             for number in range(pictures):
                 session.playback.seek(number % 50)
-                shot = session.shot(SIZE, wait=True)
-                assert shot is not None
-                studio.picture(shot)
+                request = session.request(SIZE, wait=True)
+                assert request is not None
+                offscreen.picture(request)
 
     opened(session, tmp_path / "long.4dv")
     play(200)

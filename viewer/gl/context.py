@@ -36,6 +36,6 @@ def information(context: moderngl.Context) -> dict[str, Any]:
     return found
 
 
-def driver(context: moderngl.Context) -> str:
+def driver_name(context: moderngl.Context) -> str:
     """What the driver calls what it draws with, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
     return str(information(context)["GL_RENDERER"])

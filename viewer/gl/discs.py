@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from fourd.baking.shade import select_source_views
 from fourd.cameras import Camera
 from fourd.errors import UserError
+from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.arrays import UploadedFrame
 from fourd.viewer.gl.context import information
 from fourd.viewer.gl.shaders import TEXELS_A_ROW, program, set_uniforms
-from fourd.viewer.rendering.display_settings import Shot
 
 _BYTES_A_DISC = 32
 _DISCS_A_ROW = TEXELS_A_ROW // 2
@@ -62,23 +62,23 @@ class Discs:
         self._size = (1, 1)
         self._margin: int | None = None
 
-    def place(self, uploaded: UploadedFrame, order: NDArray[np.uint32], shot: Shot) -> None:
-        """Project and shade the points of ``order``, nearest first, as the shot's camera sees them."""
+    def place(self, uploaded: UploadedFrame, order: NDArray[np.uint32], request: RenderRequest) -> None:
+        """Project and shade the points of ``order``, nearest first, as the request's camera sees them."""
         if len(order) >= _MOST_RANKS:
             raise UserError(
                 f"OpenGL: expected fewer than {_MOST_RANKS} points in sight, got {len(order)}; add --renderer cpu"
             )
         self._count = len(order)
-        self._size = (shot.camera.width, shot.camera.height)
-        self._make_room(max(shot.frame.point_count, 1))
+        self._size = (request.camera.width, request.camera.height)
+        self._make_room(max(request.frame.point_count, 1))
         if self._count == 0:
             return
-        self._margin = self._sprite_margin(order, shot)
+        self._margin = self._sprite_margin(order, request)
         self._buffers["order"].write(np.ascontiguousarray(order[::-1]) if self._farthest_first else order)
-        set_uniforms(self._shade, **uploaded.use(), views=shot.frame.view_count, **_camera_uniforms(shot.camera))
-        set_uniforms(self._shade, **_shading_uniforms(shot))
+        set_uniforms(self._shade, **uploaded.use(), views=request.frame.view_count, **_camera_uniforms(request.camera))
+        set_uniforms(self._shade, **_shading_uniforms(request))
         if self._farthest_first and self._margin is not None:
-            shading, count = self._shading["sequence"], shot.frame.point_count
+            shading, count = self._shading["sequence"], request.frame.point_count
         else:
             shading, count = self._shading["order"], self._count
         shading.transform(self._buffers["discs"], moderngl.POINTS, vertices=count)
@@ -129,11 +129,11 @@ class Discs:
         for compiled in (self._shade, *self._programs.values()):
             compiled.release()
 
-    def _sprite_margin(self, order: NDArray[np.uint32], shot: Shot) -> int | None:
+    def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
         """How far sprites can reach over an edge, in pixels; None where one may be larger than the driver allows."""
         # The points of a background are large and far: only each at its own depth tells that they are small to see.
         for slope in (_steepest_bound, _steepest):
-            margin = math.ceil(float(shot.camera.intrinsics[1, 1]) * slope(order, shot)) + 1
+            margin = math.ceil(float(request.camera.intrinsics[1, 1]) * slope(order, request)) + 1
             if self._sprites_fit(margin):
                 return margin
         return None
@@ -180,18 +180,18 @@ class Discs:
         self._room = 0
 
 
-def _steepest_bound(order: NDArray[np.uint32], shot: Shot) -> float:
+def _steepest_bound(order: NDArray[np.uint32], request: RenderRequest) -> float:
     """The largest radius by the depth of the nearest point; at no cost."""
-    nearest, camera = shot.frame.xyz[order[0]].astype(np.float64), shot.camera
+    nearest, camera = request.frame.xyz[order[0]].astype(np.float64), request.camera
     depth = float(nearest @ camera.forward) + float(camera.translation[2])
-    return float(shot.frame.radius.max()) / max(depth, shot.manifest.near)
+    return float(request.frame.radius.max()) / max(depth, request.manifest.near)
 
 
-def _steepest(order: NDArray[np.uint32], shot: Shot) -> float:
+def _steepest(order: NDArray[np.uint32], request: RenderRequest) -> float:
     """The largest ratio of a point's radius to its depth, beyond the near plane; 140,000 points take a millisecond."""
-    camera, near = shot.camera, shot.manifest.near
-    depth = (shot.frame.xyz @ camera.forward.astype(np.float32)).take(order) + np.float32(camera.translation[2])
-    radius = shot.frame.radius.take(order).astype(np.float32)
+    camera, near = request.camera, request.manifest.near
+    depth = (request.frame.xyz @ camera.forward.astype(np.float32)).take(order) + np.float32(camera.translation[2])
+    radius = request.frame.radius.take(order).astype(np.float32)
     # Half of near: the shader's rounding may let pass what is a little nearer.
     ratio = np.where(depth >= near / 2, radius / np.maximum(depth, np.float32(near)), 0)
     return float(ratio.max())
@@ -209,9 +209,9 @@ def _camera_uniforms(camera: Camera) -> dict[str, tuple[float, ...]]:
     }
 
 
-def _shading_uniforms(shot: Shot) -> dict[str, object]:
-    manifest = shot.manifest
-    chosen = select_source_views(shot.camera, manifest)
+def _shading_uniforms(request: RenderRequest) -> dict[str, object]:
+    manifest = request.manifest
+    chosen = select_source_views(request.camera, manifest)
     return {
         "chosen": [*chosen, *[0] * (64 - len(chosen))],
         "chosen_count": len(chosen),

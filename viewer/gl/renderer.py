@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import moderngl
 
+from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.arrays import Precision, UploadedFrame
 from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.gl.depth_order import Orders
 from fourd.viewer.gl.techniques import Technique
-from fourd.viewer.rendering.depth_order import Orders
-from fourd.viewer.rendering.display_settings import Shot
 
 
 class GLRenderer:
@@ -38,15 +38,15 @@ class GLRenderer:
         """How many pictures in a row were drawn with an order that is not their own; 0 at rest."""
         return self._behind
 
-    def draw(self, shot: Shot, canvas: Canvas, wait: bool = False) -> None:
-        """Draw on ``canvas``, in the camera's size; with ``wait``, with the shot's own order."""
-        order = self._orders.order(shot, wait)
-        self._behind = 0 if order.fits(shot) else self._behind + 1
+    def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
+        """Draw on ``canvas``, in the camera's size; with ``wait``, with the request's own order."""
+        order = self._orders.order(request, wait)
+        self._behind = 0 if order.fits(request) else self._behind + 1
         self.sort_seconds = order.seconds
-        drawn = replace(shot, frame=order.frame)
+        drawn = replace(request, frame=order.frame)
         self._context.disable(moderngl.CULL_FACE | moderngl.BLEND | moderngl.DEPTH_TEST)
         # Without a window there is no default framebuffer, and transform feedback fails while none is in use.
-        target = canvas.sized(shot.camera.width, shot.camera.height)
+        target = canvas.sized(request.camera.width, request.camera.height)
         target.use()
         self._technique.discs.place(self._upload(drawn), order.points, drawn)
         self._technique.draw(drawn, target)
@@ -58,10 +58,10 @@ class GLRenderer:
         for uploaded in self._uploaded:
             uploaded.release()
 
-    def _upload(self, shot: Shot) -> UploadedFrame:
+    def _upload(self, request: RenderRequest) -> UploadedFrame:
         for uploaded in self._uploaded:
-            if uploaded.frame is shot.frame:
+            if uploaded.frame is request.frame:
                 return uploaded
         self._uploaded.reverse()
-        self._uploaded[0].load(shot.frame)
+        self._uploaded[0].load(request.frame)
         return self._uploaded[0]

@@ -6,40 +6,40 @@ from typing import Protocol
 
 import moderngl
 
+from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.arrays import Precision
 from fourd.viewer.gl.discs import Discs
 from fourd.viewer.gl.pictures import FullPass, Pictures, PixelCount, largest, over, replace, under
-from fourd.viewer.rendering.display_settings import Shot
 
 _NONE = 1e9  # as in the shaders
 
 
 class Technique(Protocol):
-    """Draws the discs of a shot."""
+    """Draws the discs of a request."""
 
     @property
     def discs(self) -> Discs:
-        """Where the shot's discs are to be placed."""
+        """Where the request's discs are to be placed."""
 
-    def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
-        """Composite ``discs``, placed for the shot, over its background."""
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+        """Composite ``discs``, placed for the request, over its background."""
 
     def release(self) -> None:
         """Give back every GL object."""
 
 
 class Show:
-    """Shows a composited picture, which lies upside down for GL, over a shot's background."""
+    """Shows a composited picture, which lies upside down for GL, over a request's background."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._pass = FullPass(context, "show.frag")
 
-    def run(self, picture: moderngl.Texture, shot: Shot, target: moderngl.Framebuffer) -> None:
+    def run(self, picture: moderngl.Texture, request: RenderRequest, target: moderngl.Framebuffer) -> None:
         """Into ``target``, which is left in use."""
         target.use()
         replace(self._context)
-        self._pass.run({"picture": picture}, background=shot.look.background)
+        self._pass.run({"picture": picture}, background=request.settings.background)
 
     def release(self) -> None:
         self._pass.release()
@@ -52,8 +52,8 @@ class Sorted:
         self._context = context
         self.discs = Discs(context, {"blend": "sorted.frag"}, farthest_first=True)
 
-    def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
-        target.clear(color=(*shot.look.background, 0.0))
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+        target.clear(color=(*request.settings.background, 0.0))
         over(self._context)
         self.discs.draw("blend", target, upright=True)
 
@@ -73,18 +73,18 @@ class Peel:
         self._copy = FullPass(context, "copy.frag")
         self._show = Show(context)
 
-    def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
         pictures = self._pictures
-        pictures.resize((shot.camera.width, shot.camera.height))
+        pictures.resize((request.camera.width, request.camera.height))
         pictures.clear("sum")
         pictures.clear("ranks 1")
-        for layer in range(shot.look.layers):
+        for layer in range(request.settings.layers):
             now, before = f"ranks {layer % 2}", f"ranks {1 - layer % 2}"
             self._next_layer(now, before)
             pictures.together(["sum"], depth=False).use()
             under(self._context)
             self._copy.run({"picture": pictures.texture("layer")})
-        self._show.run(pictures.texture("sum"), shot, target)
+        self._show.run(pictures.texture("sum"), request, target)
 
     def _next_layer(self, now: str, before: str) -> None:
         pictures = self._pictures
@@ -121,21 +121,21 @@ class Dual:
         self._show = Show(context)
         self._count = PixelCount()
 
-    def draw(self, shot: Shot, target: moderngl.Framebuffer) -> None:
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
         pictures = self._pictures
-        pictures.resize((shot.camera.width, shot.camera.height))
+        pictures.resize((request.camera.width, request.camera.height))
         pictures.clear("ends 1", 0.0, _NONE)
         pictures.clear("front 1")
         pictures.clear("back 1")
-        pairs = shot.look.layers // 2
+        pairs = request.settings.layers // 2
         for number in range(pairs):
             self._find(number)
             self._composite(number)
-        last = self._peel_on(pairs, shot.look.layers - pairs)
+        last = self._peel_on(pairs, request.settings.layers - pairs)
         pictures.together([f"front {last % 2}"], depth=False).use()
         under(self._context)
         self._copy.run({"picture": pictures.texture(f"back {last % 2}")})
-        self._show.run(pictures.texture(f"front {last % 2}"), shot, target)
+        self._show.run(pictures.texture(f"front {last % 2}"), request, target)
 
     def _find(self, number: int, front_only: bool = False) -> None:
         """The geometry pass of a number, from 0: the nearest and farthest ranks between those found before."""

@@ -59,7 +59,7 @@ def orbit(
     Args:
         cameras: of the capture; at least 1.
         steps: number of pictures, at least 1.
-        focus: (3,) point to look at; None estimates it (:func:`estimate_focus`).
+        focus: (3,) point to settings at; None estimates it (:func:`estimate_focus`).
         up: (3,) the world's up; None estimates it (:func:`estimate_up`).
         distance: from the focus in world units; None for the cameras' median.
         elevation: degrees above the plane through the focus; None for the cameras' median.
@@ -124,7 +124,7 @@ def interpolate(
     """
     _check(cameras, steps)
     width, height = size or (cameras[0].width, cameras[0].height)
-    fitted = [fit(camera, width, height) for camera in cameras]
+    fitted = [fit_camera(camera, width, height) for camera in cameras]
     knots = _distinct(np.stack([_packed(camera) for camera in fitted]), loop)
     if len(knots) == 1:
         return [fitted[0]] * steps
@@ -165,7 +165,7 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
     return centres.mean(axis=0) + _unit(axes.mean(axis=0)) * (3 * spread if spread > 1e-9 else 1.0)
 
 
-def fit(camera: Camera, width: int, height: int) -> Camera:
+def fit_camera(camera: Camera, width: int, height: int) -> Camera:
     """The same view on an image of another size: nothing is stretched, the whole old image fits in."""
     zoom = min(width / camera.width, height / camera.height)
     intrinsics = np.diag([zoom, zoom, 1.0]) @ camera.intrinsics

@@ -18,7 +18,7 @@ _MOST_BYTES = 256 << 20
 
 
 @dataclass(frozen=True, eq=False)
-class Stop:
+class PathSample:
     """Where the viewer was, and which frame was shown."""
 
     pose: Pose
@@ -26,10 +26,10 @@ class Stop:
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class RecordedPath:
     """Stops at ``fps`` a second."""
 
-    stops: tuple[Stop, ...]
+    stops: tuple[PathSample, ...]
     fps: float = RECORDED_FPS
 
     def save(self, path: Path) -> None:
@@ -43,11 +43,11 @@ class Flight:
         write_text_atomically(path, json.dumps(content, indent=1))
 
 
-class Recorder:
+class PathRecorder:
     """Takes a stop at every tick of RECORDED_FPS while it runs, whatever the pace of the pictures."""
 
     def __init__(self) -> None:
-        self._stops: list[Stop] = []
+        self._stops: list[PathSample] = []
         self._seconds = 0.0
 
     @property
@@ -59,14 +59,14 @@ class Recorder:
         """Let time pass; the viewer is at ``pose`` at its end."""
         self._seconds += seconds
         while len(self._stops) < self._seconds * RECORDED_FPS:
-            self._stops.append(Stop(pose, frame))
+            self._stops.append(PathSample(pose, frame))
 
-    def flight(self) -> Flight:
+    def flight(self) -> RecordedPath:
         """What was recorded."""
-        return Flight(tuple(self._stops))
+        return RecordedPath(tuple(self._stops))
 
 
-def load_flight(path: Path) -> Flight:
+def load_recorded_path(path: Path) -> RecordedPath:
     """Read a recorded path. Raises UserError that names the file and the mend."""
     try:
         if path.stat().st_size > _MOST_BYTES:
@@ -76,7 +76,7 @@ def load_flight(path: Path) -> Flight:
             raise ValueError(f'expected "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise ValueError(f"expected version {VERSION}, got {str(content.get('version'))[:20]}")
-        stops = tuple(Stop(pose_from_json(stop), _frame(stop["frame"])) for stop in content["stops"])
+        stops = tuple(PathSample(pose_from_json(stop), _frame(stop["frame"])) for stop in content["stops"])
         fps = float(content["fps"])
         if not stops or not 0 < fps <= 1000:
             raise ValueError("expected at least one stop, and fps above 0")
@@ -86,7 +86,7 @@ def load_flight(path: Path) -> Flight:
         raise UserError(
             f"{path}: expected a camera path that the viewer recorded, got another file ({error})"
         ) from error
-    return Flight(stops, fps)
+    return RecordedPath(stops, fps)
 
 
 def _frame(value: object) -> int:

@@ -52,7 +52,7 @@ def pose_from_json(content: Any) -> Pose:
     return pose
 
 
-class RememberedViews:
+class SavedViews:
     """Poses by scene. A file that cannot be read or written costs the memory, nothing else."""
 
     def __init__(self, file: Path) -> None:

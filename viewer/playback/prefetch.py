@@ -15,7 +15,7 @@ _LEAST = 2
 _MOST = 32
 
 
-class FrameSource(Protocol):
+class BakedFrameSource(Protocol):
     """Where frames come from; read by one thread at a time."""
 
     @property
@@ -29,10 +29,10 @@ class FrameSource(Protocol):
         """Let go of files."""
 
 
-class FrameStream:
+class FramePrefetcher:
     """Gives frames that are there, and reads those that come next. Frames are asked for by one thread."""
 
-    def __init__(self, source: FrameSource, ring_bytes: int = RING_BYTES) -> None:
+    def __init__(self, source: BakedFrameSource, ring_bytes: int = RING_BYTES) -> None:
         """Takes ``source`` over and closes it.
 
         The frames kept fit ``ring_bytes`` together with a background, which the source keeps, but are at least two.

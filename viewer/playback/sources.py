@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fourd.baking import BakedFrame, SceneManifest, SceneReader, joined
 from fourd.errors import UserError
-from fourd.viewer.playback.prefetch import FrameSource
+from fourd.viewer.playback.prefetch import BakedFrameSource
 
 if TYPE_CHECKING:
     from fourd.training.run import TrainedRun
@@ -86,14 +86,14 @@ def _yield_to_training() -> None:
         os.nice(_NICE - os.nice(0))
 
 
-def open_source(path: Path) -> FrameSource:
+def open_frame_source(path: Path) -> BakedFrameSource:
     """Open a `.4dv` file or a run's folder.
 
     Raises UserError: one line that names the file and the mend.
     """
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
-    source: FrameSource = RunSource(path) if path.is_dir() else SceneReader(path)
+    source: BakedFrameSource = RunSource(path) if path.is_dir() else SceneReader(path)
     manifest = source.manifest
     if manifest.frame_count == 0:
         source.close()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.player import Player
-from fourd.viewer.rendering.display_settings import Shot
+from fourd.viewer.display import RenderRequest
 
 if TYPE_CHECKING:
     from fourd.viewer.gl.canvas import Canvas
@@ -26,23 +26,23 @@ class CPURenderer:
         self._player = Player()
         self._pixels: NDArray[np.uint8] | None = None
 
-    def picture(self, shot: Shot) -> NDArray[np.uint8]:
-        """The shot, (H, W, 4) uint8; the array is drawn over by the next call."""
-        shape = (shot.camera.height, shot.camera.width, 4)
+    def picture(self, request: RenderRequest) -> NDArray[np.uint8]:
+        """The request, (H, W, 4) uint8; the array is drawn over by the next call."""
+        shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
             self._pixels = np.empty(shape, np.uint8)
         return self._player.draw(
-            shot.frame,
-            shot.camera,
-            shot.manifest,
-            layers=shot.look.layers,
-            background=shot.look.background,
+            request.frame,
+            request.camera,
+            request.manifest,
+            layers=request.settings.layers,
+            background=request.settings.background,
             out=self._pixels,
         )
 
-    def draw(self, shot: Shot, canvas: Canvas, wait: bool = False) -> None:
+    def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw on ``canvas``, in the camera's size."""
-        canvas.write(self.picture(shot))
+        canvas.write(self.picture(request))
 
     def release(self) -> None:
         """Nothing is held of GL's."""

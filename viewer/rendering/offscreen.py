@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
+from fourd.viewer.display import RenderRequest
 from fourd.viewer.rendering.cpu import CPURenderer
-from fourd.viewer.rendering.display_settings import Shot
-from fourd.viewer.rendering.renderers import Chosen, Renderer, RendererName, choose, make_renderer
+from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererName, choose_renderer, make_renderer
 
 if TYPE_CHECKING:
     import moderngl
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     from fourd.viewer.gl.canvas import Canvas
 
 
-class Studio:
+class OffscreenRenderer:
     """Draws shots to arrays; by the CPU without any GL. Use as a context manager."""
 
     def __init__(self, wanted: RendererName | Literal["auto"]) -> None:
         """Raises UserError when a GL renderer is wanted and there is no GL."""
         self._context = None if wanted == "cpu" else _context_if_any(wanted)
-        self.chosen: Chosen = choose(wanted, None if self._context is None else _driver(self._context))
+        self.chosen: RendererChoice = choose_renderer(wanted, None if self._context is None else _driver(self._context))
         if self.chosen.name == "cpu":
             self._release_context()
         self._renderer: Renderer = make_renderer(self.chosen.name, self._context)
         self._canvas = None if self._context is None else _canvas(self._context)
 
-    def picture(self, shot: Shot) -> NDArray[np.uint8]:
+    def picture(self, request: RenderRequest) -> NDArray[np.uint8]:
         """(H, W, 3) uint8, a new array."""
         if isinstance(self._renderer, CPURenderer):
-            return self._renderer.picture(shot)[..., :3].copy()
+            return self._renderer.picture(request)[..., :3].copy()
         assert self._canvas is not None
-        self._renderer.draw(shot, self._canvas, wait=True)
+        self._renderer.draw(request, self._canvas, wait=True)
         return self._canvas.pixels()
 
-    def __enter__(self) -> Studio:
+    def __enter__(self) -> OffscreenRenderer:
         return self
 
     def __exit__(
@@ -74,6 +74,6 @@ def _canvas(context: moderngl.Context) -> Canvas:
 
 
 def _driver(context: moderngl.Context) -> str:
-    from fourd.viewer.gl.context import driver
+    from fourd.viewer.gl.context import driver_name
 
-    return driver(context)
+    return driver_name(context)

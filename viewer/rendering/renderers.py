@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 from fourd.errors import UserError
+from fourd.viewer.display import RenderRequest
 from fourd.viewer.rendering.cpu import CPURenderer
-from fourd.viewer.rendering.display_settings import Shot
 
 if TYPE_CHECKING:
     import moderngl
@@ -31,14 +31,14 @@ class Renderer(Protocol):
 
     @property
     def behind(self) -> int:
-        """How many pictures in a row were drawn with an order of points older than the shot; 0 when exact."""
+        """How many pictures in a row were drawn with an order of points older than the request; 0 when exact."""
 
     @property
     def sort_seconds(self) -> float:
         """What sorting took last; 0 for renderers that do not sort."""
 
-    def draw(self, shot: Shot, canvas: Canvas, wait: bool = False) -> None:
-        """Draw the shot on ``canvas``, in its camera's size.
+    def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
+        """Draw the request on ``canvas``, in its camera's size.
 
         Nothing is drawn from the past with ``wait``; without it, the order of points may be a little older.
         """
@@ -48,14 +48,14 @@ class Renderer(Protocol):
 
 
 @dataclass(frozen=True)
-class Chosen:
+class RendererChoice:
     """A renderer's name, and why it was taken, in words for the user."""
 
     name: RendererName
     reason: str
 
 
-def choose(wanted: RendererName | Literal["auto"], driver: str | None) -> Chosen:
+def choose_renderer(wanted: RendererName | Literal["auto"], driver: str | None) -> RendererChoice:
     """Which renderer to take.
 
     Args:
@@ -66,16 +66,16 @@ def choose(wanted: RendererName | Literal["auto"], driver: str | None) -> Chosen
         UserError: when a GL renderer is wanted and there is no GL.
     """
     if wanted == "cpu":
-        return Chosen("cpu", "as asked")
+        return RendererChoice("cpu", "as asked")
     if wanted != "auto":
         if driver is None:
             raise UserError(f"--renderer: expected cpu, as there is no OpenGL here, got {wanted}; add --renderer cpu")
-        return Chosen(wanted, "as asked")
+        return RendererChoice(wanted, "as asked")
     if driver is None:
-        return Chosen("cpu", "there is no OpenGL here")
+        return RendererChoice("cpu", "there is no OpenGL here")
     if any(name in driver.lower() for name in SOFTWARE):
-        return Chosen("cpu", f"OpenGL is drawn by the CPU here ({driver}), where our own kernel is faster")
-    return Chosen("sorted", f"OpenGL is drawn by {driver}")
+        return RendererChoice("cpu", f"OpenGL is drawn by the CPU here ({driver}), where our own kernel is faster")
+    return RendererChoice("sorted", f"OpenGL is drawn by {driver}")
 
 
 def make_renderer(name: RendererName, context: moderngl.Context | None, precision: Precision = "float16") -> Renderer:
@@ -85,9 +85,9 @@ def make_renderer(name: RendererName, context: moderngl.Context | None, precisio
     """
     if name == "cpu" or context is None:
         return CPURenderer()
+    from fourd.viewer.gl.depth_order import BackgroundOrders, ExactOrders
     from fourd.viewer.gl.renderer import GLRenderer
     from fourd.viewer.gl.techniques import Dual, Peel, Sorted
-    from fourd.viewer.rendering.depth_order import BackgroundOrders, ExactOrders
 
     if name == "sorted":
         return GLRenderer(context, name, Sorted(context), BackgroundOrders(), precision)

@@ -16,7 +16,7 @@ from rich.progress import track
 from fourd.baking.playable import Playable, open_playable, select_frames, view
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.viewer.navigation.paths import camera_path, fit
+from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
 from fourd.viewer.output.video import write_video
 
@@ -101,4 +101,4 @@ def _rgb(playable: Playable, camera: Camera, frame: int, arguments: Arguments) -
 
 
 def _sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
-    return camera if size is None else fit(camera, *size)
+    return camera if size is None else fit_camera(camera, *size)

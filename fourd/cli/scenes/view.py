@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.errors import UserError
-from fourd.viewer.rendering.display_settings import Look
+from fourd.viewer.display import DisplaySettings
 from fourd.viewer.rendering.renderers import RendererName
 
 
@@ -49,17 +49,17 @@ def run(arguments: Arguments) -> None:
     """Open a window, or write a video or a picture."""
     console = Console(stderr=True)
     _check(arguments)
-    look = Look(layers=arguments.layers or 0, background=arguments.background)
+    settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background)
     if arguments.headless is None and arguments.screenshot is None:
         from fourd.viewer.app import show
 
-        show(arguments.source, arguments.renderer, arguments.size or (1280, 720), look, console)
+        show(arguments.source, arguments.renderer, arguments.size or (1280, 720), settings, console)
         return
     from fourd.viewer.headless import Headless
 
     if arguments.source is None:
         raise UserError("SOURCE: expected a .4dv file or a run's folder, got none; name one")
-    headless = Headless(arguments.source, arguments.renderer, arguments.size, look)
+    headless = Headless(arguments.source, arguments.renderer, arguments.size, settings)
     if arguments.screenshot is not None:
         headless.screenshot(arguments.screenshot, arguments.camera, arguments.frame, console)
         console.print(f"{arguments.screenshot}: written", soft_wrap=True)

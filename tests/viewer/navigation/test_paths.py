@@ -1,4 +1,4 @@
-"""Camera paths: they look at the scene, loop, and pass where they should."""
+"""Camera paths: they settings at the scene, loop, and pass where they should."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 from fourd.cameras import Camera
-from fourd.viewer.navigation.paths import estimate_focus, estimate_up, fit, interpolate, orbit, ring_order, spiral
+from fourd.viewer.navigation.paths import (
+    estimate_focus,
+    estimate_up,
+    fit_camera,
+    interpolate,
+    orbit,
+    ring_order,
+    spiral,
+)
 from tests.captures import ring_cameras
 
 
@@ -51,7 +59,7 @@ def test_focus_and_order_are_found() -> None:
 
 def test_fitting_keeps_the_whole_view() -> None:
     """Catches stretched pixels and cropped heads when a video has another shape."""
-    camera = fit(ring_cameras(1, 64)[0], 200, 100)
+    camera = fit_camera(ring_cameras(1, 64)[0], 200, 100)
     assert (camera.width, camera.height) == (200, 100)
     assert camera.intrinsics[0, 0] == camera.intrinsics[1, 1]
     assert camera.intrinsics[0, 2] == pytest.approx(100)

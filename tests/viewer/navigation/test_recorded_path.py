@@ -13,8 +13,14 @@ import pytest
 from fourd.errors import UserError
 from fourd.viewer.navigation import saved_views as remembered
 from fourd.viewer.navigation.pose import Pose, facing
-from fourd.viewer.navigation.recorded_path import RECORDED_FPS, Flight, Recorder, Stop, load_flight
-from fourd.viewer.navigation.saved_views import RememberedViews, pose_from_json, pose_to_json
+from fourd.viewer.navigation.recorded_path import (
+    RECORDED_FPS,
+    PathRecorder,
+    PathSample,
+    RecordedPath,
+    load_recorded_path,
+)
+from fourd.viewer.navigation.saved_views import SavedViews, pose_from_json, pose_to_json
 
 Content = dict[str, Any]
 
@@ -50,9 +56,9 @@ def first_stop(**changes: Any) -> Callable[[Content], None]:
 
 def test_a_flight_comes_back_as_it_was_saved(tmp_path: Path) -> None:
     """Catches rounded numbers, frames and poses out of step, and a pace that is lost."""
-    flight = Flight(tuple(Stop(viewer(seed), 7 * seed % 5) for seed in range(20)), fps=24.5)
+    flight = RecordedPath(tuple(PathSample(viewer(seed), 7 * seed % 5) for seed in range(20)), fps=24.5)
     flight.save(tmp_path / "new folder" / "a.path.json")
-    again = load_flight(tmp_path / "new folder" / "a.path.json")
+    again = load_recorded_path(tmp_path / "new folder" / "a.path.json")
     assert again.fps == 24.5
     assert len(again.stops) == 20
     for got, expected in zip(again.stops, flight.stops, strict=True):
@@ -71,7 +77,7 @@ def test_a_recording_has_an_even_pace(ticks: str) -> None:
         "slow": [1 / 7] * 21,
         "uneven": list(rng.uniform(0, 0.1, 60)),
     }[ticks]
-    recorder = Recorder()
+    recorder = PathRecorder()
     time = 0.0
     for number, step in enumerate(steps):
         time += step
@@ -88,7 +94,7 @@ def test_a_recording_has_an_even_pace(ticks: str) -> None:
 
 def test_nothing_recorded_is_nothing() -> None:
     """Catches a stop at the moment in which the button is pressed, before any time has passed."""
-    recorder = Recorder()
+    recorder = PathRecorder()
     assert recorder.flight().stops == ()
     recorder.advance(0.0, viewer(0), 0)
     assert recorder.flight().stops == ()
@@ -142,7 +148,7 @@ CHANGES: dict[str, Callable[[Content], Any]] = {
 def test_a_spoilt_flight_is_told_in_one_line(tmp_path: Path, name: str) -> None:
     """Catches a traceback, a hang or a broken picture from a file that somebody has edited."""
     path = tmp_path / "a.path.json"
-    Flight((Stop(viewer(1), 0), Stop(viewer(2), 1))).save(path)
+    RecordedPath((PathSample(viewer(1), 0), PathSample(viewer(2), 1))).save(path)
     content = json.loads(path.read_text())
     CHANGES[name](content)
     path.write_text(json.dumps(content))
@@ -169,7 +175,7 @@ def test_no_file_and_a_folder_are_told_in_one_line(tmp_path: Path) -> None:
 
 def assert_refused(path: Path) -> None:
     with pytest.raises(UserError) as raised:
-        load_flight(path)
+        load_recorded_path(path)
     message = str(raised.value)
     assert message.startswith(f"{path}: expected ")
     assert "\n" not in message
@@ -184,14 +190,14 @@ def test_a_pose_from_a_file_is_checked() -> None:
 
 def test_a_view_is_remembered_by_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches views of one scene shown in another, old ones that stay, and names that depend on the folder."""
-    views = RememberedViews(tmp_path / "state" / "fourd" / "views.json")
+    views = SavedViews(tmp_path / "state" / "fourd" / "views.json")
     one, other = tmp_path / "one.4dv", tmp_path / "other.4dv"
     assert views.recall(one) is None
     views.remember(one, viewer(1))
     views.remember(other, viewer(2))
     views.remember(one, viewer(3))
     monkeypatch.chdir(tmp_path)
-    for memory in (views, RememberedViews(tmp_path / "state" / "fourd" / "views.json")):
+    for memory in (views, SavedViews(tmp_path / "state" / "fourd" / "views.json")):
         assert_same(memory.recall(one), viewer(3))
         assert_same(memory.recall(Path("other.4dv")), viewer(2))
         assert memory.recall(tmp_path / "third.4dv") is None
@@ -206,7 +212,7 @@ def test_a_broken_file_costs_the_memory_alone(tmp_path: Path, content: bytes) ->
     """Catches a viewer that does not start, or never remembers again, because of a broken file of its own."""
     file, scene = tmp_path / "views.json", tmp_path / "scene.4dv"
     file.write_bytes(content)
-    views = RememberedViews(file)
+    views = SavedViews(file)
     assert views.recall(scene) is None
     views.remember(scene, viewer(1))
     assert_same(views.recall(scene), viewer(1))
@@ -227,7 +233,7 @@ def test_a_broken_file_costs_the_memory_alone(tmp_path: Path, content: bytes) ->
 def test_a_broken_view_is_none_and_the_others_stay(tmp_path: Path, change: Content) -> None:
     """Catches one bad entry that takes the other scenes' views with it, or that is shown."""
     file = tmp_path / "views.json"
-    views = RememberedViews(file)
+    views = SavedViews(file)
     for seed, name in enumerate(("bad.4dv", "good.4dv")):
         views.remember(tmp_path / name, viewer(seed))
     content = json.loads(file.read_text())
@@ -242,7 +248,7 @@ def test_a_place_that_cannot_be_written_costs_the_memory_alone(tmp_path: Path) -
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.json").mkdir()
     for place in (tmp_path / "file" / "views.json", tmp_path / "folder.json"):
-        views = RememberedViews(place)
+        views = SavedViews(place)
         views.remember(tmp_path / "scene.4dv", viewer(1))
         assert views.recall(tmp_path / "scene.4dv") is None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.json"]
@@ -251,7 +257,7 @@ def test_a_place_that_cannot_be_written_costs_the_memory_alone(tmp_path: Path) -
 def test_the_scenes_seen_longest_ago_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a file that grows for ever, and a scene forgotten although it was seen just now."""
     monkeypatch.setattr(remembered, "_MOST_SCENES", 3)
-    views = RememberedViews(tmp_path / "views.json")
+    views = SavedViews(tmp_path / "views.json")
     for name in ("a", "b", "c", "a", "d"):
         views.remember(tmp_path / name, viewer(0))
     assert [name for name in "abcd" if views.recall(tmp_path / name) is not None] == ["a", "c", "d"]

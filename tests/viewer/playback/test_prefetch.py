@@ -18,7 +18,7 @@ from fourd.baking import BakedFrame, SceneBackground, SceneManifest, SceneReader
 from fourd.baking.container import member_name
 from fourd.baking.scene import ATTRIBUTES
 from fourd.errors import UserError
-from fourd.viewer.playback.prefetch import FrameStream
+from fourd.viewer.playback.prefetch import FramePrefetcher
 from tests.baking.scenes import manifest, random_frame, write_scene
 
 VIEWS = 2
@@ -140,7 +140,7 @@ def damaged_scene(path: Path, kind: str) -> list[BakedFrame]:
 def test_frames_are_those_of_the_file(tmp_path: Path) -> None:
     """Catches frames given under another's number, forwards, backwards, in jumps and round the end."""
     written = write_scene(tmp_path / "scene.4dv", frames=5)
-    stream = FrameStream(SceneReader(tmp_path / "scene.4dv"), ring_bytes=2 * written[-1].nbytes)
+    stream = FramePrefetcher(SceneReader(tmp_path / "scene.4dv"), ring_bytes=2 * written[-1].nbytes)
     for index, direction in [
         *((i % 5, 1) for i in range(11)),
         *((i % 5, -1) for i in range(10, 2, -1)),
@@ -158,7 +158,7 @@ def test_frames_are_those_of_the_file(tmp_path: Path) -> None:
 def test_reading_ahead_follows_the_direction(head: int, direction: int, order: list[int]) -> None:
     """Catches reading towards what was just shown, a stop at the scene's end, and frames read twice."""
     source = CountedSource([10] * 5)
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     stream.get(head, direction)
     assert rest(source, 5) == order
     stream.close()
@@ -167,7 +167,7 @@ def test_reading_ahead_follows_the_direction(head: int, direction: int, order: l
 def test_nothing_is_read_before_a_frame_is_asked_for() -> None:
     """Catches a start at frame 0 where another is shown first."""
     source = CountedSource([10] * 5)
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     assert rest(source, 0) == []
     stream.close()
 
@@ -175,7 +175,7 @@ def test_nothing_is_read_before_a_frame_is_asked_for() -> None:
 def test_a_turn_reads_what_comes_next_now() -> None:
     """Catches a ring that stays behind when playback turns round, and one that reads again what it has."""
     source = CountedSource([10] * 10)
-    stream = FrameStream(source, ring_bytes=3 * frame_bytes(10))
+    stream = FramePrefetcher(source, ring_bytes=3 * frame_bytes(10))
     stream.get(5, 1)
     assert rest(source, 3) == [5, 6, 7]
     stream.get(5, -1)
@@ -189,7 +189,7 @@ def test_a_turn_reads_what_comes_next_now() -> None:
 def test_only_frames_that_fit_are_kept(room: int) -> None:
     """Catches memory that grows while a scene plays, and less than two frames, which would stop playback."""
     source = CountedSource([10] * 12)
-    stream = FrameStream(source, ring_bytes=room)
+    stream = FramePrefetcher(source, ring_bytes=room)
     fitting = max(2, room // frame_bytes(10))
     for index in [0, 1, 2, 3, 9, 10, 11, 0, 1]:
         stream.get(index, wait=True)
@@ -204,7 +204,7 @@ def test_frames_of_different_sizes_fit_together() -> None:
     rng = np.random.default_rng(3)
     room = 3 * frame_bytes(400)
     source = CountedSource([int(points) for points in rng.integers(1, 400, 30)], room)
-    stream = FrameStream(source, ring_bytes=room)
+    stream = FramePrefetcher(source, ring_bytes=room)
     for index in range(60):
         assert_same(stream.get(index % 30, wait=True), source.frame(index % 30))
     stream.close()
@@ -214,7 +214,7 @@ def test_a_background_takes_room_too() -> None:
     """Catches memory that is given to frames and is the background's already."""
     source = CountedSource([10] * 12)
     source.manifest = replace(source.manifest, kind="full", background=SceneBackground(30))
-    stream = FrameStream(source, ring_bytes=5 * frame_bytes(10) + frame_bytes(30) - 1)
+    stream = FramePrefetcher(source, ring_bytes=5 * frame_bytes(10) + frame_bytes(30) - 1)
     stream.get(0, wait=True)
     rest(source, 4)
     assert (stream.ahead, len(source.kept)) == (3, 4)
@@ -224,7 +224,7 @@ def test_a_background_takes_room_too() -> None:
 def test_a_large_frame_ahead_is_not_read_over_and_over() -> None:
     """Catches a disk that never rests: a large frame drops out for its size, and is then wanted again."""
     source = CountedSource([10] * 5 + [100] + [10] * 14)
-    stream = FrameStream(source, ring_bytes=3 * frame_bytes(100))
+    stream = FramePrefetcher(source, ring_bytes=3 * frame_bytes(100))
     stream.get(0, wait=True)
     time.sleep(0.04)
     stream.close()
@@ -232,10 +232,10 @@ def test_a_large_frame_ahead_is_not_read_over_and_over() -> None:
 
 
 def test_a_frame_comes_once_it_is_read() -> None:
-    """Catches a viewer that is blocked by a slow disk, and a frame that is read anew at every look."""
+    """Catches a viewer that is blocked by a slow disk, and a frame that is read anew at every settings."""
     source = CountedSource([10] * 3)
     source.gate.clear()
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     assert stream.get(1) is None
     assert source.begun.wait(10)
     assert stream.get(1) is None
@@ -251,7 +251,7 @@ def test_how_many_frames_are_ahead() -> None:
     """Catches a count that includes the frame shown, or that looks the wrong way or over a gap."""
     source = CountedSource([10] * 6)
     source.gate.clear()
-    stream = FrameStream(source, ring_bytes=4 * frame_bytes(10))
+    stream = FramePrefetcher(source, ring_bytes=4 * frame_bytes(10))
     stream.get(0)
     assert stream.ahead == 0
     source.gate.set()
@@ -265,7 +265,7 @@ def test_how_many_frames_are_ahead() -> None:
 def test_a_scene_that_is_read_as_a_whole_is_ahead_by_all_others(frames: int) -> None:
     """Catches a frame that counts as ahead of itself."""
     source = CountedSource([10] * frames)
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     for index in [*range(frames), 0]:
         stream.get(index, wait=True)
     assert stream.ahead == frames - 1
@@ -277,7 +277,7 @@ def test_a_damaged_frame_is_told_and_the_others_come(tmp_path: Path, kind: str) 
     """Catches a thread that dies of a damaged frame, and NaN that reaches a renderer."""
     path = tmp_path / "scene.4dv"
     written = damaged_scene(path, kind)
-    stream = FrameStream(SceneReader(path))
+    stream = FramePrefetcher(SceneReader(path))
     for _ in range(2):
         with pytest.raises(UserError, match=f"{re.escape(str(path))}: expected .*{MEMBER}"):
             stream.get(1, wait=True)
@@ -292,7 +292,7 @@ def test_a_damaged_frame_costs_no_memory_while_it_is_shown(tmp_path: Path) -> No
     """Catches an error whose traceback grows with every picture for which it is raised."""
     path = tmp_path / "scene.4dv"
     damaged_scene(path, "numbers")
-    stream = FrameStream(SceneReader(path))
+    stream = FramePrefetcher(SceneReader(path))
     lengths = []
     for _ in range(20):
         with pytest.raises(UserError) as raised:
@@ -306,7 +306,7 @@ def test_an_unforeseen_error_reaches_the_caller() -> None:
     """Catches a viewer that waits for ever for a thread that has died."""
     source = CountedSource([10] * 3)
     source.failures[0] = RuntimeError("no such tensor")
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     with pytest.raises(RuntimeError, match="no such tensor"):
         stream.get(0, wait=True)
     with pytest.raises(RuntimeError, match="no such tensor"):
@@ -319,7 +319,7 @@ def test_forgetting_reads_again() -> None:
     """Catches old frames, and old errors, that stay after a source has changed."""
     source = CountedSource([10] * 3)
     source.failures[1] = UserError("a.4dv: the file is damaged")
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     assert_same(stream.get(0, wait=True), source.frame(0))
     with pytest.raises(UserError, match="damaged"):
         stream.get(1, wait=True)
@@ -337,7 +337,7 @@ def test_what_is_read_while_it_is_forgotten_does_not_come_back() -> None:
     """Catches the frame of an old checkpoint that is taken for the new one's."""
     source = CountedSource([10] * 3)
     source.gate.clear()
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     assert stream.get(0) is None
     assert source.begun.wait(10)
     source.seed = 1
@@ -354,7 +354,7 @@ def test_closing_ends_the_thread_and_the_source(asked: bool) -> None:
     """Catches threads and open files that stay with every scene that was looked at."""
     before = set(threading.enumerate())
     source = CountedSource([10] * 3)
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     assert len(set(threading.enumerate()) - before) == 1
     if asked:
         stream.get(0, wait=True)
@@ -368,7 +368,7 @@ def test_closing_waits_for_what_is_being_read() -> None:
     """Catches a file that is closed under the reading thread's hands."""
     source = CountedSource([10] * 3)
     source.gate.clear()
-    stream = FrameStream(source)
+    stream = FramePrefetcher(source)
     stream.get(0)
     assert source.begun.wait(10)
     closing = threading.Thread(target=stream.close)

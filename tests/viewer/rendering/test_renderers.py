@@ -19,11 +19,11 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.raster import render_points
 from fourd.training.memory import resident_bytes
+from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.arrays import Precision
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import information
 from fourd.viewer.gl.pictures import release_framebuffer
-from fourd.viewer.rendering.display_settings import Look, Shot
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 from tests.baking.scenes import manifest, random_frame, ring
 from tests.viewer.gl import contexts, drawn
@@ -53,17 +53,17 @@ def make(context: moderngl.Context) -> Iterator[object]:
         renderer.release()
 
 
-def reference(shot: Shot, layers: int | None = None) -> NDArray[np.float32]:
+def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.float32]:
     """(H, W, 3) by the torch reference, over the background."""
-    frame, look = shot.frame, shot.look
-    colours = shade_reference(frame, shot.camera, shot.manifest)
+    frame, settings = request.frame, request.settings
+    colours = shade_reference(frame, request.camera, request.manifest)
     arrays = (frame.xyz, colours, frame.radius.astype(np.float32), frame.density.astype(np.float32))
     picture = render_points(
         *(torch.from_numpy(array.copy()) for array in arrays),
-        shot.camera,
-        layers=layers or look.layers,
-        near=shot.manifest.near,
-        background=torch.tensor(look.background),
+        request.camera,
+        layers=layers or settings.layers,
+        near=request.manifest.near,
+        background=torch.tensor(settings.background),
         backend="reference",
     )
     return picture.features.clamp(0, 1).numpy()
@@ -83,16 +83,18 @@ def small_camera(index: int, width: int = 96, height: int = 64) -> Camera:
     return ring(5, size=64)[index].crop(-(width - 64) // 2, -(height - 64) // 2, width, height)
 
 
-def shot_of(frame: BakedFrame, camera: Camera, look: Look | None = None, views: int = 6) -> Shot:
-    return Shot(frame, camera, manifest(views), look or Look(LAYERS, BACKGROUND))
+def shot_of(
+    frame: BakedFrame, camera: Camera, settings: DisplaySettings | None = None, views: int = 6
+) -> RenderRequest:
+    return RenderRequest(frame, camera, manifest(views), settings or DisplaySettings(LAYERS, BACKGROUND))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
 @pytest.mark.parametrize("index", range(3))
 def test_a_solid_object(name: RendererName, index: int, make, context: moderngl.Context) -> None:
     """Catches any of: a flipped picture, a wrong falloff, views or harmonics mixed up, a background that is lost."""
-    shot = shot_of(solid(3000, seed=index), small_camera(index))
-    require_parity(name, drawn(make(name), shot, context), reference(shot))
+    request = shot_of(solid(3000, seed=index), small_camera(index))
+    require_parity(name, drawn(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -101,8 +103,8 @@ def test_a_fog_of_more_layers_than_k(name: RendererName, layers: int, make, cont
     """Catches layers from the back among the K nearest, one too many for an odd K, and a peeling that ends early."""
     frame = random_frame(3000, 6, seed=layers)
     thin = replace(frame, density=(frame.density * np.float16(0.3)).astype(np.float16))
-    shot = shot_of(thin, small_camera(1), Look(layers, (0.8, 0.2, 0.4)))
-    require_parity(name, drawn(make(name), shot, context), reference(shot))
+    request = shot_of(thin, small_camera(1), DisplaySettings(layers, (0.8, 0.2, 0.4)))
+    require_parity(name, drawn(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -112,8 +114,8 @@ def test_ties_are_taken_by_index(name: RendererName, make, context: moderngl.Con
     frame = random_frame(2000, 6, seed=3)
     flat = frame.xyz.copy()
     flat[:, 2] = np.round(flat[:, 2] * 2) / 2
-    shot = shot_of(replace(frame, xyz=flat), camera)
-    require_parity(name, drawn(make(name), shot, context), reference(shot))
+    request = shot_of(replace(frame, xyz=flat), camera)
+    require_parity(name, drawn(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -124,20 +126,20 @@ def test_big_near_points_and_points_across_the_near_plane(name: RendererName, ma
     ahead = np.linspace(-0.3, 0.9, 40)[:, None] * camera.forward
     beside = np.random.default_rng(5).normal(0, 0.15, (40, 3))
     xyz = np.concatenate([frame.xyz, (camera.centre + ahead + beside).astype(np.float32)])[-1500:]
-    shot = shot_of(replace(frame, xyz=np.ascontiguousarray(xyz)), camera)
-    depth = shot.frame.xyz.astype(np.float64) @ camera.forward + camera.translation[2]
+    request = shot_of(replace(frame, xyz=np.ascontiguousarray(xyz)), camera)
+    depth = request.frame.xyz.astype(np.float64) @ camera.forward + camera.translation[2]
     assert (depth < 0).any()
     assert (camera.intrinsics[1, 1] * 0.08 / depth.clip(0.01) > 128).any(), "no point is larger than a sprite may be"
     # Sorted composites every layer, so that is what it is held to.
-    truth = reference(shot, layers=64 if name == "sorted" else LAYERS)
-    require_parity(name, drawn(make(name), shot, context), truth)
+    truth = reference(request, layers=64 if name == "sorted" else LAYERS)
+    require_parity(name, drawn(make(name), request, context), truth)
 
 
 @pytest.mark.parametrize("name", ["sorted", "peel", "dual"])
 def test_centres_beside_the_picture(name: RendererName, make, context: moderngl.Context) -> None:
     """Catches sprites that vanish as soon as their centre leaves the picture."""
-    shot = shot_of(solid(400, seed=9), small_camera(0).crop(60, 20, 24, 24))
-    require_parity(name, drawn(make(name), shot, context), reference(shot))
+    request = shot_of(solid(400, seed=9), small_camera(0).crop(60, 20, 24, 24))
+    require_parity(name, drawn(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -145,10 +147,10 @@ def test_centres_beside_the_picture(name: RendererName, make, context: moderngl.
 def test_hardly_any_points(name: RendererName, points: int, make, context: moderngl.Context) -> None:
     """Catches draw calls of nothing, and a picture that keeps what was there before."""
     renderer = make(name)
-    shot = shot_of(random_frame(points, 6, seed=2), small_camera(0))
-    require_parity(name, drawn(renderer, shot, context), reference(shot))
+    request = shot_of(random_frame(points, 6, seed=2), small_camera(0))
+    require_parity(name, drawn(renderer, request, context), reference(request))
     drawn(renderer, shot_of(solid(500, seed=1), small_camera(0)), context)
-    require_parity(name, drawn(renderer, shot, context), reference(shot))
+    require_parity(name, drawn(renderer, request, context), reference(request))
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
@@ -160,8 +162,8 @@ def test_points_with_numbers_that_are_not_finite_are_left_out(name: RendererName
     xyz[::7] = np.nan
     xyz[1::7, 1] = np.inf
     radius[2::7] = 0
-    shot = shot_of(replace(frame, xyz=xyz, radius=radius), small_camera(1))
-    require_parity(name, drawn(make(name), shot, context), reference(shot))
+    request = shot_of(replace(frame, xyz=xyz, radius=radius), small_camera(1))
+    require_parity(name, drawn(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -170,8 +172,8 @@ def test_scenes_without_source_views(name: RendererName, make, context: moderngl
     frame = solid(800, seed=6)
     bare = replace(frame, blend_weights=frame.blend_weights[:, :0], rgb=frame.rgb[:, :0])
     described = replace(manifest(2), source_names=(), source_cameras=(), sh_base=0.5, other_names=(), other_cameras=())
-    shot = Shot(bare, small_camera(0), described, Look(LAYERS))
-    require_parity(name, drawn(make(name), shot, context), reference(shot))
+    request = RenderRequest(bare, small_camera(0), described, DisplaySettings(LAYERS))
+    require_parity(name, drawn(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
@@ -179,17 +181,17 @@ def test_one_renderer_draws_frames_and_sizes_in_turn(name: RendererName, make, c
     """Catches textures, orders and colours of the picture before that are kept for the next."""
     renderer = make(name)
     for seed, size in ((1, (96, 64)), (2, (40, 80)), (1, (96, 64)), (3, (130, 50))):
-        shot = shot_of(solid(600 + 700 * seed, seed), small_camera(seed, *size))
-        require_parity(name, drawn(renderer, shot, context), reference(shot))
+        request = shot_of(solid(600 + 700 * seed, seed), small_camera(seed, *size))
+        require_parity(name, drawn(renderer, request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", ["peel", "dual"])
 def test_float32_is_nearer_to_the_reference_than_float16(name: RendererName, make, context: moderngl.Context) -> None:
     """Catches a precision that is asked for and not used."""
-    shot = shot_of(solid(2000, seed=12), small_camera(0))
-    truth = reference(shot)
+    request = shot_of(solid(2000, seed=12), small_camera(0))
+    truth = reference(request)
     half, single = (
-        np.abs(drawn(make(name, precision), shot, context)[..., :3] - truth).mean()
+        np.abs(drawn(make(name, precision), request, context)[..., :3] - truth).mean()
         for precision in ("float16", "float32")
     )
     assert single < half / 4
@@ -200,16 +202,16 @@ def test_an_order_from_the_background_is_exact_at_rest(make, context: moderngl.C
     renderer = make("sorted")
     frame = solid(2000, seed=7)
     for index in range(4):
-        shot = shot_of(frame, small_camera(index))
+        request = shot_of(frame, small_camera(index))
         canvas = Canvas(context)
-        renderer.draw(shot, canvas)
+        renderer.draw(request, canvas)
         for _ in range(1000):
             if renderer.behind == 0:
                 break
-            renderer.draw(shot, canvas)
+            renderer.draw(request, canvas)
         canvas.release()
         assert renderer.behind == 0
-        require_parity("sorted", drawn(renderer, shot, context), reference(shot))
+        require_parity("sorted", drawn(renderer, request, context), reference(request))
 
 
 def test_a_scene_that_no_texture_holds_is_told(context: moderngl.Context) -> None:
@@ -227,11 +229,11 @@ def test_a_scene_that_no_texture_holds_is_told(context: moderngl.Context) -> Non
 @pytest.mark.parametrize("name", RENDERERS)
 def test_renderers_give_back_their_gl_objects(name: RendererName, context: moderngl.Context) -> None:
     """Catches textures, buffers, programs and framebuffers that pile up with every scene that is opened."""
-    shot = shot_of(solid(300, seed=1), small_camera(0))
+    request = shot_of(solid(300, seed=1), small_camera(0))
 
     def open_and_close() -> None:
         renderer = make_renderer(name, context)
-        drawn(renderer, shot, context)
+        drawn(renderer, request, context)
         renderer.release()
         gc.collect()
 
@@ -266,10 +268,10 @@ def objects_in_use(context: moderngl.Context) -> dict[str, int]:
 def test_the_manifest_s_own_terms_reach_the_shader(make, context: moderngl.Context) -> None:
     """Catches constants of the shader where the manifest has others: range, base, near and neighbours."""
     described: SceneManifest = replace(manifest(6), sh_range=0.4, sh_base=0.1, near=2.6, neighbours=2)
-    shot = Shot(solid(2000, seed=3), small_camera(1), described, Look(LAYERS))
-    truth = reference(shot)
+    request = RenderRequest(solid(2000, seed=3), small_camera(1), described, DisplaySettings(LAYERS))
+    truth = reference(request)
     for name in RENDERERS:
-        require_parity(name, drawn(make(name), shot, context), truth)
+        require_parity(name, drawn(make(name), request, context), truth)
 
 
 @pytest.mark.slow

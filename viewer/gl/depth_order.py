@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fourd.baking import BakedFrame
 from fourd.baking.depth_order import DepthSorter
 from fourd.cameras import Camera
-from fourd.viewer.rendering.display_settings import Shot
+from fourd.viewer.display import RenderRequest
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,16 +32,16 @@ class Order:
     points: NDArray[np.uint32]
     seconds: float
 
-    def fits(self, shot: Shot) -> bool:
-        """Whether it is the shot's own: of the same frame and camera, as objects."""
-        return self.frame is shot.frame and self.camera is shot.camera
+    def fits(self, request: RenderRequest) -> bool:
+        """Whether it is the request's own: of the same frame and camera, as objects."""
+        return self.frame is request.frame and self.camera is request.camera
 
 
 class Orders(Protocol):
-    """Gives an order for a shot."""
+    """Gives an order for a request."""
 
-    def order(self, shot: Shot, wait: bool) -> Order:
-        """An order that fits the shot; with ``wait``, exactly its."""
+    def order(self, request: RenderRequest, wait: bool) -> Order:
+        """An order that fits the request; with ``wait``, exactly its."""
 
     def release(self) -> None:
         """Stop what goes on in the background."""
@@ -54,11 +54,11 @@ class ExactOrders:
         self._sorter = DepthSorter()
         self._last: Order | None = None
 
-    def order(self, shot: Shot, wait: bool) -> Order:
-        if self._last is None or not self._last.fits(shot):
+    def order(self, request: RenderRequest, wait: bool) -> Order:
+        if self._last is None or not self._last.fits(request):
             started = time.perf_counter()
-            points = self._sorter.sort(shot.frame, shot.camera, shot.manifest.near)
-            self._last = Order(shot.frame, shot.camera, points, time.perf_counter() - started)
+            points = self._sorter.sort(request.frame, request.camera, request.manifest.near)
+            self._last = Order(request.frame, request.camera, points, time.perf_counter() - started)
         return self._last
 
     def release(self) -> None:
@@ -68,30 +68,30 @@ class ExactOrders:
 class BackgroundOrders:
     """Sorts in a thread: the order drawn may be that of a camera, or of a frame, a little older.
 
-    The thread always takes the newest shot. Its camera looks wider than the picture, so that
+    The thread always takes the newest request. Its camera looks wider than the picture, so that
     points that come into sight before the next order are there.
     """
 
     def __init__(self) -> None:
         self._sorter = DepthSorter()
         self._changed = threading.Condition()
-        self._wanted: Shot | None = None
+        self._wanted: RenderRequest | None = None
         self._done: Order | None = None
         self._failure: BaseException | None = None
         self._stopped = False
         self._thread = threading.Thread(target=self._run, name="depth order", daemon=True)
         self._thread.start()
 
-    def order(self, shot: Shot, wait: bool) -> Order:
+    def order(self, request: RenderRequest, wait: bool) -> Order:
         with self._changed:
-            self._wanted = shot
+            self._wanted = request
             self._changed.notify_all()
             while True:
                 if self._failure is not None:
                     raise RuntimeError("the points cannot be sorted") from self._failure
                 if self._stopped:
                     raise RuntimeError("the sorting has been stopped")
-                if self._done is not None and (self._done.fits(shot) or not wait):
+                if self._done is not None and (self._done.fits(request) or not wait):
                     return self._done
                 self._changed.wait()
 
@@ -109,10 +109,10 @@ class BackgroundOrders:
                     self._changed.wait()
                 if self._stopped:
                     return
-                shot = self._wanted
-            assert shot is not None
+                request = self._wanted
+            assert request is not None
             try:
-                done = self._sorted(shot)
+                done = self._sorted(request)
             except BaseException as error:
                 with self._changed:
                     self._failure = error
@@ -123,12 +123,12 @@ class BackgroundOrders:
                 self._changed.notify_all()
 
     def _work(self) -> bool:
-        """Whether the newest shot still lacks its order."""
+        """Whether the newest request still lacks its order."""
         return self._wanted is not None and (self._done is None or not self._done.fits(self._wanted))
 
-    def _sorted(self, shot: Shot) -> Order:
+    def _sorted(self, request: RenderRequest) -> Order:
         started = time.perf_counter()
-        camera = shot.camera
+        camera = request.camera
         wider = camera.crop(-(camera.width // 2), -(camera.height // 2), 2 * camera.width, 2 * camera.height)
-        points = self._sorter.sort(shot.frame, wider, shot.manifest.near / 2)
-        return Order(shot.frame, camera, points, time.perf_counter() - started)
+        points = self._sorter.sort(request.frame, wider, request.manifest.near / 2)
+        return Order(request.frame, camera, points, time.perf_counter() - started)

@@ -17,9 +17,9 @@ from fourd.baking import BakedFrame, SceneReader
 from fourd.baking.depth_order import DepthSorter
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.viewer.rendering.depth_order import BackgroundOrders, ExactOrders, Order
-from fourd.viewer.rendering.display_settings import Look, Shot
-from fourd.viewer.rendering.renderers import RENDERERS, RendererName, choose
+from fourd.viewer.display import DisplaySettings, RenderRequest
+from fourd.viewer.gl.depth_order import BackgroundOrders, ExactOrders, Order
+from fourd.viewer.rendering.renderers import RENDERERS, RendererName, choose_renderer
 from tests.baking.scenes import manifest, random_frame, ring, write_scene
 
 VIEWS = 2
@@ -27,17 +27,19 @@ MANIFEST = manifest(VIEWS)
 CAMERAS = ring(5, radius=0.8)
 
 
-def shot_of(camera: int = 0, frame: BakedFrame | None = None) -> Shot:
-    """A shot from one of the cameras, which stand close: many points lie outside their pictures."""
-    return Shot(random_frame(500, VIEWS, seed=1) if frame is None else frame, CAMERAS[camera], MANIFEST, Look())
+def shot_of(camera: int = 0, frame: BakedFrame | None = None) -> RenderRequest:
+    """A request from one of the cameras, which stand close: many points lie outside their pictures."""
+    return RenderRequest(
+        random_frame(500, VIEWS, seed=1) if frame is None else frame, CAMERAS[camera], MANIFEST, DisplaySettings()
+    )
 
 
-def exact(shot: Shot) -> NDArray[np.uint32]:
-    return DepthSorter().sort(shot.frame, shot.camera, MANIFEST.near)
+def exact(request: RenderRequest) -> NDArray[np.uint32]:
+    return DepthSorter().sort(request.frame, request.camera, MANIFEST.near)
 
 
-def fits(order: Order, shot: Shot) -> bool:
-    return order.frame is shot.frame and order.camera is shot.camera
+def fits(order: Order, request: RenderRequest) -> bool:
+    return order.frame is request.frame and order.camera is request.camera
 
 
 def eventually(condition: Callable[[], bool]) -> None:
@@ -49,14 +51,14 @@ def eventually(condition: Callable[[], bool]) -> None:
     raise AssertionError("it never came")
 
 
-def assert_orders(order: Order, shot: Shot) -> None:
-    """The order is the shot's: all that it sees is there, nearest first."""
-    assert fits(order, shot)
-    seen = exact(shot)
-    assert 0 < len(seen) < shot.frame.point_count
+def assert_orders(order: Order, request: RenderRequest) -> None:
+    """The order is the request's: all that it sees is there, nearest first."""
+    assert fits(order, request)
+    seen = exact(request)
+    assert 0 < len(seen) < request.frame.point_count
     np.testing.assert_array_equal(order.points[np.isin(order.points, seen)], seen)
     assert len(np.unique(order.points)) == len(order.points)
-    depths = shot.camera.project(shot.frame.xyz)[1][order.points]
+    depths = request.camera.project(request.frame.xyz)[1][order.points]
     assert (np.diff(depths) > -1e-5).all()
     assert order.seconds >= 0
 
@@ -71,14 +73,14 @@ def orders() -> Iterator[BackgroundOrders]:
 def test_a_look_of_no_scales_gives_the_frame_itself() -> None:
     """Catches arrays that are copied and uploaded again for every picture."""
     frame = random_frame(20, VIEWS, seed=2)
-    assert Look(layers=3, background=(1, 0, 0)).applied(frame) is frame
+    assert DisplaySettings(layers=3, background=(1, 0, 0)).applied(frame) is frame
 
 
 def test_a_look_scales_radii_and_densities_and_nothing_else() -> None:
     """Catches scales on the wrong array, densities above 1, and radii that overflow to infinity and vanish."""
     frame = random_frame(200, VIEWS, seed=2)
     frame.radius[:3] = (0.0, 0.5, 60000.0)
-    scaled = Look(point_scale=2.0, density_scale=1.5).applied(frame)
+    scaled = DisplaySettings(point_scale=2.0, density_scale=1.5).applied(frame)
     assert scaled.radius.dtype == scaled.density.dtype == np.float16
     np.testing.assert_allclose(scaled.radius[3:], 2.0 * frame.radius[3:], rtol=1e-3)
     assert scaled.radius[:3].tolist() == [0.0, 1.0, 65504.0]
@@ -92,7 +94,7 @@ def test_a_look_scales_radii_and_densities_and_nothing_else() -> None:
 def test_one_scale_alone_leaves_the_other_array() -> None:
     """Catches a scale that is applied only where the other is set too, and rounding of what is not scaled."""
     frame = random_frame(50, VIEWS, seed=3)
-    larger, denser = Look(point_scale=0.5).applied(frame), Look(density_scale=0.5).applied(frame)
+    larger, denser = DisplaySettings(point_scale=0.5).applied(frame), DisplaySettings(density_scale=0.5).applied(frame)
     np.testing.assert_array_equal(larger.density, frame.density)
     np.testing.assert_array_equal(denser.radius, frame.radius)
     np.testing.assert_array_equal(larger.radius, frame.radius / 2)
@@ -105,21 +107,21 @@ def test_exact_orders_are_the_shots_own(wait: bool) -> None:
     frames = [random_frame(points, VIEWS, seed=points) for points in (500, 300)]
     orders = ExactOrders()
     for camera, frame in [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]:
-        shot = shot_of(camera, frames[frame])
-        order = orders.order(shot, wait)
-        assert fits(order, shot)
-        np.testing.assert_array_equal(order.points, exact(shot))
+        request = shot_of(camera, frames[frame])
+        order = orders.order(request, wait)
+        assert fits(order, request)
+        np.testing.assert_array_equal(order.points, exact(request))
 
 
 def test_exact_orders_sort_once() -> None:
-    """Catches sorting for every picture while nothing moves, and a look that is taken for a move."""
-    shot, orders = shot_of(), ExactOrders()
-    order = orders.order(shot, True)
-    assert orders.order(shot, False) is order
-    assert orders.order(replace(shot, look=Look(layers=3)), False) is order
-    assert orders.order(replace(shot, camera=replace(shot.camera)), False) is not order
+    """Catches sorting for every picture while nothing moves, and a settings that is taken for a move."""
+    request, orders = shot_of(), ExactOrders()
+    order = orders.order(request, True)
+    assert orders.order(request, False) is order
+    assert orders.order(replace(request, settings=DisplaySettings(layers=3)), False) is order
+    assert orders.order(replace(request, camera=replace(request.camera)), False) is not order
     orders.release()
-    assert orders.order(shot, False) is not order
+    assert orders.order(request, False) is not order
 
 
 def test_an_order_outlives_the_next_one() -> None:
@@ -135,9 +137,9 @@ def test_frames_of_a_file_are_ordered(tmp_path: Path, orders: BackgroundOrders) 
     """Catches a sorter that wants arrays it may write to: those of a file are read-only."""
     write_scene(tmp_path / "scene.4dv", views=VIEWS)
     reader = SceneReader(tmp_path / "scene.4dv")
-    shot = Shot(reader.read(1), CAMERAS[2], reader.manifest, Look())
-    np.testing.assert_array_equal(ExactOrders().order(shot, True).points, exact(shot))
-    assert_orders(orders.order(shot, True), shot)
+    request = RenderRequest(reader.read(1), CAMERAS[2], reader.manifest, DisplaySettings())
+    np.testing.assert_array_equal(ExactOrders().order(request, True).points, exact(request))
+    assert_orders(orders.order(request, True), request)
     reader.close()
 
 
@@ -145,24 +147,24 @@ def test_waiting_gives_the_shots_own_order(orders: BackgroundOrders) -> None:
     """Catches a screenshot or a video drawn with the order of the picture before."""
     frames = [random_frame(points, VIEWS, seed=points) for points in (500, 300)]
     for number in range(30):
-        shot = shot_of(number % 5, frames[number // 3 % 2])
-        assert_orders(orders.order(shot, True), shot)
+        request = shot_of(number % 5, frames[number // 3 % 2])
+        assert_orders(orders.order(request, True), request)
 
 
 def test_the_first_order_is_the_shots_own(orders: BackgroundOrders) -> None:
     """Catches a first picture without points, or a crash because there is no order yet."""
-    shot = shot_of()
-    assert_orders(orders.order(shot, False), shot)
+    request = shot_of()
+    assert_orders(orders.order(request, False), request)
 
 
 def test_points_beside_and_before_the_picture_are_ordered_too(orders: BackgroundOrders) -> None:
     """Catches holes at the border while the viewer turns or moves before the next order comes."""
-    shot = shot_of()
-    points = orders.order(shot, True).points
-    pixels, depths = shot.camera.project(shot.frame.xyz)
-    size = shot.camera.width
+    request = shot_of()
+    points = orders.order(request, True).points
+    pixels, depths = request.camera.project(request.frame.xyz)
+    size = request.camera.width
     near = (pixels > -0.5 * size).all(axis=1) & (pixels < 1.5 * size).all(axis=1) & (depths > MANIFEST.near)
-    assert near.sum() > len(exact(shot))
+    assert near.sum() > len(exact(request))
     assert np.isin(np.flatnonzero(near), points).all()
 
 
@@ -188,7 +190,7 @@ def gated(monkeypatch: pytest.MonkeyPatch) -> type[GatedSorter]:
     """Makes BackgroundOrders sort when the gate is open."""
     GatedSorter.gate, GatedSorter.begun, GatedSorter.sorted = threading.Event(), threading.Event(), []
     GatedSorter.gate.set()
-    monkeypatch.setattr("fourd.viewer.rendering.depth_order.DepthSorter", GatedSorter)
+    monkeypatch.setattr("fourd.viewer.gl.depth_order.DepthSorter", GatedSorter)
     return GatedSorter
 
 
@@ -211,11 +213,11 @@ def test_later_orders_are_not_waited_for(gated: type[GatedSorter]) -> None:
 
 
 def test_nothing_is_sorted_while_nothing_moves(gated: type[GatedSorter]) -> None:
-    """Catches a thread that sorts the same shot without end."""
-    orders, shot = BackgroundOrders(), shot_of()
-    order = orders.order(shot, True)
+    """Catches a thread that sorts the same request without end."""
+    orders, request = BackgroundOrders(), shot_of()
+    order = orders.order(request, True)
     for _ in range(10):
-        assert orders.order(shot, False) is order
+        assert orders.order(request, False) is order
         time.sleep(0.002)
     assert len(gated.sorted) == 1
     orders.release()
@@ -238,10 +240,10 @@ def test_release_ends_the_thread(asked: bool) -> None:
 @pytest.mark.parametrize("earlier", [False, True])
 def test_an_error_of_the_thread_reaches_the_caller(earlier: bool, wait: bool) -> None:
     """Catches a viewer that waits for ever, or shows an old order for ever, after the thread has died."""
-    orders, shot = BackgroundOrders(), shot_of()
+    orders, request = BackgroundOrders(), shot_of()
     if earlier:
-        orders.order(shot, True)
-    bad = replace(shot, camera=replace(shot.camera, distortion=np.array([0.1, 0, 0, 0])))
+        orders.order(request, True)
+    bad = replace(request, camera=replace(request.camera, distortion=np.array([0.1, 0, 0, 0])))
 
     def raised() -> bool:
         try:
@@ -280,7 +282,7 @@ def test_the_renderer_suits_the_driver(
     wanted: RendererName | Literal["auto"], driver: str | None, name: RendererName
 ) -> None:
     """Catches a GPU left idle, a GL drawn by the CPU where our kernel is faster, and a wish that is not granted."""
-    chosen = choose(wanted, driver)
+    chosen = choose_renderer(wanted, driver)
     assert chosen.name == name
     assert chosen.reason
     if wanted == "auto" and driver is not None:
@@ -291,4 +293,4 @@ def test_the_renderer_suits_the_driver(
 def test_a_renderer_without_gl_is_refused(wanted: RendererName) -> None:
     """Catches a wish that is silently replaced, or that fails deep inside GL."""
     with pytest.raises(UserError, match=f"--renderer: expected cpu.*got {wanted}; add --renderer cpu"):
-        choose(wanted, None)
+        choose_renderer(wanted, None)

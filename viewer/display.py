@@ -13,7 +13,7 @@ SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
 
 
 @dataclass(frozen=True)
-class Look:
+class DisplaySettings:
     """What the panel's sliders set.
 
     Attributes:
@@ -39,13 +39,13 @@ class Look:
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """What a renderer is asked for: a frame, from a camera, in a look.
+class RenderRequest:
+    """What a renderer is asked for: a frame, from a camera, in a settings.
 
-    ``frame`` has the look's scales applied already: they are the arrays that every renderer reads.
+    ``frame`` has the settings's scales applied already: they are the arrays that every renderer reads.
     """
 
     frame: BakedFrame
     camera: Camera
     manifest: SceneManifest
-    look: Look
+    settings: DisplaySettings
