@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*')
 
-.PHONY: help install demo test test-slow lint docs clean
+.PHONY: help install demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count
 
 help:
 	@echo "make demo       synthetic capture -> trained 4D scene -> video, in demo/"
@@ -20,7 +20,7 @@ help:
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet -c constraints.txt torch scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -e '.[dev,docs]'
+	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -C cmake.define.FOURD_WERROR=ON -e '.[dev,docs]'
 	touch $@
 
 install: $(STAMP)
@@ -45,4 +45,19 @@ docs: install
 clean:
 	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache
 
-include make/kernels.mk
+# The kernels on hostile inputs under ASan + UBSan, the CUDA kernels emulated, and under TSan.
+sanitize: sanitize-address sanitize-thread
+
+sanitize-address: install
+	$(BIN)/cmake -S csrc/tests -B build/asan -DFOURD_SANITIZE=address,undefined -G "Unix Makefiles" -DCMAKE_BUILD_TYPE=Debug -DFOURD_WERROR=ON >/dev/null
+	$(BIN)/cmake --build build/asan
+	build/asan/hostile 300
+	build/asan/hostile_gpu 100
+
+sanitize-thread: install
+	$(BIN)/cmake -S csrc/tests -B build/tsan -DFOURD_SANITIZE=thread -G "Unix Makefiles" -DCMAKE_BUILD_TYPE=Debug -DFOURD_WERROR=ON >/dev/null
+	$(BIN)/cmake --build build/tsan
+	build/tsan/hostile 60
+
+count: install
+	PATH=$(abspath $(BIN)):$$PATH $(BIN)/python tools/count_instructions.py

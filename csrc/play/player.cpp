@@ -41,8 +41,8 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
     space_.fill(cloud, settings, team);
     in_runs(count, team, [&](std::size_t begin, std::size_t end) { shade_visible(frame, shading, begin, end); });
-    const points::TileKernels& kernels = points::tile_kernels(settings.simd);
-    team.run(space_.bins.tiles(), [&](int index, int) { kernels.draw(space_.tile(cloud, settings, index), canvas); });
+    const points::Loops& loops = points::select_loops(settings.simd);
+    team.run(space_.bins.tiles(), [&](int index, int) { loops.draw(space_.tile(cloud, settings, index), canvas); });
 }
 
 // Points lie in the order of their places in space: those that no pixel sees come in stretches.

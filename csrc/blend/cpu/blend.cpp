@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <vector>
 
-#include "blend/cpu/runs.h"
+#include "blend/cpu/loops.h"
 #include "common/buffer.h"
 #include "common/team.h"
 
@@ -11,15 +11,6 @@ namespace fourd::blend {
 namespace {
 
 constexpr std::size_t kPointsPerTask = 64 * kRun;
-
-const Loops& loops_for(Simd simd) {
-#ifdef FOURD_X86
-    if (simd == Simd::avx512) return loops_avx512;
-    if (simd == Simd::avx2) return loops_avx2;
-#endif
-    (void)simd;
-    return loops_baseline;
-}
 
 int tasks_of(const Inputs& inputs) {
     return static_cast<int>((inputs.count + kPointsPerTask - 1) / kPointsPerTask);
@@ -49,7 +40,7 @@ float total(const float* sums, std::size_t i) {
 }  // namespace
 
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits) {
-    const Loops& loops = loops_for(inputs.simd);
+    const Loops& loops = select_loops(inputs.simd);
     Team team(inputs.threads);
     team.run(tasks_of(inputs), [&](int task, int) {
         for_runs(inputs, task, [&](std::size_t first, int count) { loops.forward(mlp, inputs, first, count, logits); });
@@ -58,7 +49,7 @@ void logits(const Mlp& mlp, const Inputs& inputs, float* logits) {
 
 void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, const float* gradient,
                      const Gradients& out) {
-    const Loops& loops = loops_for(inputs.simd);
+    const Loops& loops = select_loops(inputs.simd);
     const std::size_t weights = static_cast<std::size_t>(mlp.channels) * mlp.hidden;
     // Each task has its own sums, which are added in the tasks' order: the same for any number of threads.
     std::vector<float> sums(tasks_of(inputs) * sums_size(mlp), 0.0f);

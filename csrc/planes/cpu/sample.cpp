@@ -5,7 +5,7 @@
 #include "common/buffer.h"
 #include "common/pages.h"
 #include "common/team.h"
-#include "planes/cpu/runs.h"
+#include "planes/cpu/loops.h"
 
 namespace fourd::planes {
 namespace {
@@ -13,43 +13,6 @@ namespace {
 constexpr std::size_t kPointsPerTask = 16 * kRun;
 constexpr std::size_t kCachedBytes = 1 << 20;
 constexpr int kCellBits = 5;  // a cell of this order spans 16 x 16 samples of a plane with 512
-
-// A copy of each loop for each instruction set, for 8 features, which is usual, and for any number.
-struct Loops {
-    void (*sample)(const Plan&, std::size_t, int, const Places&, float*);
-    void (*coordinate_gradient)(const Plan&, std::size_t, int, const Places&, const float*, float*);
-    void (*scatter)(const Plan&, std::size_t, int, const Places&, int, int, const float*, float* const*);
-};
-
-#define FOURD_LOOPS(NAME, TARGET, FEATURES)                                                                      \
-    TARGET void sample_##NAME(const Plan& plan, std::size_t begin, int count, const Places& places, float* out) { \
-        sample_run<FEATURES>(plan, begin, count, places, out);                                                   \
-    }                                                                                                            \
-    TARGET void coordinate_gradient_##NAME(const Plan& plan, std::size_t begin, int count, const Places& places,  \
-                                           const float* gradient, float* out) {                                  \
-        coordinate_gradient_run<FEATURES>(plan, begin, count, places, gradient, out);                            \
-    }                                                                                                            \
-    TARGET void scatter_##NAME(const Plan& plan, std::size_t begin, int count, const Places& places, int first,   \
-                               int last, const float* gradient, float* const* out) {                             \
-        scatter_run<FEATURES>(plan, begin, count, places, first, last, gradient, out);                           \
-    }                                                                                                            \
-    constexpr Loops loops_##NAME = {sample_##NAME, coordinate_gradient_##NAME, scatter_##NAME};
-
-FOURD_LOOPS(baseline_8, , 8)
-FOURD_LOOPS(baseline_any, , 0)
-#if defined(FOURD_X86) && defined(__GNUC__)
-FOURD_LOOPS(avx2_8, __attribute__((target("avx2,fma"))), 8)
-FOURD_LOOPS(avx2_any, __attribute__((target("avx2,fma"))), 0)
-#endif
-
-Loops loops_for(const Query& query) {
-    const bool usual = query.features == 8;
-#if defined(FOURD_X86) && defined(__GNUC__)
-    // 8 features fill the vectors of AVX2, so that AVX-512 has no loops of its own.
-    if (query.simd != Simd::baseline) return usual ? loops_avx2_8 : loops_avx2_any;
-#endif
-    return usual ? loops_baseline_8 : loops_baseline_any;
-}
 
 std::size_t bytes_of(const Query& query, int k) {
     return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features * sizeof(float);
@@ -137,7 +100,7 @@ void for_all_runs(const Query& query, Team& team, const Work& work) {
 }  // namespace
 
 void sample(const Query& query, float* out) {
-    const Loops loops = loops_for(query);
+    const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     Planned planned(query, team.size());
     prefer_huge_pages(out, query.count * query.plane_count * query.features * sizeof(float));
@@ -147,7 +110,7 @@ void sample(const Query& query, float* out) {
 }
 
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates) {
-    const Loops loops = loops_for(query);
+    const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     Planned planned(query, team.size());
     // One worker does a plane from its first point to its last: nothing to lock, and sums taken in one

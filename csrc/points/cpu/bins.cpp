@@ -34,11 +34,11 @@ std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
 
 // The items of visible points lie at the beginning of each returned run.
 std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& settings, Team& team) {
-    const TileKernels& kernels = tile_kernels(settings.simd);
+    const Loops& loops = select_loops(settings.simd);
     std::vector<Run> runs = split(cloud.count, team.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         Run& run = runs[part];
-        run.end = run.begin + kernels.project(cloud, settings, run.begin, run.end, splats_.data(),
+        run.end = run.begin + loops.project(cloud, settings, run.begin, run.end, splats_.data(),
                                               reaches_.data(), items_.data() + run.begin);
     });
     visible_ = 0;

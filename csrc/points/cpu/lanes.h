@@ -1,5 +1,5 @@
 // Sixteen floats, one per pixel of a tile's row, on whatever vectors this file is compiled for.
-// Included by tile_kernels.inc alone, inside its namespace per instruction set; sums are taken in
+// Included by tiles.cpp alone, inside its namespace per instruction set; sums are taken in
 // the same order everywhere, so that every instruction set gives the same bits.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)

@@ -121,17 +121,17 @@ std::size_t count_visits(const Tile& tile) {
 }
 
 void render(const Cloud& cloud, const Settings& settings, Workspace& space, const Image& out) {
-    const TileKernels& kernels = tile_kernels(settings.simd);
+    const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
     space.fill(cloud, settings, team);
     space.made_from = fingerprint(cloud, settings);
     team.run(space.bins.tiles(),
-             [&](int index, int) { kernels.render(space.tile(cloud, settings, index), out); });
+             [&](int index, int) { loops.render(space.tile(cloud, settings, index), out); });
 }
 
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
                      const CloudGradient& out) {
-    const TileKernels& kernels = tile_kernels(settings.simd);
+    const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
     space.fill_again(cloud, settings, team);
     const std::size_t width = 5 + cloud.channels;
@@ -144,7 +144,7 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
         const std::size_t visits = count_visits(tile);
         scratch.transmittance.require(16 * visits);
         scratch.tags.require(visits);
-        kernels.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data(), visits},
+        loops.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data(), visits},
                                 scratch.slots.data(), space.sums.data());
     });
     for_points(cloud.count, team, [&](std::size_t begin, std::size_t end) {
@@ -156,7 +156,7 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
 }
 
 void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, float* out) {
-    const TileKernels& kernels = tile_kernels(settings.simd);
+    const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
     space.fill(cloud, settings, team);
     space.sums.require(space.assign_slots(cloud.count));
@@ -166,7 +166,7 @@ void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, 
         Workspace::Scratch& scratch = space.scratches[worker];
         space.slots_of_tile(tile, scratch.slots);
         for (std::size_t entry = 0; entry < tile.count; ++entry) space.sums[scratch.slots[entry]] = 0.0f;
-        kernels.visibility(tile, scratch.slots.data(), space.sums.data());
+        loops.visibility(tile, scratch.slots.data(), space.sums.data());
     });
     for (std::size_t point = 0; point < cloud.count; ++point) {
         float best = 0.0f;

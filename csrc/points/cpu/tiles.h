@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "common/dispatch.h"
 #include "points/points.h"
 
 namespace fourd::points {
@@ -39,7 +40,7 @@ struct Visits {
 
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
-struct TileKernels {
+struct Loops {
     // Projects points begin to end into splats and reaches, by point, and lists the visible ones; returns how many.
     std::size_t (*project)(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, Reach* reaches, Item* items);
@@ -57,13 +58,7 @@ struct TileKernels {
     void (*visibility)(const Tile& tile, const std::size_t* slots, float* weights);
 };
 
-extern const TileKernels tile_kernels_baseline;
-#ifdef FOURD_X86
-extern const TileKernels tile_kernels_avx2;
-extern const TileKernels tile_kernels_avx512;
-#endif
-
-const TileKernels& tile_kernels(Simd simd);
+FOURD_DISPATCH(Loops, Simd::avx512)
 
 // How often the tile's entries meet its blocks, hit or not.
 std::size_t count_visits(const Tile& tile);

@@ -3,28 +3,14 @@
 #include <algorithm>
 
 #include "common/team.h"
-#include "shade/cpu/block.h"
+#include "shade/cpu/loops.h"
 
 namespace fourd::shade {
 namespace {
 
 constexpr std::size_t kTaskPoints = 64 * kBlock;
 
-Range range_for(Simd simd) {
-#ifdef FOURD_X86
-    // Its vectors suit a point's 16 harmonics and 4 views: AVX-512 has no loops of its own.
-    if (simd != Simd::baseline) return shade_range_avx2;
-#endif
-    (void)simd;
-    return shade_range_baseline;
-}
-
 }  // namespace
-
-void shade_range_baseline(const Points& points, std::size_t begin, std::size_t end, const Settings& settings,
-                          float* out) {
-    shade_range(points, begin, end, settings, out);
-}
 
 void shade(const Points& points, const Settings& settings, float* out) {
     const int tasks = static_cast<int>((points.count + kTaskPoints - 1) / kTaskPoints);
@@ -36,7 +22,7 @@ void shade(const Points& points, const Settings& settings, float* out) {
 }
 
 void shade_some(const Points& points, const Settings& settings, std::size_t begin, std::size_t end, float* out) {
-    range_for(settings.simd)(points, begin, end, settings, out);
+    select_loops(settings.simd).shade(points, begin, end, settings, out);
 }
 
 }  // namespace fourd::shade

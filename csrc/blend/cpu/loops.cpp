@@ -1,0 +1,148 @@
+// Lanes are points: no sum runs across a vector, and weights are scalars.
+#include <cmath>
+#include <cstring>
+
+#include "blend/cpu/loops.h"
+
+namespace fourd::blend::FOURD_SIMD {
+namespace {
+
+#if defined(__AVX512F__)
+constexpr int kNative = 16;
+#elif defined(__AVX__)
+constexpr int kNative = 8;
+#else
+constexpr int kNative = 4;
+#endif
+constexpr int kParts = kRun / kNative;
+constexpr int kSums = kLanes / kNative;
+typedef float Wide __attribute__((vector_size(4 * kNative)));
+
+// A number of every point of the run; 0 for those that the last run lacks.
+struct Row {
+    Wide part[kParts];
+};
+
+inline void load_row(const float* from, int count, Row* to) {
+    if (count == kRun) {
+        std::memcpy(to, from, sizeof *to);
+        return;
+    }
+    std::memset(to, 0, sizeof *to);
+    std::memcpy(to, from, count * sizeof(float));
+}
+
+inline void store_row(const Row& from, int count, float* to) { std::memcpy(to, &from, count * sizeof(float)); }
+
+// out[h] = the points' numbers h.
+inline void load_transposed(const float* from, int width, int count, Row* out) {
+    if (count < kRun) std::memset(out, 0, width * sizeof(Row));
+    float* to = reinterpret_cast<float*>(out);
+    for (int i = 0; i < count; ++i) {
+        for (int h = 0; h < width; ++h) to[h * kRun + i] = from[static_cast<std::size_t>(i) * width + h];
+    }
+}
+
+inline void store_transposed(const Row* from, int width, int count, float* to) {
+    const float* rows = reinterpret_cast<const float*>(from);
+    for (int i = 0; i < count; ++i) {
+        for (int h = 0; h < width; ++h) to[static_cast<std::size_t>(i) * width + h] = rows[h * kRun + i];
+    }
+}
+
+// Where a view's samples of channel c begin.
+inline std::size_t sample_at(const Mlp& mlp, const Inputs& inputs, std::size_t view, int c, std::size_t first) {
+    return (view * mlp.channels + c) * inputs.count + first;
+}
+
+// The run's hidden layer h before its ReLU.
+inline Row hidden_row(const Mlp& mlp, const Row& point, const Row* samples, int h) {
+    Row sum = point;
+    for (int c = 0; c < mlp.channels; ++c) {
+        const float weight = mlp.weight[static_cast<std::size_t>(c) * mlp.hidden + h];
+        for (int p = 0; p < kParts; ++p) sum.part[p] += weight * samples[c].part[p];
+    }
+    return sum;
+}
+
+void forward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count, float* logits) {
+    Row point[kMostHidden], samples[kMostChannels];
+    load_transposed(inputs.point + first * mlp.hidden, mlp.hidden, count, point);
+    for (std::size_t view = 0; view < inputs.views; ++view) {
+        for (int c = 0; c < mlp.channels; ++c) {
+            load_row(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
+        }
+        Row raw;
+        for (int p = 0; p < kParts; ++p) raw.part[p] = mlp.bias - Wide{};
+        for (int h = 0; h < mlp.hidden; ++h) {
+            const Row hidden = hidden_row(mlp, point[h], samples, h);
+            for (int p = 0; p < kParts; ++p) {
+                raw.part[p] += mlp.out[h] * (hidden.part[p] > 0.0f ? hidden.part[p] : Wide{});
+            }
+        }
+        float values[kRun];
+        std::memcpy(values, &raw, sizeof values);
+        for (int i = 0; i < count; ++i) values[i] = mlp.range * tanhf(values[i] / mlp.range);
+        std::memcpy(logits + view * inputs.count + first, values, count * sizeof(float));
+    }
+}
+
+// Adds the sums over points of a times b, in kLanes parts.
+inline void add_products(const Row& a, const Row& b, float* sum) {
+    for (int first = 0; first < kSums; ++first) {
+        Wide total;
+        std::memcpy(&total, sum + first * kNative, sizeof total);
+        for (int p = first; p < kParts; p += kSums) total += a.part[p] * b.part[p];
+        std::memcpy(sum + first * kNative, &total, sizeof total);
+    }
+}
+
+void backward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count, const float* logits,
+              const float* gradient, const Gradients& out, const Sums& sums) {
+    Row point[kMostHidden], to_point[kMostHidden], samples[kMostChannels], back[kMostHidden];
+    load_transposed(inputs.point + first * mlp.hidden, mlp.hidden, count, point);
+    std::memset(to_point, 0, mlp.hidden * sizeof(Row));
+    Row ones;
+    for (int p = 0; p < kParts; ++p) ones.part[p] = 1.0f - Wide{};
+    for (std::size_t view = 0; view < inputs.views; ++view) {
+        for (int c = 0; c < mlp.channels; ++c) {
+            load_row(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
+        }
+        Row share, raw;
+        load_row(logits + view * inputs.count + first, count, &share);
+        load_row(gradient + view * inputs.count + first, count, &raw);
+        for (int p = 0; p < kParts; ++p) {
+            const Wide ratio = share.part[p] / mlp.range;
+            raw.part[p] *= 1.0f - ratio * ratio;
+        }
+        add_products(raw, ones, sums.bias);
+        for (int h = 0; h < mlp.hidden; ++h) {
+            Row hidden = hidden_row(mlp, point[h], samples, h);
+            for (int p = 0; p < kParts; ++p) {
+                back[h].part[p] = hidden.part[p] > 0.0f ? mlp.out[h] * raw.part[p] : Wide{};
+                to_point[h].part[p] += back[h].part[p];
+                hidden.part[p] = hidden.part[p] > 0.0f ? hidden.part[p] : Wide{};
+            }
+            add_products(raw, hidden, sums.out + h * kLanes);
+        }
+        for (int c = 0; c < mlp.channels; ++c) {
+            const std::size_t row = static_cast<std::size_t>(c) * mlp.hidden;
+            Row to_sample = {};
+            for (int h = 0; h < mlp.hidden; ++h) {
+                const float weight = mlp.weight[row + h];
+                for (int p = 0; p < kParts; ++p) to_sample.part[p] += weight * back[h].part[p];
+            }
+            for (int h = 0; h < mlp.hidden; ++h) {
+                add_products(back[h], samples[c], sums.weight + (row + h) * kLanes);
+            }
+            store_row(to_sample, count, out.samples + sample_at(mlp, inputs, view, c, first));
+        }
+    }
+    store_transposed(to_point, mlp.hidden, count, out.point + first * mlp.hidden);
+}
+
+}  // namespace
+
+const Loops loops = {forward, backward};
+
+}  // namespace fourd::blend::FOURD_SIMD

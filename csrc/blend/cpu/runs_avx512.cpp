@@ -1,2 +1,0 @@
-#define FOURD_SIMD avx512
-#include "blend/cpu/runs.inc"

@@ -1,2 +1,0 @@
-#define FOURD_SIMD baseline
-#include "blend/cpu/runs.inc"

@@ -1,0 +1,63 @@
+# Compiler flags: warnings, instruction sets and rounding. The target fourd_options carries what every source needs.
+#
+#   FOURD_WARNINGS     warnings, as errors where FOURD_WERROR is on
+#   FOURD_FLAGS_<set>  an instruction set: baseline, avx2 or avx512
+#   FOURD_EXACT        products and sums are rounded one by one: the same bits for every instruction set
+#   FOURD_TOLERANT     they may be fused
+#   FOURD_VECTORIZE    no floating-point exception is observed, so that selections need no branches; same bits
+
+add_library(fourd_options INTERFACE)
+target_include_directories(fourd_options INTERFACE ${FOURD_CSRC})
+target_link_libraries(fourd_options INTERFACE Threads::Threads)
+
+set(FOURD_X86 OFF)
+if(CMAKE_SYSTEM_PROCESSOR MATCHES "x86_64|AMD64|amd64" AND NOT "${CMAKE_OSX_ARCHITECTURES}" MATCHES "arm64")
+  set(FOURD_X86 ON)
+  target_compile_definitions(fourd_options INTERFACE FOURD_X86)
+endif()
+
+set(FOURD_FLAGS_baseline "")
+if(MSVC)
+  set(FOURD_WARNINGS /W4)
+  set(FOURD_FLAGS_avx2 /arch:AVX2)
+  set(FOURD_FLAGS_avx512 /arch:AVX512)
+  set(FOURD_EXACT /fp:precise)
+  set(FOURD_TOLERANT /fp:contract)
+  set(FOURD_VECTORIZE "")
+  set(FOURD_AS_ERRORS /WX)
+  target_compile_definitions(fourd_options INTERFACE NOMINMAX _CRT_SECURE_NO_WARNINGS)
+else()
+  set(FOURD_WARNINGS -Wall -Wextra -Wpedantic)
+  # prfchw: prefetching for writing, which processors without it ignore.
+  set(FOURD_FLAGS_avx2 -mavx2 -mfma -mf16c -mprfchw)
+  set(FOURD_FLAGS_avx512 -mavx512f -mavx512dq -mavx512vl -mfma)
+  set(FOURD_EXACT -ffp-contract=off)
+  set(FOURD_TOLERANT -ffp-contract=fast)
+  set(FOURD_VECTORIZE -fno-trapping-math -fno-math-errno)
+  set(FOURD_AS_ERRORS -Werror)
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+    # The undefined vectors in GCC's own AVX-512 header look uninitialised (GCC bug 105593).
+    list(APPEND FOURD_FLAGS_avx512 -mprefer-vector-width=512 -Wno-maybe-uninitialized -Wno-uninitialized)
+  endif()
+endif()
+if(FOURD_WERROR)
+  list(APPEND FOURD_WARNINGS ${FOURD_AS_ERRORS})
+endif()
+
+if(FOURD_SANITIZE)
+  set(sanitizers -fsanitize=${FOURD_SANITIZE})
+  target_compile_options(fourd_options INTERFACE -O1 -g -fno-omit-frame-pointer ${sanitizers} -fno-sanitize-recover=all)
+  target_link_options(fourd_options INTERFACE ${sanitizers})
+endif()
+
+# The instruction sets that a kernel is compiled for, of a widest one: empty for the baseline alone.
+function(fourd_instruction_sets out widest)
+  set(sets baseline)
+  if(FOURD_X86 AND widest MATCHES "^avx(2|512)$")
+    list(APPEND sets avx2)
+  endif()
+  if(FOURD_X86 AND widest STREQUAL "avx512")
+    list(APPEND sets avx512)
+  endif()
+  set(${out} ${sets} PARENT_SCOPE)
+endfunction()

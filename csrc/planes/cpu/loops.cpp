@@ -1,0 +1,214 @@
+// What is done with runs of points, as plain loops over features that compilers turn into vectors.
+#include "planes/cpu/loops.h"
+
+#include <cstring>
+
+#include "common/eight.h"
+#include "common/inline.h"
+
+namespace fourd::planes::FOURD_SIMD {
+namespace {
+
+constexpr int kAhead = 4;  // so many points ahead memory is asked for
+
+FOURD_INLINE void place_run(const Plan& plan, std::size_t begin, int count, const Places& out) {
+    float coordinates[4][kRun];
+    for (int i = 0; i < count; ++i) {
+        const float* at = plan.query->coordinates + 4 * static_cast<std::size_t>(plan.order[begin + i]);
+        for (int axis = 0; axis < 4; ++axis) coordinates[axis][i] = at[axis];
+    }
+    for (int axis = 0; axis < plan.axis_count; ++axis) {
+        const float* from = coordinates[plan.axes[axis].coordinate];
+        const int size = plan.axes[axis].size;
+        for (int i = 0; i < count; ++i) {
+            const Between place = between(from[i], size);
+            out.low[axis * kRun + i] = place.low;
+            out.share[axis * kRun + i] = place.share;
+            out.slope[axis * kRun + i] = place.slope;
+        }
+    }
+}
+
+// Asks for the samples around a run's point i, in those of the planes first to last (not included) that are large;
+// values are the planes' or arrays like them.
+template <typename Values>
+FOURD_INLINE void prefetch_samples(const Plan& plan, const Places& places, int i, int first, int last,
+                                   const Values& values) {
+    const Query& query = *plan.query;
+    const std::size_t pair = 2 * static_cast<std::size_t>(query.features) - 1;
+    for (int j = 0; j < plan.large_count; ++j) {
+        const int k = plan.large[j];
+        if (k < first || k >= last) continue;
+        const std::size_t columns = static_cast<std::size_t>(query.planes[k].columns);
+        const std::size_t row = static_cast<std::size_t>(places.low[plan.down[k] * kRun + i]);
+        const float* at = values(k) + (row * columns + places.low[plan.across[k] * kRun + i]) * query.features;
+        for (int rows = 0; rows < 2; ++rows, at += columns * query.features) {
+            __builtin_prefetch(at);
+            __builtin_prefetch(at + pair);
+        }
+    }
+}
+
+// The bilinear mean of four samples: those at top and bottom, and the ones right of them.
+template <int Features>
+FOURD_INLINE void mix(const Corners& c, const float* top, const float* bottom, int features, float* to) {
+#if defined(FOURD_EIGHT)
+    if (Features == 8) {
+        Eight corner[4];
+        load(top, corner), load(top + 8, corner + 1), load(bottom, corner + 2), load(bottom + 8, corner + 3);
+        const Eight out = (c.weight[0][0] * corner[0] + c.weight[0][1] * corner[1]) +
+                          (c.weight[1][0] * corner[2] + c.weight[1][1] * corner[3]);
+        std::memcpy(to, &out, sizeof out);
+        return;
+    }
+#endif
+    for (int f = 0; f < features; ++f) {
+        to[f] = (c.weight[0][0] * top[f] + c.weight[0][1] * top[features + f]) +
+                (c.weight[1][0] * bottom[f] + c.weight[1][1] * bottom[features + f]);
+    }
+}
+
+// Adds the samples' shares of a gradient to theirs.
+template <int Features>
+FOURD_INLINE void spread(const Corners& c, const float* gradient, int features, float* top, float* bottom) {
+#if defined(FOURD_EIGHT)
+    if (Features == 8) {
+        Eight from, to;
+        load(gradient, &from);
+        for (int corner = 0; corner < 4; ++corner) {
+            float* at = (corner < 2 ? top : bottom) + 8 * (corner % 2);
+            load(at, &to);
+            to += c.weight[corner / 2][corner % 2] * from;
+            std::memcpy(at, &to, sizeof to);
+        }
+        return;
+    }
+#endif
+    for (int f = 0; f < features; ++f) {
+        top[f] += c.weight[0][0] * gradient[f];
+        top[features + f] += c.weight[0][1] * gradient[f];
+        bottom[f] += c.weight[1][0] * gradient[f];
+        bottom[features + f] += c.weight[1][1] * gradient[f];
+    }
+}
+
+// Adds what the gradient finds in the differences between samples, by feature: across to along_x, down to along_y.
+template <int Features>
+FOURD_INLINE void slopes(const Between& x, const Between& y, const float* gradient, const float* top,
+                         const float* bottom, int features, float* along_x, float* along_y) {
+#if defined(FOURD_EIGHT)
+    if (Features == 8) {
+        Eight from, corner[4], to_x, to_y;
+        load(gradient, &from);
+        load(top, corner), load(top + 8, corner + 1), load(bottom, corner + 2), load(bottom + 8, corner + 3);
+        const Eight across = corner[1] - corner[0], down = corner[2] - corner[0];
+        const Eight twist = (corner[3] - corner[2]) - across;
+        load(along_x, &to_x);
+        to_x += x.slope * from * (across + y.share * twist);
+        std::memcpy(along_x, &to_x, sizeof to_x);
+        load(along_y, &to_y);
+        to_y += y.slope * from * (down + x.share * twist);
+        std::memcpy(along_y, &to_y, sizeof to_y);
+        return;
+    }
+#endif
+    for (int f = 0; f < features; ++f) {
+        const float across = top[features + f] - top[f], down = bottom[f] - top[f];
+        const float twist = (bottom[features + f] - bottom[f]) - across;
+        along_x[f] += x.slope * gradient[f] * (across + y.share * twist);
+        along_y[f] += y.slope * gradient[f] * (down + x.share * twist);
+    }
+}
+
+// Features is their number, or 0 for what the query says.
+template <int Features>
+FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, const Places& places, float* out) {
+    const Query& query = *plan.query;
+    const int features = Features > 0 ? Features : query.features;
+    const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
+    place_run(plan, begin, count, places);
+    const auto values = [&](int k) FOURD_ALWAYS { return query.planes[k].values; };
+    for (int i = 0; i < count; ++i) {
+        if (i + kAhead < count) prefetch_samples(plan, places, i + kAhead, 0, query.plane_count, values);
+        float* to = out + width * plan.order[begin + i];
+        for (int k = 0; k < query.plane_count; ++k, to += features) {
+            const Plane& plane = query.planes[k];
+            const Corners c = corners(plane, places.at(plan.across[k], i), places.at(plan.down[k], i), features);
+            mix<Features>(c, plane.values + c.top, plane.values + c.bottom, features, to);
+        }
+    }
+}
+
+template <int Features>
+FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, int count, const Places& places,
+                                          const float* gradient, float* out) {
+    const Query& query = *plan.query;
+    const int features = Features > 0 ? Features : query.features;
+    const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
+    place_run(plan, begin, count, places);
+    const auto values = [&](int k) FOURD_ALWAYS { return query.planes[k].values; };
+    for (int i = 0; i < count; ++i) {
+        if (i + kAhead < count) prefetch_samples(plan, places, i + kAhead, 0, query.plane_count, values);
+        const float* from = gradient + width * plan.order[begin + i];
+        float total[4][Features > 0 ? Features : kMostFeatures] = {};  // by coordinate and feature
+        for (int k = 0; k < query.plane_count; ++k, from += features) {
+            const Plane& plane = query.planes[k];
+            const Between x = places.at(plan.across[k], i), y = places.at(plan.down[k], i);
+            const Corners c = corners(plane, x, y, features);
+            slopes<Features>(x, y, from, plane.values + c.top, plane.values + c.bottom, features, total[plane.across],
+                             total[plane.down]);
+        }
+        float* to = out + 4 * static_cast<std::size_t>(plan.order[begin + i]);
+        for (int axis = 0; axis < 4; ++axis) {
+            float sum = 0;
+            for (int f = 0; f < features; ++f) sum += total[axis][f];
+            to[axis] = sum;
+        }
+    }
+}
+
+// Adds what planes first to last (not included) get of the gradient to out, arrays like the planes' values.
+template <int Features>
+FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const Places& places, int first, int last,
+                              const float* gradient, float* const* out) {
+    const Query& query = *plan.query;
+    const int features = Features > 0 ? Features : query.features;
+    const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
+    place_run(plan, begin, count, places);
+    const auto values = [&](int k) FOURD_ALWAYS { return out[k]; };
+    for (int i = 0; i < count; ++i) {
+        if (i + kAhead < count) {
+            prefetch_samples(plan, places, i + kAhead, first, last, values);
+            const float* ahead = gradient + width * plan.order[begin + i + kAhead];
+            for (int f = first * features; f < last * features; f += 16) __builtin_prefetch(ahead + f);
+        }
+        const float* from = gradient + width * plan.order[begin + i] + static_cast<std::size_t>(first) * features;
+        for (int k = first; k < last; ++k, from += features) {
+            const Corners c = corners(query.planes[k], places.at(plan.across[k], i), places.at(plan.down[k], i), features);
+            spread<Features>(c, from, features, out[k] + c.top, out[k] + c.bottom);
+        }
+    }
+}
+
+template <int Features>
+void sample(const Plan& plan, std::size_t begin, int count, const Places& places, float* out) {
+    sample_run<Features>(plan, begin, count, places, out);
+}
+
+template <int Features>
+void coordinate_gradient(const Plan& plan, std::size_t begin, int count, const Places& places, const float* gradient,
+                         float* out) {
+    coordinate_gradient_run<Features>(plan, begin, count, places, gradient, out);
+}
+
+template <int Features>
+void scatter(const Plan& plan, std::size_t begin, int count, const Places& places, int first, int last,
+             const float* gradient, float* const* out) {
+    scatter_run<Features>(plan, begin, count, places, first, last, gradient, out);
+}
+
+}  // namespace
+
+const Loops loops = {{sample<8>, coordinate_gradient<8>, scatter<8>}, {sample<0>, coordinate_gradient<0>, scatter<0>}};
+
+}  // namespace fourd::planes::FOURD_SIMD

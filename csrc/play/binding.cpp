@@ -1,0 +1,65 @@
+// Drawing and ordering of baked frames: fourd/baking/player.py and order.py say what is computed.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <array>
+#include <string>
+#include <vector>
+
+#include "play/arguments.h"
+#include "points/arguments.h"
+#include "play/play.h"
+
+namespace nb = nanobind;
+
+namespace fourd {
+namespace {
+
+using Arguments = FrameArguments<nb::device::cpu, std::uint16_t>;
+using Picture = nb::ndarray<std::uint8_t, nb::shape<-1, -1, 4>, nb::c_contig, nb::device::cpu>;
+
+void draw(play::Player& player, const Arguments::Xyz& xyz, const Arguments::Column& radius,
+          const Arguments::Column& density, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
+          const Arguments::Colours& rgb, const ChosenArray& chosen, const CentreArray& centre, float sh_range,
+          float sh_base, const std::vector<double>& camera, int layers, double near, double transmittance_min,
+          const std::array<float, 3>& background, int threads, const std::string& simd, const Picture& out) {
+    const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
+    const shade::Settings shading =
+        shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, threads, simd);
+    const points::Settings settings =
+        points_settings(camera, out.shape(1), out.shape(0), layers, near, transmittance_min, threads, simd);
+    nb::gil_scoped_release release;
+    player.draw(frame, settings, shading, {out.data(), {background[0], background[1], background[2]}});
+}
+
+using Indices = nb::ndarray<std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+std::size_t sort(play::DepthSorter& sorter, const Arguments::Xyz& xyz, const Arguments::Column& radius,
+                 const Arguments::Column& density, const std::vector<double>& camera, std::size_t width,
+                 std::size_t height, double near, int threads, const std::string& simd, const Indices& out) {
+    const play::Frame frame = Arguments::bare_frame(xyz, radius, density);
+    require(out.shape(0) == frame.points.count, "out: expected as many indices as points");
+    const points::Settings settings = points_settings(camera, width, height, 1, near, 0.0, threads, simd);
+    nb::gil_scoped_release release;
+    return sorter.sort(frame, settings, out.data());
+}
+
+}  // namespace
+
+void bind_play(nb::module_& module) {
+    nb::class_<play::Player>(module, "Player", "Draws baked frames; not to be shared between threads.")
+        .def(nb::init<>())
+        .def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
+             nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
+             nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
+             nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+    nb::class_<play::DepthSorter>(module, "DepthSorter", "Orders points; not to be shared between threads.")
+        .def(nb::init<>())
+        .def("sort", &sort, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("camera"),
+             nb::arg("width"), nb::arg("height"), nb::arg("near"), nb::arg("threads"), nb::arg("simd"),
+             nb::arg("out"));
+}
+
+}  // namespace fourd

@@ -1,0 +1,66 @@
+// Baked frames on a GPU: fourd/baking/gpu_player.py says what is computed.
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/vector.h>
+
+#include <array>
+#include <utility>
+#include <vector>
+
+#include "binding/cuda_arrays.h"
+#include "points/cuda/room_arguments.h"
+#include "play/arguments.h"
+#include "points/arguments.h"
+#include "play/cuda/draw.h"
+
+namespace nb = nanobind;
+
+namespace fourd::cuda {
+namespace {
+
+// torch counts its sixteen bits with a sign.
+using Arguments = FrameArguments<Where, std::int16_t>;
+using Picture = Array<std::uint8_t, nb::shape<-1, -1, 4>>;
+using ColourOut = Array<float, nb::shape<-1, 3>>;
+
+std::pair<std::size_t, std::size_t> plan(device::Rooms& rooms, std::size_t count, int width, int height) {
+    const std::size_t entries = rooms.entries(count);
+    return {entries, play::cuda::workspace_bytes(count, width, height, entries)};
+}
+
+void draw(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Arguments::Column& density,
+          const Arguments::Harmonics& sh, const Arguments::Weights& weights, const Arguments::Colours& rgb,
+          const ChosenArray& chosen, const CentreArray& centre, float sh_range, float sh_base,
+          const std::vector<double>& camera, int layers, double near, double transmittance_min,
+          const std::array<float, 3>& background, const device::Rooms& rooms, std::size_t entries,
+          const Workspace& workspace, std::uintptr_t stream, const Picture& out) {
+    const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
+    const shade::Settings shading = shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, 1, "");
+    const points::Settings settings =
+        points_settings(camera, out.shape(1), out.shape(0), layers, near, transmittance_min, 1, "");
+    const RoomArguments room{rooms, entries, workspace};
+    const std::size_t bytes = play::cuda::workspace_bytes(frame.points.count, settings.camera.width,
+                                                          settings.camera.height, entries);
+    play::cuda::draw(frame, settings, shading, room.checked(bytes),
+                     {out.data(), {background[0], background[1], background[2]}}, stream_of(stream));
+}
+
+void shade(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
+           const Arguments::Colours& rgb, const ChosenArray& chosen, const CentreArray& centre, float sh_range,
+           float sh_base, std::uintptr_t stream, const ColourOut& out) {
+    const shade::Points points = Arguments::points(xyz, sh, weights, rgb);
+    require(out.shape(0) == points.count, "out: unexpected shape");
+    play::cuda::shade(points, shade_settings(chosen, points.views, centre, sh_range, sh_base, 1, ""), out.data(),
+                      stream_of(stream));
+}
+
+}  // namespace
+
+void bind_play(nb::module_& module) {
+    module.def("plan_draw", &plan, nb::arg("rooms"), nb::arg("count"), nb::arg("width"), nb::arg("height"),
+               "Room for entries, and the bytes of workspace, for the next picture.");
+    module.def("draw", &draw);
+    module.def("shade", &shade);
+}
+
+}  // namespace fourd::cuda

@@ -1,0 +1,145 @@
+// The inner loops over points and tiles, compiled once for each instruction set.
+#include <cstring>
+#if defined(__SSE2__)
+#include <immintrin.h>
+#endif
+
+#include "points/cpu/tiles.h"
+
+namespace fourd::points::FOURD_SIMD {
+namespace {
+
+#include "points/cpu/lanes.h"
+
+#if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
+#error "pairs of 16 bits are written as words, the first one low"
+#endif
+
+constexpr int kMostChannels = 32;
+
+// Some points in the image, number by number: their maths becomes vectors so.
+struct Projections {
+    static constexpr std::size_t kMost = 64;
+    float u[kMost], v[kMost], inverse_square[kMost], density[kMost], z[kMost], rho[kMost];
+    std::uint32_t blocks_across[kMost], blocks_down[kMost];  // the first, and the last 16 bits higher
+    std::uint32_t tiles_across[kMost], tiles_down[kMost];
+    std::uint32_t visible[kMost];
+};
+
+inline std::uint32_t pair(int first, int last) {
+    return static_cast<std::uint32_t>(first) | static_cast<std::uint32_t>(last) << 16;
+}
+
+// Returns how many are visible.
+inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t count,
+                                  Projections& out) {
+    constexpr int kBlocksPerSide = kTile / kBlock;
+    const Pinhole camera = settings.camera;  // a copy, which nothing that is written here can be part of
+    const float near = settings.near;
+    std::uint32_t visible = 0;
+    for (std::size_t i = 0; i < count; ++i) {
+        const std::size_t point = begin + i;
+        const Projection at = project(camera, near, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point]);
+        out.u[i] = at.u;
+        out.v[i] = at.v;
+        out.inverse_square[i] = at.inverse_square;
+        out.density[i] = at.density;
+        out.z[i] = at.z;
+        out.rho[i] = at.rho;
+        out.blocks_across[i] = pair(at.left, at.right);
+        out.blocks_down[i] = pair(at.top, at.bottom);
+        const std::uint32_t across = pair(at.left / kBlocksPerSide, at.right / kBlocksPerSide);
+        const std::uint32_t down = pair(at.top / kBlocksPerSide, at.bottom / kBlocksPerSide);
+        out.tiles_across[i] = at.visible ? across : pair(1, 0);
+        out.tiles_down[i] = at.visible ? down : pair(0, 0);
+        out.visible[i] = at.visible ? 1 : 0;
+        visible += out.visible[i];
+    }
+    return visible;
+}
+
+// A number's bits.
+template <typename Number>
+inline std::uint32_t word(const Number& number) {
+    static_assert(sizeof number == sizeof(std::uint32_t), "one word");
+    std::uint32_t out;
+    std::memcpy(&out, &number, sizeof out);
+    return out;
+}
+
+// Side by side in memory, as words: what is written of points that are not visible is not read.
+inline void store_splats(const Projections& some, std::size_t count, Splat* splats) {
+    std::uint32_t words[8 * Projections::kMost];
+    static_assert(sizeof(Splat) == 32, "eight words, in the order of Splat's members");
+    for (std::size_t i = 0; i < count; ++i) {
+        words[8 * i] = word(some.u[i]);
+        words[8 * i + 1] = word(some.v[i]);
+        words[8 * i + 2] = word(some.inverse_square[i]);
+        words[8 * i + 3] = word(some.density[i]);
+        words[8 * i + 4] = word(some.z[i]);
+        words[8 * i + 5] = word(some.rho[i]);
+        words[8 * i + 6] = some.blocks_across[i];
+        words[8 * i + 7] = some.blocks_down[i];
+    }
+    std::memcpy(splats, words, count * sizeof(Splat));
+}
+
+inline void store_reaches(const Projections& some, std::size_t count, Reach* reaches) {
+    std::uint32_t words[2 * Projections::kMost];
+    static_assert(sizeof(Reach) == 8, "two words, in the order of Reach's members");
+    for (std::size_t i = 0; i < count; ++i) {
+        words[2 * i] = some.tiles_across[i];
+        words[2 * i + 1] = some.tiles_down[i];
+    }
+    std::memcpy(reaches, words, count * sizeof(Reach));
+}
+
+std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end, Splat* splats,
+                        Reach* reaches, Item* items) {
+    Projections some;
+    std::size_t count = 0;
+    for (std::size_t first = begin; first < end; first += Projections::kMost) {
+        const std::size_t here = end - first < Projections::kMost ? end - first : Projections::kMost;
+        const std::uint32_t visible = project_some(cloud, settings, first, here, some);
+        store_reaches(some, here, reaches + first);
+        if (visible == 0) continue;
+        store_splats(some, here, splats + first);
+        for (std::size_t i = 0; i < here; ++i) {
+            // Always written and seldom kept, which needs no branch: count is at most first + i - begin.
+            items[count] = {word(some.z[i]), static_cast<std::uint32_t>(first + i)};
+            count += some.visible[i];
+        }
+    }
+    return count;
+}
+
+#include "points/cpu/walk.inc"
+#include "points/cpu/picture.inc"
+#include "points/cpu/gradient.inc"
+
+struct Largest {
+    static constexpr bool kCountsVisits = false;
+    const std::size_t* slots;
+    float* weights;
+
+    void take(const Chunk& chunk, int place, int, const Touch& at, Mask hit, Lanes transmittance) {
+        if (!any(hit)) return;
+        float& weight = weights[slots[chunk.first + place]];
+        const float here = largest(keep(hit, transmittance * at.alpha));
+        weight = here > weight ? here : weight;
+    }
+};
+
+void tile_visibility(const Tile& tile, const std::size_t* slots, float* weights) {
+    const Grid grid = grid_of(tile);
+    Progress progress = begin(tile, grid);
+    Largest found[kBlocks];
+    for (Largest& block : found) block = {slots, weights};
+    walk(tile, grid, tile.transmittance_min, progress, found);
+}
+
+}  // namespace
+
+const Loops loops = {project_run, render_tile, draw_tile, render_tile_backward, tile_visibility};
+
+}  // namespace fourd::points::FOURD_SIMD

@@ -1,2 +1,0 @@
-#define FOURD_SIMD baseline
-#include "points/cpu/tile_kernels.inc"

@@ -1,0 +1,143 @@
+// The window's means along rows and columns, similarities and their slopes, as loops that compilers turn into vectors.
+#include "similarity/cpu/loops.h"
+
+#include <cstddef>
+#include <cstring>
+
+#include "common/eight.h"
+#include "common/inline.h"
+
+namespace fourd::similarity::FOURD_SIMD {
+namespace {
+
+constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
+constexpr int kLanes = 8;  // of sums, so that they need not wait for one another
+
+// Down the columns, i and, for eight numbers, those after it; out has kMeans rows of stride.
+template <typename Number>
+FOURD_INLINE void down_at(const Plan& plan, const float* picture, const float* truth, std::size_t i, float* out) {
+    const std::size_t stride = plan.stride;
+    Number mean_x{}, mean_y{}, square_x{}, square_y{}, product{};
+    for (int k = 0; k < kWindow; ++k) {
+        Number x, y;
+        load(picture + k * stride + i, &x);
+        load(truth + k * stride + i, &y);
+        const Number wx = plan.window.weights[k] * x, wy = plan.window.weights[k] * y;
+        mean_x += wx;
+        mean_y += wy;
+        square_x += wx * x;
+        square_y += wy * y;
+        product += wx * y;
+    }
+    store(&mean_x, out + i);
+    store(&mean_y, out + stride + i);
+    store(&square_x, out + 2 * stride + i);
+    store(&square_y, out + 3 * stride + i);
+    store(&product, out + 4 * stride + i);
+}
+
+// The window's sum at from, which steps by step.
+template <typename Number>
+FOURD_INLINE void window_at(const Window& window, int first, int last, const float* from, std::ptrdiff_t step,
+                            float* to) {
+    Number sum{};
+    for (int k = first; k < last; ++k) {
+        Number value;
+        load(from + k * step, &value);
+        sum += window.weights[k] * value;
+    }
+    store(&sum, to);
+}
+
+// Along a row: count values, each from kWindow that lie step apart.
+FOURD_INLINE void along(const Window& window, const float* from, std::size_t count, std::size_t step, float* to) {
+    in_eights(count, [&](std::size_t i, auto* number) FOURD_ALWAYS {
+        window_at<NumberOf<decltype(number)>>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step), to + i);
+    });
+}
+
+// A row's similarities from its means (rows of stride), and where wanted its slopes (kSlopes rows of valid).
+template <bool kWithSlopes>
+FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_ALONE values, float* FOURD_ALONE slopes) {
+    const std::size_t stride = plan.stride, valid = plan.valid;
+    const float *FOURD_ALONE mean_x = means, *FOURD_ALONE mean_y = means + stride;
+    const float *FOURD_ALONE square_x = means + 2 * stride, *FOURD_ALONE square_y = means + 3 * stride;
+    const float* FOURD_ALONE product = means + 4 * stride;
+    for (std::size_t i = 0; i < valid; ++i) {
+        const float x = mean_x[i], y = mean_y[i];
+        const float luminance_up = 2 * x * y + kLuminance, luminance_down = x * x + y * y + kLuminance;
+        const float contrast_up = 2 * (product[i] - x * y) + kContrast;
+        const float contrast_down = (square_x[i] - x * x) + (square_y[i] - y * y) + kContrast;
+        const float share = 1.0f / (luminance_down * contrast_down);
+        const float value = luminance_up * contrast_up * share;
+        values[i] = value;
+        if (!kWithSlopes) continue;
+        const float per_luminance = contrast_down * share, per_contrast = luminance_down * share;
+        slopes[i] = 2 * y * (contrast_up - luminance_up) * share + 2 * x * value * (per_contrast - per_luminance);
+        slopes[valid + i] = -value * per_contrast;
+        slopes[2 * valid + i] = 2 * luminance_up * share;
+    }
+}
+
+FOURD_INLINE double sum_of(const float* values, std::size_t count) {
+    double sums[kLanes] = {}, total = 0;
+    std::size_t i = 0;
+    for (; i + kLanes <= count; i += kLanes) {
+        for (int lane = 0; lane < kLanes; ++lane) sums[lane] += values[i + lane];
+    }
+    for (; i < count; ++i) total += values[i];
+    for (const double sum : sums) total += sum;
+    return total;
+}
+
+double compare_row(const Plan& plan, std::size_t row, float* scratch, float* slopes) {
+    float* means = scratch + kMeans * plan.stride;
+    const float* picture = plan.pictures.picture + row * plan.stride;
+    const float* truth = plan.pictures.truth + row * plan.stride;
+    in_eights(plan.stride, [&](std::size_t i, auto* number) FOURD_ALWAYS {
+        down_at<NumberOf<decltype(number)>>(plan, picture, truth, i, scratch);
+    });
+    for (int mean = 0; mean < kMeans; ++mean) {
+        along(plan.window, scratch + mean * plan.stride, plan.valid, plan.pictures.channels, means + mean * plan.stride);
+    }
+    if (slopes) {
+        compare<true>(plan, means, scratch, slopes);
+    } else {
+        compare<false>(plan, means, scratch, slopes);
+    }
+    return sum_of(scratch, plan.valid);
+}
+
+void gradient_row(const Plan& plan, int row, const float* slopes, float* scratch, float* FOURD_ALONE out) {
+    const std::size_t stride = plan.stride, valid = plan.valid;
+    const std::size_t border = static_cast<std::size_t>(kReach) * plan.pictures.channels;
+    const float* x = plan.pictures.picture + row * stride;
+    const float* y = plan.pictures.truth + row * stride;
+    float *padded = scratch, *spread = scratch + stride + border;
+    for (int slope = 0; slope < kSlopes; ++slope) {
+        // Nothing beyond the valid part: a window's weights end there. They are symmetric.
+        std::memset(padded, 0, border * sizeof(float));
+        std::memset(padded + stride, 0, border * sizeof(float));
+        const int first = row < plan.valid_rows ? 0 : row - plan.valid_rows + 1;
+        const int last = row + 1 < kWindow ? row + 1 : kWindow;
+        const std::ptrdiff_t step = static_cast<std::ptrdiff_t>(kSlopes * valid);
+        const float* from = slopes + row * step + static_cast<std::ptrdiff_t>(slope * valid);
+        in_eights(valid, [&](std::size_t i, auto* number) FOURD_ALWAYS {
+            window_at<NumberOf<decltype(number)>>(plan.window, first, last, from + i, -step, padded + border + i);
+        });
+        along(plan.window, padded, stride, plan.pictures.channels, spread);
+        if (slope == 0) {
+            for (std::size_t i = 0; i < stride; ++i) out[i] = plan.scale * spread[i];
+        } else {
+            const float factor = slope == 1 ? 2 * plan.scale : plan.scale;
+            const float* FOURD_ALONE by = slope == 1 ? x : y;
+            for (std::size_t i = 0; i < stride; ++i) out[i] += factor * by[i] * spread[i];
+        }
+    }
+}
+
+}  // namespace
+
+const Loops loops = {compare_row, gradient_row};
+
+}  // namespace fourd::similarity::FOURD_SIMD
