@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from fourd.ops.gpu import cuda_unavailable_reason
-from fourd.ops.loading import native
+from fourd.ops.loading import load_native
 from tests.captures import write_ball_capture
 
 
@@ -38,7 +38,7 @@ def gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> torc
         if cuda_unavailable_reason():
             pytest.skip("the CUDA kernels are not built")
         return torch.device("cuda", torch.cuda.current_device())
-    if not native().simd_available("emulated"):
+    if not load_native().simd_available("emulated"):
         pytest.skip("the emulated kernels are not built")
     monkeypatch.setenv("FOURD_SIMD", "emulated")
     return torch.device("cpu")

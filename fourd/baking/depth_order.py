@@ -1,4 +1,4 @@
-"""A frame's points in the order of their depth, for renderers that draw them one over the other."""
+"""A frame's points in order of depth, for renderers that draw them over each other."""
 
 from __future__ import annotations
 
@@ -7,42 +7,20 @@ from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame
 from fourd.cameras import Camera
-from fourd.ops.loading import native, simd_name, thread_count
-from fourd.ops.points.validation import check_points, pack_camera
+from fourd.ops.play.op import PointSorter
 
 
 class DepthSorter:
-    """Sorts points by depth, keeping its memory from one time to the next. Not to be shared between threads."""
+    """Sorts frames' points by depth; keeps its workspace between calls. Threads may share it; they take turns."""
 
     def __init__(self) -> None:
-        """Raises ImportError where the native module is not built."""
-        self._native = native().DepthSorter()
+        """Raises ImportError if the native module is not built."""
+        self._points = PointSorter()
 
     def sort(self, frame: BakedFrame, camera: Camera, near: float, *, threads: int = 0) -> NDArray[np.uint32]:
-        """Indices of the points that ``camera`` sees, nearest first and ties by index.
+        """Return the indices of the points that ``camera`` sees, nearest first, ties by index.
 
-        Left out are points that :func:`fourd.raster.render_points` would not draw: nearer than
-        ``near``, outside the image, of no size or density, or at a place that is not finite.
-
-        Args:
-            frame: its radii and densities are finite, as :class:`fourd.baking.container.SceneReader` guarantees.
-            camera: an ideal pinhole.
-            near: world units, above 0.
-            threads: 0 for FOURD_THREADS if that is set, else one a core.
+        See :meth:`fourd.ops.play.op.PointSorter.sort` for the points that are left out, the arguments and the errors.
+        ``frame`` has finite radii and densities, as :class:`fourd.baking.container.SceneReader` guarantees.
         """
-        arrays = {"xyz": frame.xyz, "radius": frame.xyz[:, 0], "density": frame.xyz[:, 0]}
-        check_points(arrays, camera, 1, near)
-        order = np.empty(frame.point_count, np.uint32)
-        count = self._native.sort(
-            frame.xyz,
-            frame.radius.view(np.uint16),
-            frame.density.view(np.uint16),
-            pack_camera(camera),
-            camera.width,
-            camera.height,
-            near,
-            thread_count(threads),
-            simd_name(),
-            order,
-        )
-        return order[:count]
+        return self._points.sort(frame.xyz, frame.radius, frame.density, camera, near, threads=threads)

@@ -1,4 +1,4 @@
-"""Pictures of baked frames on a GPU: as :mod:`fourd.baking.player`, with frames and pictures in its memory."""
+"""Pictures of baked frames on a GPU: :mod:`fourd.baking.player` with frames and pictures in device memory."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.baking.player import HIDDEN
 from fourd.baking.scene import BakedFrame, SceneManifest
-from fourd.baking.shade import shading_arguments
+from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
 from fourd.ops.gpu import load_gpu
-from fourd.ops.points.validation import check_points, pack_camera
+from fourd.ops.play.cuda import draw_points_gpu
+from fourd.ops.shade.cuda import shade_points_gpu
 
 
 @dataclass(frozen=True)
 class GpuFrame:
-    """A :class:`fourd.baking.scene.BakedFrame` of N points and V views on a device.
+    """What the kernels read of a :class:`fourd.baking.scene.BakedFrame` of N points and V views, on a device.
 
     Attributes:
         xyz: (N, 3) float32.
-        radius, density: (N,) the bits of float16 as int16, as are
-        sh: (N, 3, 16), and
-        blend_weights: (N, V).
+        radius, density: (N,) int16, the bits of float16.
+        sh: (N, 3, 16) int16, the bits of float16.
+        blend_weights: (N, V) int16, the bits of float16.
         rgb: (N, V, 3) uint8.
     """
 
@@ -38,20 +38,20 @@ class GpuFrame:
     rgb: Tensor
 
     @classmethod
-    def of(cls, frame: BakedFrame, device: torch.device) -> GpuFrame:
+    def from_frame(cls, frame: BakedFrame, device: torch.device) -> GpuFrame:
         """Copy a frame, whose arrays may be read-only, to a device."""
         halves = (frame.radius, frame.density, frame.sh, frame.blend_weights)
         arrays: list[NDArray[Any]] = [frame.xyz, *(half.view(np.int16) for half in halves), frame.rgb]
-        # Copied first: torch warns of arrays that it may not write to.
+        # The copy avoids torch's warning about read-only arrays.
         return cls(*(torch.from_numpy(array.copy()).to(device) for array in arrays))
 
 
 class GpuPlayer:
-    """Draws frames on a CUDA device; on the CPU it runs the same kernels emulated, which is for tests."""
+    """Draws frames on a CUDA device. On the CPU it runs the emulated kernels, for tests."""
 
     def __init__(self, device: torch.device) -> None:
-        """Raises ImportError where the device's kernels are not built."""
-        self._gpu = load_gpu(device)
+        """Raises ImportError if the device's kernels are not built."""
+        load_gpu(device)
 
     def draw(
         self,
@@ -63,60 +63,32 @@ class GpuPlayer:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         out: Tensor | None = None,
     ) -> Tensor:
-        """The frame from ``camera``, (H, W, 4) uint8 on the device: colour over the background, and alpha.
+        """Draw the picture of :meth:`fourd.baking.player.Player.draw`, to one step of a byte.
 
-        The same picture as :meth:`fourd.baking.player.Player.draw` gives, to a byte's last step. It is
-        there once torch's current stream has come to it; nothing is waited for.
+        The work is queued on torch's current stream and not waited for.
+
+        Returns:
+            (H, W, 4) uint8 on the device, ``out`` if given.
 
         Raises:
             TypeError, ValueError: naming the argument, what was expected and what came.
         """
-        layers = manifest.layers if layers is None else layers
-        count = frame.xyz.shape[0]
-        check_points(
-            {"xyz": frame.xyz, "radius": frame.xyz[:, 0], "density": frame.xyz[:, 0]}, camera, layers, manifest.near
+        return draw_points_gpu(
+            frame.xyz,
+            frame.radius,
+            frame.density,
+            frame.sh,
+            frame.blend_weights,
+            frame.rgb,
+            make_shading(camera, manifest),
+            camera,
+            layers=manifest.layers if layers is None else layers,
+            near=manifest.near,
+            background=background,
+            out=out,
         )
-        shape = (camera.height, camera.width, 4)
-        gpu = self._gpu
-        if out is None:
-            out = torch.empty(shape, dtype=torch.uint8, device=gpu.device)
-        elif tuple(out.shape) != shape or out.dtype != torch.uint8 or not out.is_contiguous():
-            raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of {tuple(out.shape)}")
-        entries, size = gpu.kernels.plan_draw(gpu.rooms, count, camera.width, camera.height)
-        with gpu.current():
-            gpu.kernels.draw(
-                frame.xyz,
-                frame.radius,
-                frame.density,
-                frame.sh,
-                frame.blend_weights,
-                frame.rgb,
-                *shading_arguments(camera, manifest),
-                pack_camera(camera),
-                layers,
-                manifest.near,
-                HIDDEN,
-                background,
-                gpu.rooms,
-                entries,
-                gpu.memory(size),
-                gpu.stream,
-                out,
-            )
-        return out
 
     def shade(self, frame: GpuFrame, camera: Camera, manifest: SceneManifest) -> Tensor:
-        """The points' colours (N, 3) float32 on the device, as :func:`fourd.baking.shade.shade` gives them."""
-        gpu = self._gpu
-        out = torch.empty_like(frame.xyz)
-        with gpu.current():
-            gpu.kernels.shade(
-                frame.xyz,
-                frame.sh,
-                frame.blend_weights,
-                frame.rgb,
-                *shading_arguments(camera, manifest),
-                gpu.stream,
-                out,
-            )
-        return out
+        """Compute the colours of :func:`fourd.baking.shade.shade`, (N, 3) float32 on the device."""
+        arrays = (frame.xyz, frame.sh, frame.blend_weights, frame.rgb)
+        return shade_points_gpu(*arrays, make_shading(camera, manifest))

@@ -1,4 +1,4 @@
-"""Pictures of baked frames as bytes: shading and compositing in one native call, for real time."""
+"""Pictures of baked frames as bytes, for real-time playback on the CPU."""
 
 from __future__ import annotations
 
@@ -6,21 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
-from fourd.baking.shade import shading_arguments
+from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
-from fourd.ops.loading import native, simd_name, thread_count
-from fourd.ops.points.validation import check_points, pack_camera
-
-HIDDEN = 1e-3
-"""Light below a quarter of a byte's step: what lies behind it cannot be seen."""
+from fourd.ops.play.op import PointPlayer
 
 
 class Player:
-    """Draws frames, keeping its memory from one picture to the next. Not to be shared between threads."""
+    """Draws baked frames; keeps its workspace between pictures. Threads may share it; they take turns."""
 
     def __init__(self) -> None:
-        """Raises ImportError where the native module is not built."""
-        self._native = native().Player()
+        """Raises ImportError if the native module is not built."""
+        self._points = PointPlayer()
 
     def draw(
         self,
@@ -33,45 +29,34 @@ class Player:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """The frame from ``camera``, (H, W, 4) uint8: colour over the background, and alpha.
+        """Draw the frame from ``camera``: (H, W, 4) uint8, colour over the background, and alpha.
 
-        The same picture as :meth:`fourd.baking.rendering.Scene.render` gives, but for rounding to
-        bytes and for what less than :data:`HIDDEN` of the light comes from.
+        The picture equals that of :meth:`fourd.baking.rendering.Scene.render` up to rounding to bytes and up to what
+        lies behind a transmittance of :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: finite, as :class:`fourd.baking.container.SceneReader` guarantees.
             camera: an ideal pinhole.
             layers: K; None for the manifest's.
             background: red, green and blue in [0, 1].
-            threads: 0 for FOURD_THREADS if that is set, else one a core.
-            out: where to draw, (H, W, 4) uint8, contiguous; None for a new array.
+            threads: 0 uses FOURD_THREADS if set, else all cores.
+            out: (H, W, 4) uint8, C-contiguous, to draw into; None for a new array.
 
         Raises:
             TypeError, ValueError: naming the argument, what was expected and what came.
         """
-        layers = manifest.layers if layers is None else layers
-        shape = (camera.height, camera.width, 4)
-        arrays = {"xyz": frame.xyz, "radius": frame.xyz[:, 0], "density": frame.xyz[:, 0]}
-        check_points(arrays, camera, layers, manifest.near)
-        if out is None:
-            out = np.empty(shape, np.uint8)
-        elif out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
-            raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of shape {out.shape}")
-        self._native.draw(
+        return self._points.draw(
             frame.xyz,
-            frame.radius.view(np.uint16),
-            frame.density.view(np.uint16),
-            frame.sh.view(np.uint16),
-            frame.blend_weights.view(np.uint16),
+            frame.radius,
+            frame.density,
+            frame.sh,
+            frame.blend_weights,
             frame.rgb,
-            *shading_arguments(camera, manifest),
-            pack_camera(camera),
-            layers,
-            manifest.near,
-            HIDDEN,
-            list(background),
-            thread_count(threads),
-            simd_name(),
-            out,
+            make_shading(camera, manifest),
+            camera,
+            layers=manifest.layers if layers is None else layers,
+            near=manifest.near,
+            background=background,
+            threads=threads,
+            out=out,
         )
-        return out

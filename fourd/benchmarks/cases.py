@@ -15,11 +15,14 @@ from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
 from fourd.benchmarks.workloads import baked_cloud, camera, figure, planes
 from fourd.cameras import Camera
-from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
-from fourd.ops.planes.op import sample_planes, sample_planes_reference
-from fourd.ops.similarity.op import similarity
+from fourd.ops.planes.op import sample_planes
+from fourd.ops.planes.reference import sample_planes_reference
+from fourd.ops.points.validation import pack_camera
+from fourd.ops.similarity.op import structural_similarity
+from fourd.ops.similarity.reference import structural_similarity_reference
+from fourd.ops.sources.op import sample_sources
+from fourd.ops.sources.reference import sample_sources_reference
 from fourd.raster import render_points
-from fourd.training.evaluation.metrics import ssim
 
 CPU = torch.device("cpu")
 Lookup = Callable[[Tensor, list[Tensor], list[int]], Tensor]
@@ -100,16 +103,16 @@ def sampling(count: int, device: torch.device) -> Case:
     def random(*shape: int) -> Tensor:
         return torch.rand(*shape, generator=generator).to(device)
 
-    cameras = tuple(camera(512, 512, 0.3 * view) for view in range(4))
-    sources = SourceViews(random(4, 3, 512, 512), random(4, 512, 512), 4 * random(4, 512, 512), cameras)
+    cameras = [number for view in range(4) for number in pack_camera(camera(512, 512, 0.3 * view))]
+    views = (random(4, 3, 512, 512), random(4, 512, 512), 4 * random(4, 512, 512), cameras)
     xyz = figure(count)["xyz"].to(device).requires_grad_()
     features = random(4, 16, 256, 256).contiguous(memory_format=torch.channels_last).requires_grad_()
 
     softness = torch.full((count,), 0.02, device=device)
 
-    def both(sample: Callable[..., SourceSamples]) -> Work:
+    def both(sample: Callable[..., tuple[Tensor, Tensor]]) -> Work:
         def work() -> object:
-            channels = sample(xyz, sources, features, softness).channels
+            channels, _ = sample(xyz, features, *views, softness)
             return torch.autograd.grad(channels.sum(), (xyz, features))
 
         return work
@@ -147,4 +150,4 @@ def _similarity(side: int) -> Case:
         return lambda: torch.autograd.grad(compare(picture, truth), picture)
 
     name = f"structural similarity, {side} x {side} x 3, forward + backward"
-    return Case(name, both(similarity), {"torch conv2d": both(ssim)})
+    return Case(name, both(structural_similarity), {"torch conv2d": both(structural_similarity_reference)})

@@ -57,7 +57,7 @@ def _composite(device: torch.device, count: int, view: Camera, layers: int, back
 
 def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
     frame, scene = baked_cloud(count)
-    player, held = GpuPlayer(device), GpuFrame.of(frame, device)
+    player, held = GpuPlayer(device), GpuFrame.from_frame(frame, device)
     out = player.draw(held, view, scene, layers=layers)
     name = f"GPU: play {count:,} points, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
     return Case(name, repeated(lambda: player.draw(held, view, scene, layers=layers, out=out)), parts=PARTS)

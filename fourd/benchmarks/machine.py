@@ -11,7 +11,7 @@ from pathlib import Path
 import torch
 
 from fourd.ops.gpu import cuda_unavailable_reason
-from fourd.ops.loading import native, simd_name, thread_count
+from fourd.ops.loading import load_native, simd_name, thread_count
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def this_machine() -> Machine:
         processor=_processor(),
         gpu=torch.cuda.get_device_name() if has_gpu() else None,
         threads=thread_count(0, torch.get_num_threads()),
-        simd=simd_name() or native().simd_default(),
+        simd=simd_name() or load_native().simd_default(),
         system=f"{platform.system()} {platform.machine()}",
         python=platform.python_version(),
         torch=torch.__version__,

@@ -8,7 +8,8 @@ from torch.nn import functional
 
 from fourd.model.config import ModelConfig
 from fourd.model.spherical_harmonics import SH_TERMS, sh_basis
-from fourd.ops.blend.op import LOGIT_RANGE, blend_logits
+from fourd.ops.blend.op import blend_logits
+from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
 """A view that is trusted less at a point has no say there. Bounds the ratio of weights that float16 has to hold."""

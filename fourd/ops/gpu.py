@@ -1,7 +1,8 @@
-"""The CUDA kernels of ``csrc`` for torch tensors: what gives them memory and stream.
+"""CUDA kernels for torch tensors: their module, stream and scratch memory.
 
-Nothing here waits for the GPU. On a CPU tensor the same functions run the kernels' source emulated, thread by
-thread: slow, and how they are tested where there is no GPU. FOURD_SIMD=emulated makes the operators take that way.
+No function here synchronizes with the GPU. For CPU tensors the same functions run the CUDA sources in an emulator,
+thread by thread: slow, but it tests the kernels on machines without a GPU. FOURD_SIMD=emulated makes the operators
+use the emulator.
 """
 
 from __future__ import annotations
@@ -16,16 +17,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import native, simd_name
+from fourd.ops.loading import load_native, simd_name
 
 
 @dataclass(frozen=True)
 class Gpu:
-    """A device's kernels.
+    """The kernels of one device.
 
     Attributes:
-        kernels: ``fourd._cuda``, or what emulates it.
-        rooms: how much room pictures needed on this device lately.
+        kernels: ``fourd._cuda``, or its emulation.
+        rooms: native object that predicts how many (point, tile) entries the next picture on this device needs.
         device: the device.
     """
 
@@ -35,37 +36,37 @@ class Gpu:
 
     @property
     def stream(self) -> int:
-        """The handle of torch's current stream."""
+        """Handle of torch's current stream; 0 for the emulator."""
         return torch.cuda.current_stream(self.device).cuda_stream if self.device.type == "cuda" else 0
 
-    def current(self) -> AbstractContextManager[Any]:
-        """Makes the device the one that kernels are started on."""
+    def activate(self) -> AbstractContextManager[Any]:
+        """Return a context in which kernels are launched on this device."""
         return torch.cuda.device(self.device) if self.device.type == "cuda" else nullcontext()
 
-    def memory(self, size: int) -> Tensor:
-        """So many bytes, of torch's own: whatever comes after on the stream may use them again."""
+    def allocate(self, size: int) -> Tensor:
+        """Return ``size`` bytes from torch's allocator. Later work on the same stream may reuse them."""
         return torch.empty(size, dtype=torch.uint8, device=self.device)
 
 
 @cache
 def load_gpu(device: torch.device) -> Gpu:
-    """The kernels for a device; the CPU's are emulated.
+    """Load the kernels of a device; for the CPU, the emulated ones.
 
     Raises:
-        ImportError: where they are not built.
+        ImportError: if they are not built.
     """
     if device.type == "cuda":
         kernels = import_module("fourd._cuda")
-    elif hasattr(native(), "emulated"):
-        kernels = native().emulated
+    elif hasattr(load_native(), "emulated"):
+        kernels = load_native().emulated
     else:
-        raise ImportError("fourd._native.emulated: expected the emulated kernels, which this build is without")
+        raise ImportError("fourd._native.emulated: expected the emulated kernels, which this build does not include")
     return Gpu(kernels, kernels.Rooms(), device)
 
 
 @cache
 def cuda_unavailable_reason() -> str:
-    """Why there are no CUDA kernels; empty where there are."""
+    """Return why the CUDA kernels cannot be loaded, or '' if they can."""
     try:
         import_module("fourd._cuda")
     except ImportError as cause:
@@ -73,11 +74,11 @@ def cuda_unavailable_reason() -> str:
     return ""
 
 
-def takes(tensor: Tensor) -> bool:
-    """Whether the kernels here are those for a tensor: on a CUDA device, or where FOURD_SIMD wants them emulated."""
+def uses_gpu_kernels(tensor: Tensor) -> bool:
+    """Return whether operators run the CUDA kernels on this tensor: on a CUDA device, or with FOURD_SIMD=emulated."""
     return tensor.device.type == "cuda" or simd_name() == "emulated"
 
 
-def dense(tensor: Tensor) -> Tensor:
-    """The tensor as kernels take it; a copy only where it is not contiguous."""
+def contiguous(tensor: Tensor) -> Tensor:
+    """Return the tensor without gradient and contiguous; copies only if it is not contiguous."""
     return tensor.detach().contiguous()

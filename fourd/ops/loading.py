@@ -1,4 +1,4 @@
-"""The native module, loaded when it is first needed and with its error kept when it cannot be; how it is run."""
+"""Loading of the native module, and the settings that all its kernels share: threads and instruction set."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ from types import ModuleType
 from typing import Any
 
 
-def native() -> ModuleType:
-    """``fourd._native``. Raises ImportError with the cause and the mend where it does not load."""
+def load_native() -> ModuleType:
+    """Import and return ``fourd._native``.
+
+    Raises:
+        ImportError: with the cause and the fix, if the module cannot be loaded.
+    """
     try:
         return import_module("fourd._native")
     except ImportError as cause:
@@ -20,12 +24,16 @@ def native() -> ModuleType:
 
 
 def as_array(tensor: Any) -> Any:
-    """A CPU tensor as the dense NumPy array that kernels take; a copy only where it is not contiguous."""
+    """Return a CPU tensor as a contiguous NumPy array; copies only if the tensor is not contiguous."""
     return tensor.detach().contiguous().numpy()
 
 
 def thread_count(threads: int, default: int | None = None) -> int:
-    """How many threads to use: ``threads`` if above 0, else FOURD_THREADS, else ``default``, else one a core."""
+    """Resolve a thread count: ``threads`` if positive, else FOURD_THREADS, else ``default``, else the available cores.
+
+    Raises:
+        ValueError: for a negative ``threads`` or an invalid FOURD_THREADS.
+    """
     if threads < 0:
         raise ValueError(f"threads: expected 0 (for the default) or more, got {threads}")
     if threads > 0:
@@ -41,5 +49,5 @@ def thread_count(threads: int, default: int | None = None) -> int:
 
 
 def simd_name() -> str:
-    """The instruction set that FOURD_SIMD forces, or '' for the widest there is."""
+    """Return the instruction set that FOURD_SIMD selects, or '' for the widest available one."""
     return os.environ.get("FOURD_SIMD", "")

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from fourd.baking import BakedFrame
 from fourd.baking.depth_order import DepthSorter
 from fourd.cameras import Camera
-from fourd.ops.loading import native
+from fourd.ops.loading import load_native
 from tests.baking.scenes import random_frame, ring
 
 NEAR = 0.5
@@ -88,7 +88,7 @@ def test_the_order_is_a_stable_sort_of_what_is_seen(
     points: int, camera: Camera, simd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches ties out of order, points that should be left out or should not, and depths rounded otherwise."""
-    if not native().simd_available(simd):
+    if not load_native().simd_available(simd):
         pytest.skip(f"{simd} is not available here")
     monkeypatch.setenv("FOURD_SIMD", simd)
     frame = hard_frame(points, seed=points)

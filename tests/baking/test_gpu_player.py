@@ -22,7 +22,7 @@ def test_bytes_equal_the_float_picture(
     """Catches channels in another order, and a background that shows through twice."""
     monkeypatch.delenv("FOURD_SIMD", raising=False)  # for the CPU's picture; the player is told by its device
     frame, described = random_frame(points, 6, seed=points + layers), manifest(views=6)
-    player, held = GpuPlayer(gpu), GpuFrame.of(frame, gpu)
+    player, held = GpuPlayer(gpu), GpuFrame.from_frame(frame, gpu)
     for camera in ring(2):
         background = (0.2, 0.9, 0.4)
         picture = player.draw(held, camera, described, layers=layers, background=background).cpu().numpy()
@@ -36,7 +36,7 @@ def test_colours_equal_the_reference(gpu: torch.device) -> None:
     frame, described = random_frame(500, 6, seed=3), manifest(views=6)
     frame.blend_weights[:50] = 0
     for camera in ring(3):
-        got = GpuPlayer(gpu).shade(GpuFrame.of(frame, gpu), camera, described).cpu().numpy()
+        got = GpuPlayer(gpu).shade(GpuFrame.from_frame(frame, gpu), camera, described).cpu().numpy()
         assert np.abs(got - shade_reference(frame, camera, described)).max() <= 1e-5
 
 
@@ -47,7 +47,7 @@ def test_a_full_scene_of_a_file(gpu: torch.device, tmp_path: Path, monkeypatch: 
     write_full_scene(tmp_path / "full.4dv", frames=1, points=300, behind=400)
     reader, camera = SceneReader(tmp_path / "full.4dv"), ring(2)[1]
     frame = reader.read(0)
-    picture = GpuPlayer(gpu).draw(GpuFrame.of(frame, gpu), camera, reader.manifest).cpu().numpy()
+    picture = GpuPlayer(gpu).draw(GpuFrame.from_frame(frame, gpu), camera, reader.manifest).cpu().numpy()
     truth = expected(frame, camera, reader.manifest, reader.manifest.layers, (0.0, 0.0, 0.0))
     assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
     assert (picture[..., 3] > 128).mean() > 0.9
@@ -56,4 +56,4 @@ def test_a_full_scene_of_a_file(gpu: torch.device, tmp_path: Path, monkeypatch: 
 def test_a_wrong_canvas_is_named(gpu: torch.device) -> None:
     frame, described, camera = random_frame(5, 6, seed=4), manifest(views=6), ring(4)[2]
     with pytest.raises(ValueError, match=r"out: expected contiguous uint8 of shape \(48, 48, 4\), got"):
-        GpuPlayer(gpu).draw(GpuFrame.of(frame, gpu), camera, described, out=torch.empty(48, 48, 3, device=gpu))
+        GpuPlayer(gpu).draw(GpuFrame.from_frame(frame, gpu), camera, described, out=torch.empty(48, 48, 3, device=gpu))

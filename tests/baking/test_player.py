@@ -9,7 +9,7 @@ from fourd.baking.player import Player
 from fourd.baking.scene import ATTRIBUTES, BakedFrame
 from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
-from fourd.ops.loading import native
+from fourd.ops.loading import load_native
 from fourd.ops.points.arrays import render_points_numpy
 from tests.baking.scenes import manifest, random_frame, ring
 
@@ -33,7 +33,7 @@ def expected(frame, camera: Camera, described, layers: int, background: tuple[fl
 @pytest.mark.parametrize(("points", "layers"), [(0, 12), (1, 1), (3000, 12), (700, 3)])
 def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches channels in another order, a background added twice, and blocks stored where others belong."""
-    if not native().simd_available(simd):
+    if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
     frame, described = random_frame(points, 6, seed=points + layers), manifest(views=6)

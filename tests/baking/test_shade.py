@@ -9,8 +9,9 @@ import pytest
 import torch
 
 from fourd.baking.scene import BakedFrame
-from fourd.baking.shade import select_source_views, sh_basis, shade, shade_reference
+from fourd.baking.shade import select_source_views, shade, shade_reference
 from fourd.model import spherical_harmonics as harmonics
+from fourd.ops.shade.reference import sh_basis
 from tests.baking.scenes import manifest, random_frame, ring
 
 

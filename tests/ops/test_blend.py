@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.blend.op import blend_logits, blend_logits_reference
-from fourd.ops.loading import native
+from fourd.ops.blend.op import blend_logits
+from fourd.ops.blend.reference import blend_logits_reference
+from fourd.ops.loading import load_native
 
 
 def arguments(
@@ -36,7 +37,7 @@ def test_values_and_gradients_equal_the_reference(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Catches a transposed weight, a gradient that one view writes over another's, and what is left of a run."""
-    if not native().simd_available(simd):
+    if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
     inputs = arguments(rng, count, hidden, channels, views)

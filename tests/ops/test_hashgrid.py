@@ -10,8 +10,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.hashgrid.op import HashGridShape, encode, encode_reference
-from fourd.ops.loading import native
+from fourd.ops.hashgrid.op import encode_hash_grid
+from fourd.ops.hashgrid.reference import encode_hash_grid_reference
+from fourd.ops.hashgrid.shape import HashGridShape
+from fourd.ops.loading import load_native
 
 
 def grid(features: int = 2) -> HashGridShape:
@@ -52,13 +54,13 @@ def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a corner's weight on its neighbour, a level read at another's rows, a run's last points left out."""
-    if not native().simd_available(simd):
+    if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
     shape = grid(features)
     inputs = (shape, points(rng, 5003), random_table(rng, shape))
     upstream = torch.from_numpy(rng.standard_normal((5003, shape.out_features)).astype(np.float32))
-    assert_close(results(encode, *inputs, upstream), results(encode_reference, *inputs, upstream))
+    assert_close(results(encode_hash_grid, *inputs, upstream), results(encode_hash_grid_reference, *inputs, upstream))
 
 
 @pytest.mark.parametrize("features", [2, 3])
@@ -67,8 +69,8 @@ def test_the_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.
     shape = grid(features)
     tensors = [points(rng, 300), random_table(rng, shape)]
     tensors.append(torch.from_numpy(rng.standard_normal((300, shape.out_features)).astype(np.float32)))
-    found = results(encode, shape, *(tensor.to(gpu) for tensor in tensors))
-    assert_close(found, results(encode_reference, shape, *tensors))
+    found = results(encode_hash_grid, shape, *(tensor.to(gpu) for tensor in tensors))
+    assert_close(found, results(encode_hash_grid_reference, shape, *tensors))
 
 
 def test_a_grid_of_the_usual_size_equals_the_reference(rng: np.random.Generator) -> None:
@@ -78,7 +80,10 @@ def test_a_grid_of_the_usual_size_equals_the_reference(rng: np.random.Generator)
     # Their places are exact in float32 at both levels.
     coordinates = torch.from_numpy(rng.integers(0, 2**12, (200, 3)) / 2**12).float()
     torch.testing.assert_close(
-        encode(coordinates, table, shape), encode_reference(coordinates, table, shape), rtol=1e-4, atol=1e-5
+        encode_hash_grid(coordinates, table, shape),
+        encode_hash_grid_reference(coordinates, table, shape),
+        rtol=1e-4,
+        atol=1e-5,
     )
 
 
@@ -89,7 +94,7 @@ def test_samples_are_where_the_paper_says(rng: np.random.Generator) -> None:
     table = torch.arange(shape.total_entries, dtype=torch.float32)[:, None]
     for level, side in enumerate(shape.resolutions):
         samples = rng.integers(0, side + 1, (50, 3)).tolist()
-        found = encode(torch.tensor(samples) / side, table, shape)[:, level]
+        found = encode_hash_grid(torch.tensor(samples) / side, table, shape)[:, level]
         for (x, y, z), row in zip(samples, found.tolist(), strict=True):
             dense = x + y * (side + 1) + z * (side + 1) ** 2
             hashed = (x ^ (y * 2654435761 % 2**32) ^ (z * 805459861 % 2**32)) % 2**6
@@ -107,10 +112,10 @@ def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
     assert len(coordinates) > 100
 
     def total(at: Tensor, values: Tensor) -> Tensor:
-        return encode_reference(at, values, shape).sum(1)
+        return encode_hash_grid_reference(at, values, shape).sum(1)
 
     leaf, values = coordinates.float().requires_grad_(), table.float().requires_grad_()
-    slopes, grad_table = torch.autograd.grad(encode(leaf, values, shape).sum(), [leaf, values])
+    slopes, grad_table = torch.autograd.grad(encode_hash_grid(leaf, values, shape).sum(), [leaf, values])
     for axis in range(3):
         offset = step * torch.eye(3, dtype=torch.float64)[axis]
         slope = (total(coordinates + offset, table) - total(coordinates - offset, table)) / (2 * step)
@@ -128,9 +133,9 @@ def test_borders_and_what_is_no_number_stay_within_the_table(rng: np.random.Gene
     table = random_table(rng, shape).requires_grad_()
     values = torch.tensor([0, 1, np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-42, -0.0, 1 - 2**-24, 0.3])
     coordinates = torch.cartesian_prod(values, values, values).requires_grad_()
-    found = encode(coordinates, table, shape)
+    found = encode_hash_grid(coordinates, table, shape)
     inside = coordinates.detach().nan_to_num(nan=0, posinf=1, neginf=0).clamp(0, 1)
-    torch.testing.assert_close(found, encode_reference(inside, table, shape), rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(found, encode_hash_grid_reference(inside, table, shape), rtol=1e-5, atol=1e-5)
     slopes, grad_table = torch.autograd.grad(found.sum(), [coordinates, table])
     assert slopes.isfinite().all()
     assert grad_table.isfinite().all()
@@ -149,7 +154,7 @@ def test_result_is_the_same_for_any_number_of_threads(
     found = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("FOURD_THREADS", threads)
-        found.append(results(encode, *inputs, upstream))
+        found.append(results(encode_hash_grid, *inputs, upstream))
     for other in found[1:]:
         assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
 
@@ -158,7 +163,7 @@ def test_no_points_give_no_rows_and_zero_gradients(rng: np.random.Generator) -> 
     """Catches a gradient that is left uninitialised where nothing was looked up."""
     shape = grid()
     table = random_table(rng, shape).requires_grad_()
-    found = encode(torch.zeros(0, 3), table, shape)
+    found = encode_hash_grid(torch.zeros(0, 3), table, shape)
     assert found.shape == (0, shape.out_features)
     (gradient,) = torch.autograd.grad(found.sum(), table)
     assert gradient.shape == table.shape
@@ -186,10 +191,10 @@ def assert_one_gradient(moves: bool, learns: bool, rng: np.random.Generator, dev
     shape = grid()
     upstream = torch.from_numpy(rng.standard_normal((100, shape.out_features)).astype(np.float32)).to(device)
     coordinates, table = points(rng, 100).to(device), random_table(rng, shape).to(device)
-    both = results(encode, shape, coordinates, table, upstream)[1:]
+    both = results(encode_hash_grid, shape, coordinates, table, upstream)[1:]
     coordinates.requires_grad_(moves)
     table.requires_grad_(learns)
-    encode(coordinates, table, shape).backward(upstream)
+    encode_hash_grid(coordinates, table, shape).backward(upstream)
     for leaf, wanted, expected in ((coordinates, moves, both[0]), (table, learns, both[1])):
         if wanted:
             assert_close([leaf.grad.cpu()], [expected])
@@ -202,9 +207,9 @@ def test_float64_is_exact(rng: np.random.Generator) -> None:
     shape = grid()
     table = random_table(rng, shape).double().requires_grad_()
     coordinates = torch.from_numpy(rng.uniform(0, 1, (50, 3))).requires_grad_()
-    found = encode(coordinates, table, shape)
+    found = encode_hash_grid(coordinates, table, shape)
     assert found.dtype == torch.float64
-    assert torch.equal(found, encode_reference(coordinates, table, shape))
+    assert torch.equal(found, encode_hash_grid_reference(coordinates, table, shape))
 
 
 def test_operator_obeys_torch(rng: np.random.Generator) -> None:
@@ -253,13 +258,13 @@ def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
     shape = grid()
     good, table = points(rng, 5), random_table(rng, shape)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 3\), got \(5, 2\)"):
-        encode(good[:, :2], table, shape)
+        encode_hash_grid(good[:, :2], table, shape)
     with pytest.raises(ValueError, match=rf"table: expected shape \({shape.total_entries}, 2\), got \(7, 2\)"):
-        encode(good, table[:7], shape)
+        encode_hash_grid(good, table[:7], shape)
     with pytest.raises(TypeError, match="coordinates: expected float32 or float64, got float16"):
-        encode(good.half(), table, shape)
-    with pytest.raises(TypeError, match="table: expected float32 as coordinates have, got float64"):
-        encode(good, table.double(), shape)
+        encode_hash_grid(good.half(), table, shape)
+    with pytest.raises(TypeError, match="table: expected float32 like coordinates, got float64"):
+        encode_hash_grid(good, table.double(), shape)
     operator = torch.ops.fourd.encode_hash_grid
     with pytest.raises(ValueError, match="table: expected as many entries as the levels need"):
         operator(good, table[1:].clone(), list(shape.resolutions), shape.log2_entries)

@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import native
-from fourd.ops.planes.op import sample_planes, sample_planes_reference
+from fourd.ops.loading import load_native
+from fourd.ops.planes.op import sample_planes
+from fourd.ops.planes.reference import sample_planes_reference
 
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
@@ -32,7 +33,7 @@ def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches rows and columns swapped, a corner's weight on its neighbour, and gradients beyond the border."""
-    if not native().simd_available(simd):
+    if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
     planes, axes = field(rng, features)

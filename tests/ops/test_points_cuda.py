@@ -124,7 +124,7 @@ def test_room_grows_to_what_pictures_need(gpu: torch.device) -> None:
 def test_more_layers_than_a_gradient_takes_are_named(gpu: torch.device, rng: np.random.Generator) -> None:
     """Catches layers dropped in silence, or written past a thread's memory."""
     cloud = random_cloud(rng, 100, 3)
-    message = "layers: expected at most 64 where gradients are wanted on a GPU, got 65; backend='reference' takes any"
+    message = "layers: expected at most 64 where gradients are required on a GPU, got 65; backend='reference' takes any"
     with pytest.raises(ValueError, match=message):
         run(cloud, (20, 20), "auto", 7, layers=65, device=gpu)
     arrays = [array.to(gpu) for array in cloud.arrays]

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import native
+from fourd.ops.loading import load_native
 from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
-from fourd.ops.points.validation import LONGEST_SIDE, pack_camera
+from fourd.ops.points.validation import MAX_SIDE_PX, pack_camera
 from fourd.raster import point_visibility, render_points
 from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
 
@@ -104,7 +104,7 @@ def test_instruction_sets_and_threads_give_the_same_bits(
 ) -> None:
     """Catches a run that differs from itself on another machine, or with another number of threads."""
     cloud = random_cloud(rng, 900, 5)
-    available = [name for name in SIMD if native().simd_available(name)]
+    available = [name for name in SIMD if load_native().simd_available(name)]
     results = []
     for simd in available:
         monkeypatch.setenv("FOURD_SIMD", simd)
@@ -202,7 +202,7 @@ def test_ending_pixels_early_costs_at_most_the_light_that_is_left(rng: np.random
     early = render_points(*cloud.arrays, camera, near=NEAR, transmittance_min=1e-2)
     assert float((exact.features - early.features).abs().max()) <= 1e-2
     free = [array.clone().requires_grad_() for array in cloud.arrays]
-    with pytest.raises(ValueError, match=r"transmittance_min: expected 0 where gradients are wanted, got 0\.01"):
+    with pytest.raises(ValueError, match=r"transmittance_min: expected 0 where gradients are required, got 0\.01"):
         render_points(free[0], free[1], free[2], free[3], camera, transmittance_min=1e-2)
 
 
@@ -252,12 +252,14 @@ def test_no_points_at_all() -> None:
 def test_an_image_of_more_tiles_than_are_counted(rng: np.random.Generator) -> None:
     """Catches a tile count beyond 32 bits, which would write past an array: visibility holds no image to stop it."""
     cloud = random_cloud(rng, 3, 1)
-    camera = replace(turned_camera(8, 8), width=LONGEST_SIDE + 1)
-    with pytest.raises(ValueError, match=f"camera: expected sides of at most {LONGEST_SIDE} pixels, got"):
+    camera = replace(turned_camera(8, 8), width=MAX_SIDE_PX + 1)
+    with pytest.raises(ValueError, match=f"camera: expected sides of at most {MAX_SIDE_PX} pixels, got"):
         point_visibility(cloud.xyz, cloud.radius, cloud.density, camera)
     arrays = [array.numpy() for array in (cloud.xyz, cloud.radius, cloud.density)]
     with pytest.raises(ValueError, match="out of range"):
-        native().point_visibility(*arrays, pack_camera(camera), 2**20, 2**20, 4, NEAR, 1, "", np.empty(3, np.float32))
+        load_native().point_visibility(
+            *arrays, pack_camera(camera), 2**20, 2**20, 4, NEAR, 1, "", np.empty(3, np.float32)
+        )
 
 
 def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
@@ -266,10 +268,10 @@ def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
     image = [np.empty((6, 8, 3), np.float32), np.empty((6, 8), np.float32), np.empty((6, 7), np.float32)]
     arrays = [array.numpy() for array in cloud.arrays]
     with pytest.raises(ValueError, match="out_depth: unexpected shape"):
-        native().render_points(*arrays, pack_camera(camera), 4, NEAR, 0.0, 1, "", *image)
+        load_native().render_points(*arrays, pack_camera(camera), 4, NEAR, 0.0, 1, "", *image)
     with pytest.raises(ValueError, match="density: unexpected shape"):
         short = [*arrays[:3], arrays[3][:4]]
-        native().render_points(*short, pack_camera(camera), 4, NEAR, 0.0, 1, "", *image)
+        load_native().render_points(*short, pack_camera(camera), 4, NEAR, 0.0, 1, "", *image)
 
 
 def test_arguments_of_the_wrong_kind_are_named() -> None:

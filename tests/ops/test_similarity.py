@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from fourd.ops.loading import native
-from fourd.ops.similarity.op import _similarity, similarity
-from fourd.training.evaluation.metrics import ssim
+from fourd.ops.loading import load_native
+from fourd.ops.similarity.op import _similarity, structural_similarity
+from fourd.ops.similarity.reference import structural_similarity_reference
 
 
 def pictures(rng: np.random.Generator, height: int, width: int, channels: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -26,14 +26,14 @@ def test_value_and_gradient_equal_the_metric(
     shape: tuple[int, int, int], simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a window off by one at a border, a slope's sign, and channels that mix."""
-    if not native().simd_available(simd):
+    if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
     noisy, smooth = pictures(rng, *shape)
     single = noisy.clone().requires_grad_()
-    value = similarity(single, smooth)
+    value = structural_similarity(single, smooth)
     double = noisy.double().requires_grad_()
-    expected = ssim(double, smooth.double())
+    expected = structural_similarity_reference(double, smooth.double())
     assert value.item() == pytest.approx(expected.item(), abs=1e-5)
     found, truth = torch.autograd.grad(3 * value, single)[0], torch.autograd.grad(3 * expected, double)[0]
     assert float((found - truth).abs().max()) <= 1e-3 * float(truth.abs().max())
@@ -53,13 +53,13 @@ def test_what_the_kernel_does_not_take_is_still_right(rng: np.random.Generator) 
     """Catches a target's gradient that is lost, and pictures smaller than the window."""
     noisy, smooth = pictures(rng, 20, 20, 3)
     target = smooth.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(similarity(noisy, target), target)
+    (gradient,) = torch.autograd.grad(structural_similarity(noisy, target), target)
     assert float(gradient.abs().max()) > 0
-    assert float(similarity(noisy.double(), smooth.double())) == pytest.approx(
-        float(similarity(noisy, smooth)), abs=1e-5
+    assert float(structural_similarity(noisy.double(), smooth.double())) == pytest.approx(
+        float(structural_similarity(noisy, smooth)), abs=1e-5
     )
     with pytest.raises(ValueError, match="prediction: expected"):
-        similarity(noisy[:5], smooth[:5])
+        structural_similarity(noisy[:5], smooth[:5])
 
 
 def test_the_operator_keeps_torch_s_rules(rng: np.random.Generator) -> None:

@@ -1,148 +1,162 @@
-"""Source views sampled by the kernels, on the CPU and on a GPU or emulated, against plain torch."""
+"""Samples of source views: the CPU and CUDA kernels against plain torch."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from fourd.model.sources import SourceSamples, SourceViews, sample_sources, sample_sources_reference
 from fourd.ops.gpu import load_gpu
-from fourd.ops.loading import native
+from fourd.ops.loading import load_native
 from fourd.ops.points.validation import pack_camera
-from fourd.ops.sources.op import sample
+from fourd.ops.sources.op import _sample, sample_sources
+from fourd.ops.sources.reference import sample_sources_reference
 from tests.baking.scenes import ring
 
-VIEWS, SIZE = 3, 40
+VIEWS, HEIGHT, WIDTH = 3, 40, 48
 
 
-def views(rng: np.random.Generator, occlusion: bool) -> SourceViews:
-    """Random pictures whose sides differ; depths some of which hide points, and some infinite."""
+@dataclass(frozen=True)
+class Views:
+    """Images, mattes and depth maps of source views, with their packed cameras."""
+
+    images: Tensor
+    mattes: Tensor
+    depth: Tensor | None
+    cameras: list[float]
+
+    def to(self, device: torch.device) -> Views:
+        depth = None if self.depth is None else self.depth.to(device)
+        return Views(self.images.to(device), self.mattes.to(device), depth, self.cameras)
+
+    @property
+    def arguments(self) -> tuple[Tensor, Tensor, Tensor | None, list[float]]:
+        return self.images, self.mattes, self.depth, self.cameras
+
+
+def random_views(rng: np.random.Generator, occlusion: bool) -> Views:
+    """Random pictures that are not square; some depths occlude points, and some are infinite."""
 
     def random(*shape: int) -> Tensor:
         return torch.from_numpy(rng.uniform(0, 1, shape).astype(np.float32))
 
-    cameras = tuple(replace(camera, width=SIZE + 8) for camera in ring(VIEWS, SIZE))
-    depth = 2.2 + 1.5 * random(VIEWS, SIZE, SIZE + 8)
+    cameras = [number for camera in ring(VIEWS, HEIGHT) for number in pack_camera(replace(camera, width=WIDTH))]
+    depth = 2.2 + 1.5 * random(VIEWS, HEIGHT, WIDTH)
     depth[:, :, ::7] = torch.inf
-    images, mattes = random(VIEWS, 3, SIZE, SIZE + 8), random(VIEWS, SIZE, SIZE + 8)
-    return SourceViews(images, mattes, depth if occlusion else None, cameras)
+    images, mattes = random(VIEWS, 3, HEIGHT, WIDTH), random(VIEWS, HEIGHT, WIDTH)
+    return Views(images, mattes, depth if occlusion else None, cameras)
 
 
-def moved(sources: SourceViews, device: torch.device) -> SourceViews:
-    depth = None if sources.depth is None else sources.depth.to(device)
-    return replace(sources, images=sources.images.to(device), mattes=sources.mattes.to(device), depth=depth)
-
-
-def softness(xyz: Tensor) -> Tensor:
-    """(N,) that differ from point to point."""
+def make_softness(xyz: Tensor) -> Tensor:
+    """(N,) a different value for every point."""
     return torch.linspace(0.02, 0.3, len(xyz)).to(xyz.device)
 
 
+Result = tuple[Tensor, Tensor, list[Tensor]]
+
+
 def run(
-    function: Callable[..., SourceSamples], xyz: Tensor, sources: SourceViews, features: Tensor | None, seed: int
-) -> tuple[SourceSamples, list[Tensor]]:
+    function: Callable[..., tuple[Tensor, Tensor]], xyz: Tensor, views: Views, features: Tensor | None, seed: int
+) -> Result:
+    """Channels, visibility, and the gradients of a random linear function of the channels, on the CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (xyz, features) if tensor is not None]
-    samples = function(leaves[0], sources, leaves[1] if features is not None else None, softness(leaves[0]))
-    weights = torch.from_numpy(np.random.default_rng(seed).normal(size=tuple(samples.channels.shape)))
-    total = (samples.channels * weights.to(samples.channels)).sum()
-    return samples, [gradient.cpu() for gradient in torch.autograd.grad(total, leaves)]
+    leaf = leaves[1] if features is not None else None
+    channels, visibility = function(leaves[0], leaf, *views.arguments, make_softness(leaves[0]))
+    weights = torch.from_numpy(np.random.default_rng(seed).normal(size=tuple(channels.shape)))
+    total = (channels * weights.to(channels)).sum()
+    gradients = [gradient.cpu() for gradient in torch.autograd.grad(total, leaves)]
+    return channels.detach().cpu(), visibility.cpu(), gradients
 
 
 def random_features(rng: np.random.Generator, channels: int) -> Tensor | None:
-    """At half the pictures' resolution; None for no channels."""
+    """Features at half the pictures' resolution; None for no channels."""
     if channels == 0:
         return None
-    return torch.from_numpy(rng.normal(size=(VIEWS, channels, SIZE // 2, (SIZE + 8) // 2)).astype(np.float32))
+    return torch.from_numpy(rng.normal(size=(VIEWS, channels, HEIGHT // 2, WIDTH // 2)).astype(np.float32))
 
 
-def assert_same(got: tuple[SourceSamples, list[Tensor]], wanted: tuple[SourceSamples, list[Tensor]]) -> None:
-    """Samples, trust and gradients of :func:`run`."""
-    channels, expected = got[0].channels.detach().cpu(), wanted[0].channels.detach()
-    torch.testing.assert_close(channels, expected, rtol=1e-4, atol=2e-5)
-    torch.testing.assert_close(got[0].trust.cpu(), wanted[0].trust, rtol=1e-4, atol=2e-5)
-    for found, truth in zip(got[1], wanted[1], strict=True):
-        # Where a pixel falls on the seam between samples, rounding decides which slope counts.
+def assert_same(got: Result, wanted: Result) -> None:
+    for value, expected in zip(got[:2], wanted[:2], strict=True):
+        torch.testing.assert_close(value, expected, rtol=1e-4, atol=2e-5)
+    for found, truth in zip(got[2], wanted[2], strict=True):
+        # Where a pixel falls on the border between two texels, rounding decides which slope counts.
         close = (found - truth).abs() <= 1e-3 * truth.abs().max()
         assert float(close.float().mean()) >= 0.995
 
 
 @pytest.mark.parametrize("occlusion", [False, True])
 @pytest.mark.parametrize("channels", [0, 5])
-def test_values_and_gradients_equal_the_reference(
-    channels: int, occlusion: bool, gpu: torch.device, rng: np.random.Generator
-) -> None:
-    """Catches samples half a pixel off, views in another order, and a gradient at another resolution's scale."""
-    sources = views(rng, occlusion)
+def test_gpu_equals_the_reference(channels: int, occlusion: bool, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches samples half a pixel off, views in the wrong order, and gradients at another resolution's scale."""
+    views = random_views(rng, occlusion)
     xyz = torch.from_numpy(rng.normal(0, 1.2, (400, 3)).astype(np.float32))
     features = random_features(rng, channels)
     on_gpu = None if features is None else features.to(gpu)
-    got = run(sample_sources, xyz.to(gpu), moved(sources, gpu), on_gpu, 1)
-    assert_same(got, run(sample_sources_reference, xyz, sources, features, 1))
+    got = run(sample_sources, xyz.to(gpu), views.to(gpu), on_gpu, 1)
+    assert_same(got, run(sample_sources_reference, xyz, views, features, 1))
 
 
 @pytest.mark.parametrize("simd", ["baseline", "avx2"])
 @pytest.mark.parametrize("channels", [0, 5, 16])
-def test_the_cpu_equals_the_reference(
+def test_cpu_equals_the_reference(
     channels: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a loop that is right for 16 channels alone, and features read in another order than they lie in."""
-    if not native().simd_available(simd):
+    """Catches a loop that is only right for 16 channels, and features read in the wrong memory order."""
+    if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
-    sources = views(rng, True)
+    views = random_views(rng, True)
     xyz = torch.from_numpy(rng.normal(0, 1.2, (700, 3)).astype(np.float32))
     features = random_features(rng, channels)
-    wanted = run(sample_sources_reference, xyz, sources, features, 1)
-    orders = (torch.contiguous_format, torch.channels_last)
-    for held in (features,) if features is None else (features.contiguous(memory_format=order) for order in orders):
-        assert_same(run(sample_sources, xyz, sources, held, 1), wanted)
+    wanted = run(sample_sources_reference, xyz, views, features, 1)
+    formats = (torch.contiguous_format, torch.channels_last)
+    for held in (features,) if features is None else (features.contiguous(memory_format=each) for each in formats):
+        assert_same(run(sample_sources, xyz, views, held, 1), wanted)
 
 
-def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches sums over views in the order in which threads happen to end: a run could not be resumed bit by bit."""
-    sources = views(rng, True)
+def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches sums over views in the order in which threads finish: a resumed run would not repeat its bits."""
+    views = random_views(rng, True)
     xyz = torch.from_numpy(rng.normal(0, 0.8, (5000, 3)).astype(np.float32))
-    features = torch.from_numpy(rng.normal(size=(VIEWS, 16, 20, 24)).astype(np.float32))
+    features = random_features(rng, 16)
     results = []
     for threads in ("1", "2", "5"):
         monkeypatch.setenv("FOURD_THREADS", threads)
-        samples, gradients = run(sample_sources, xyz, sources, features, 2)
-        results.append([samples.channels.detach(), samples.trust, *gradients])
+        channels, visibility, gradients = run(sample_sources, xyz, views, features, 2)
+        results.append([channels, visibility, *gradients])
     for result in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(result, results[0], strict=True))
 
 
-def test_points_behind_and_beyond_stay_out(gpu: torch.device, rng: np.random.Generator) -> None:
+def test_points_behind_and_outside_sample_nothing(gpu: torch.device, rng: np.random.Generator) -> None:
     """Catches reads outside a map, and NaN that spreads from one point to another."""
-    sources = moved(views(rng, True), gpu)
+    views = random_views(rng, True).to(gpu)
     huge = torch.tensor([[np.nan, 0, 0], [np.inf, 0, 0], [0, -np.inf, 0], [3e38, 3e38, 3e38], [50, 0, 0.5], [0, 0, 0]])
     xyz = huge.float().to(gpu).requires_grad_()
-    samples = sample_sources(xyz, sources, None, softness(xyz))
-    assert bool((samples.trust[:, :4] == 0).all())
-    assert float(samples.channels[:, :4].detach().abs().max()) == 0
-    (gradient,) = torch.autograd.grad(samples.channels.sum(), xyz)
+    channels, visibility = sample_sources(xyz, None, *views.arguments, make_softness(xyz))
+    assert bool((visibility[:, :4] == 0).all())
+    assert float(channels[:, :, :4].detach().abs().max()) == 0
+    (gradient,) = torch.autograd.grad(channels.sum(), xyz)
     assert bool(torch.isfinite(gradient[5]).all())
 
 
-def test_operators_keep_torch_s_rules(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a fake implementation of another shape, and a gradient that autograd does not know."""
-    sources = moved(views(rng, True), gpu)
-    cameras = [number for camera in sources.cameras for number in pack_camera(camera)]
+def test_operator_passes_opcheck(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches a fake implementation of another shape, and a gradient that is not registered with autograd."""
+    views = random_views(rng, True).to(gpu)
     xyz = torch.randn(20, 3).to(gpu).requires_grad_()
     features = torch.randn(VIEWS, 2, 20, 24).to(gpu).requires_grad_()
-    arguments = (xyz, features, sources.images, sources.mattes, sources.depth, cameras, softness(xyz).detach())
+    arguments = (xyz, features, *views.arguments, make_softness(xyz).detach())
     torch.library.opcheck(
-        sample, arguments, test_utils=("test_schema", "test_faketensor", "test_autograd_registration")
+        _sample, arguments, test_utils=("test_schema", "test_faketensor", "test_autograd_registration")
     )
 
 
-def test_too_many_views_are_refused(gpu: torch.device) -> None:
-    """Catches cameras written past the kernel's argument."""
+def test_too_many_views_are_rejected(gpu: torch.device) -> None:
+    """Catches cameras written past the end of the kernel's argument."""
     many = torch.zeros(17, 3, 4, 4, device=gpu)
     with pytest.raises(ValueError, match="images: expected at most 16 views on a GPU"):
         load_gpu(gpu).kernels.sample_sources(
@@ -160,8 +174,8 @@ def test_too_many_views_are_refused(gpu: torch.device) -> None:
 
 
 @pytest.mark.parametrize("count", [3, 5])
-def test_a_softness_that_is_not_a_point_s_is_refused(count: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches reads beyond the widths that were given."""
-    sources = moved(views(rng, True), gpu)
+def test_softness_of_another_length_is_rejected(count: int, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches reads past the end of the softness array."""
+    views = random_views(rng, True).to(gpu)
     with pytest.raises(ValueError, match="softness: expected one a point"):
-        sample_sources(torch.zeros(4, 3, device=gpu), sources, None, torch.ones(count, device=gpu))
+        sample_sources(torch.zeros(4, 3, device=gpu), None, *views.arguments, torch.ones(count, device=gpu))

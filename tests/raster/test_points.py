@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
-from fourd.ops.loading import native
+from fourd.ops.loading import load_native
 from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
 from fourd.raster import point_visibility, render_points
 from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
@@ -83,7 +83,7 @@ def test_every_instruction_set(simd: str, rng: np.random.Generator, monkeypatch:
     monkeypatch.setenv("FOURD_SIMD", simd)
     camera = turned_camera(45, 38)
     cloud = random_cloud(rng, 500, 3)
-    if not native().simd_available(simd):
+    if not load_native().simd_available(simd):
         pytest.skip(f"this processor lacks {simd}")
     got = render(cloud, camera, 15, "cpu")
     for value, expected in zip(got, render(cloud, camera, 15, "reference"), strict=True):

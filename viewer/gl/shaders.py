@@ -9,12 +9,12 @@ from typing import Any
 
 import moderngl
 
-from fourd.baking.player import HIDDEN
+from fourd.ops.play.op import MIN_TRANSMITTANCE
 
 TEXELS_A_ROW = 4096
 """Of textures that hold arrays; a power of two."""
 
-_DEFINED = {"TEXELS_A_ROW": str(TEXELS_A_ROW), "NONE": "1e9", "HIDDEN": str(HIDDEN)}
+_DEFINED = {"TEXELS_A_ROW": str(TEXELS_A_ROW), "NONE": "1e9", "HIDDEN": str(MIN_TRANSMITTANCE)}
 _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
 
 

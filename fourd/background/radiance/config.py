@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from fourd.ops.hashgrid.op import HashGridShape
+from fourd.ops.hashgrid.shape import HashGridShape
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from fourd.background.contraction import Contraction
-from fourd.ops.hashgrid.op import HashGridShape, encode
+from fourd.ops.hashgrid.op import encode_hash_grid
+from fourd.ops.hashgrid.shape import HashGridShape
 
 PLACE_FEATURES = 15
 START_LOG_DENSITY = -2.0
@@ -39,7 +40,7 @@ class RadianceField(nn.Module):
 
     def density(self, xyz: Tensor) -> tuple[Tensor, Tensor]:
         """World points (N, 3) -> density (N,), and what :meth:`colour` takes of the place (N, 15)."""
-        found = self.density_layers(encode(self.contraction.to_unit(xyz), self.table, self.shape))
+        found = self.density_layers(encode_hash_grid(self.contraction.to_unit(xyz), self.table, self.shape))
         return bounded_exp(found[:, 0] + START_LOG_DENSITY), found[:, 1:]
 
     def colour(self, place: Tensor) -> Tensor:

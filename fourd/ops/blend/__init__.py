@@ -1,1 +1,1 @@
-"""Logits of source views: ``csrc/blend``."""
+"""Blend logits of source views (``csrc/blend``)."""

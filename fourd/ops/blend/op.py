@@ -1,4 +1,4 @@
-"""Logits of source views: ``torch.ops.fourd.blend_logits``, its gradient, and the same in plain torch."""
+"""Blend logits of source views: the operator ``torch.ops.fourd.blend_logits`` and its gradient."""
 
 from __future__ import annotations
 
@@ -7,40 +7,34 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import as_array, native, simd_name, thread_count
-
-LOGIT_RANGE = 5.0
+from fourd.ops.blend.reference import LOGIT_RANGE, blend_logits_reference
+from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
 def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
-    """``5 tanh((out . relu(point + weight sample) + bias) / 5)`` of every point and source view.
+    """Compute ``5 tanh((out . relu(point + weight sample) + bias) / 5)`` for every point and source view.
 
-    The range is bounded so that exponentials of baked logits fit into fp16. In float32 on the CPU a
-    kernel computes it, which never stores the hidden layer of all views and points; else
-    :func:`blend_logits_reference`.
+    This is the blend MLP of 4K4D (sec. 3.2) with the point's half of the first layer computed once for all views.
+    Float32 on the CPU uses a kernel that never stores the hidden layer of all views and points; everything else uses
+    :func:`fourd.ops.blend.reference.blend_logits_reference`.
 
     Args:
-        point: (N, H) what the point alone gives to the hidden layer, H from 1 to 256.
-        samples: (V, C, N) what the views hold at the points, C from 1 to 64.
-        weight: (H, C) of the hidden layer, for the samples.
-        out: (H,) and bias: (1,) of the output.
+        point: (N, H) the point's contribution to the hidden layer, H from 1 to 256.
+        samples: (V, C, N) image features and colours of the views at the points, C from 1 to 64.
+        weight: (H, C) weights of the hidden layer for the samples.
+        out: (H,) weights of the output.
+        bias: (1,) bias of the output.
 
     Returns:
-        (V, N) logits in +-5, differentiable in everything. The gradient is the same for any number
-        of threads.
+        (V, N) logits in [-5, 5]. Differentiable in all arguments. The gradient has the same bits for any number of
+        threads.
 
     Raises:
-        ValueError: for shapes that do not fit.
+        ValueError: if shapes do not match.
     """
     if point.device.type != "cpu" or point.dtype != torch.float32:
         return blend_logits_reference(point, samples, weight, out, bias)
     return _logits(point, samples, weight, out, bias)
-
-
-def blend_logits_reference(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
-    """What :func:`blend_logits` promises, in plain torch; any device and dtype."""
-    hidden = torch.relu(point + samples.transpose(1, 2) @ weight.T)
-    return LOGIT_RANGE * torch.tanh((hidden @ out + bias) / LOGIT_RANGE)
 
 
 def _arguments(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> list[Any]:
@@ -51,7 +45,7 @@ def _arguments(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias
 @torch.library.custom_op("fourd::blend_logits", mutates_args=(), device_types="cpu")
 def _logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
     logits = point.new_empty(samples.shape[0], point.shape[0])
-    native().blend_logits(*_arguments(point, samples, weight, out, bias), logits.numpy())
+    load_native().blend_logits(*_arguments(point, samples, weight, out, bias), logits.numpy())
     return logits
 
 
@@ -64,24 +58,25 @@ def _(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor)
 def _logits_backward(
     point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor, logits: Tensor, gradient: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    made = _empty(point, samples, weight, out, bias)
-    to_weight = weight.new_empty(weight.shape[1], weight.shape[0])
-    targets = [made[0], made[1], to_weight, made[3], made[4]]
-    native().blend_logits_backward(
+    gradients = _empty_gradients(point, samples, weight, out, bias)
+    # The kernel reads and writes the weight transposed.
+    grad_weight = weight.new_empty(weight.shape[1], weight.shape[0])
+    targets = [gradients[0], gradients[1], grad_weight, gradients[3], gradients[4]]
+    load_native().blend_logits_backward(
         *_arguments(point, samples, weight, out, bias),
         as_array(logits),
         as_array(gradient),
-        *[t.numpy() for t in targets],
+        *[target.numpy() for target in targets],
     )
-    made[2].copy_(to_weight.T)
-    return made
+    gradients[2].copy_(grad_weight.T)
+    return gradients
 
 
 @_logits_backward.register_fake
 def _(
     point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor, logits: Tensor, gradient: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    return _empty(point, samples, weight, out, bias)
+    return _empty_gradients(point, samples, weight, out, bias)
 
 
 def _setup(ctx: Any, inputs: tuple[Tensor, ...], output: Tensor) -> None:
@@ -95,14 +90,14 @@ def _backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, ...]:
 _logits.register_autograd(_backward, setup_context=_setup)
 
 
-def _empty(
+def _empty_gradients(
     point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    dense = torch.contiguous_format
+    layout = torch.contiguous_format
     return (
-        torch.empty_like(point, memory_format=dense),
-        torch.empty_like(samples, memory_format=dense),
-        torch.empty_like(weight, memory_format=dense),
-        torch.empty_like(out, memory_format=dense),
-        torch.empty_like(bias, memory_format=dense),
+        torch.empty_like(point, memory_format=layout),
+        torch.empty_like(samples, memory_format=layout),
+        torch.empty_like(weight, memory_format=layout),
+        torch.empty_like(out, memory_format=layout),
+        torch.empty_like(bias, memory_format=layout),
     )

@@ -1,1 +1,1 @@
-"""Multi-resolution hash encoding: ``csrc/hashgrid``."""
+"""Multi-resolution hash encoding (``csrc/hashgrid``)."""

@@ -1,1 +1,1 @@
-"""Lookups in feature planes: ``csrc/planes``."""
+"""Bilinear samples of feature planes (``csrc/planes``)."""

@@ -1,4 +1,4 @@
-"""Points looked up in feature planes: ``torch.ops.fourd.sample_planes``, its gradient, and the same in plain torch."""
+"""Samples of feature planes: the operator ``torch.ops.fourd.sample_planes`` and its gradient."""
 
 from __future__ import annotations
 
@@ -7,50 +7,41 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.nn import functional
 
-from fourd.ops.gpu import cuda_unavailable_reason, dense, load_gpu, takes
-from fourd.ops.loading import as_array, native, simd_name, thread_count
+from fourd.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
+from fourd.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.ops.planes.reference import sample_planes_reference
 
-MOST_PLANES_GPU = 64
+MAX_PLANES_GPU = 64
 
 
 def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
-    """Bilinear samples of every plane, side by side (K-Planes, Fridovich-Keil et al. 2023, eq. 1).
+    """Sample every plane bilinearly and concatenate the features (K-Planes, Fridovich-Keil et al. 2023, eq. 1).
+
+    Float32 on the CPU, or on a CUDA device whose kernels are built, uses a kernel; everything else uses
+    :func:`fourd.ops.planes.reference.sample_planes_reference`.
 
     Args:
-        coordinates: (N, 4) x, y, z, t in [-1, 1]; what lies outside is clamped to the border, and
-            what is no number counts as -1. Float32 on the CPU or, where its kernels are built, on a
-            CUDA device; anything else is looked up by :func:`sample_planes_reference`.
-        planes: each (rows, columns, F) of the coordinates' dtype, F from 1 to 64 and the same in all.
-            The first and last samples lie on the borders.
-        axes: two numbers from 0 to 3 a plane: the coordinate along its columns and that down its rows.
+        coordinates: (N, 4) x, y, z, t in [-1, 1], float32 or float64. Values outside are clamped to the border; NaN
+            counts as -1.
+        planes: each (rows, columns, F) of the coordinates' dtype, with at least 2 rows and columns; F from 1 to 64,
+            the same for all. The first and last samples lie on the borders (align_corners).
+        axes: two indices from 0 to 3 per plane: the coordinate along its columns, then the one along its rows.
 
     Returns:
-        (N, F * len(planes)), differentiable in the planes and the coordinates. On the CPU the gradient
-        is the same for any number of threads, which FOURD_THREADS sets (else torch.get_num_threads()); on a
-        GPU its last bits differ from run to run.
+        (N, F * len(planes)). Differentiable in the planes and the coordinates. On the CPU the gradient has the same
+        bits for any number of threads (FOURD_THREADS, else torch.get_num_threads()); on a GPU its last bits vary from
+        run to run.
 
     Raises:
         TypeError, ValueError: naming the argument, what was expected and what came.
     """
     _check(coordinates, planes, axes)
     device = coordinates.device.type
-    kernels = device == "cpu" or (device == "cuda" and not cuda_unavailable_reason() and len(planes) <= MOST_PLANES_GPU)
-    if coordinates.dtype == torch.float64 or not kernels:
+    cuda_works = device == "cuda" and not cuda_unavailable_reason() and len(planes) <= MAX_PLANES_GPU
+    if coordinates.dtype == torch.float64 or not (device == "cpu" or cuda_works):
         return sample_planes_reference(coordinates, planes, axes)
     return _sample(coordinates, list(planes), list(axes))
-
-
-def sample_planes_reference(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
-    """What :func:`sample_planes` promises, in plain torch; any device, float32 or float64."""
-    samples = []
-    for k, plane in enumerate(planes):
-        grid = coordinates[:, [axes[2 * k], axes[2 * k + 1]]].nan_to_num(nan=-1.0).reshape(1, 1, -1, 2)
-        values = plane.permute(2, 0, 1)[None]
-        found = functional.grid_sample(values, grid, align_corners=True, padding_mode="border")
-        samples.append(found[0, :, 0].T)
-    return torch.cat(samples, dim=1)
 
 
 def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> None:
@@ -63,7 +54,7 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
             expected = "float32 or float64, the same in all"
             raise TypeError(f"{name}: expected {expected}, got {str(tensor.dtype).removeprefix('torch.')}")
         if tensor.device != coordinates.device:
-            raise ValueError(f"{name}: expected device {coordinates.device} as coordinates has, got {tensor.device}")
+            raise ValueError(f"{name}: expected device {coordinates.device} like coordinates, got {tensor.device}")
     for k, plane in enumerate(planes):
         if plane.ndim != 3 or min(plane.shape[:2]) < 2 or plane.shape[2] != planes[0].shape[2]:
             expected = f"(2 or more, 2 or more, {planes[0].shape[-1]})"
@@ -73,14 +64,15 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
 @torch.library.custom_op("fourd::sample_planes", mutates_args=(), device_types=("cpu", "cuda"))
 def _sample(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
     out = _empty_samples(coordinates, planes)
-    if takes(coordinates):
+    if uses_gpu_kernels(coordinates):
         gpu = load_gpu(coordinates.device)
-        with gpu.current():
-            gpu.kernels.sample_planes(dense(coordinates), [dense(plane) for plane in planes], axes, gpu.stream, out)
+        with gpu.activate():
+            tensors = (contiguous(coordinates), [contiguous(plane) for plane in planes])
+            gpu.kernels.sample_planes(*tensors, axes, gpu.stream, out)
         return out
     threads = thread_count(0, torch.get_num_threads())
     arrays = [as_array(plane) for plane in planes]
-    native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), out.numpy())
+    load_native().sample_planes(as_array(coordinates), arrays, list(axes), threads, simd_name(), out.numpy())
     return out
 
 
@@ -91,16 +83,22 @@ def _(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Ten
 
 @torch.library.custom_op("fourd::sample_planes_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def _sample_backward(
-    coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, moves: bool
+    coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, needs_coordinates: bool
 ) -> tuple[list[Tensor], Tensor]:
-    grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, moves)
-    if takes(coordinates):
+    grad_planes, grad_coordinates = _empty_gradients(coordinates, planes, needs_coordinates)
+    if uses_gpu_kernels(coordinates):
         gpu = load_gpu(coordinates.device)
-        arrays = (dense(coordinates), [dense(plane) for plane in planes], axes, gpu.stream, dense(gradient))
-        with gpu.current():
-            gpu.kernels.sample_planes_backward(*arrays, grad_planes, grad_coordinates if moves else None)
+        arrays = (
+            contiguous(coordinates),
+            [contiguous(plane) for plane in planes],
+            axes,
+            gpu.stream,
+            contiguous(gradient),
+        )
+        with gpu.activate():
+            gpu.kernels.sample_planes_backward(*arrays, grad_planes, grad_coordinates if needs_coordinates else None)
         return grad_planes, grad_coordinates
-    native().sample_planes_backward(
+    load_native().sample_planes_backward(
         as_array(coordinates),
         [as_array(plane) for plane in planes],
         list(axes),
@@ -108,16 +106,16 @@ def _sample_backward(
         simd_name(),
         as_array(gradient),
         [plane.numpy() for plane in grad_planes],
-        grad_coordinates.numpy() if moves else None,
+        grad_coordinates.numpy() if needs_coordinates else None,
     )
     return grad_planes, grad_coordinates
 
 
 @_sample_backward.register_fake
 def _(
-    coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, moves: bool
+    coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int], gradient: Tensor, needs_coordinates: bool
 ) -> tuple[list[Tensor], Tensor]:
-    return _empty_gradients(coordinates, planes, moves)
+    return _empty_gradients(coordinates, planes, needs_coordinates)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
@@ -128,9 +126,9 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
 
 def _backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, list[Tensor], None]:
     coordinates, *planes = ctx.saved_tensors
-    moves = bool(ctx.needs_input_grad[0])
-    grad_planes, grad_coordinates = _sample_backward(coordinates, planes, ctx.axes, gradient, moves)
-    return (grad_coordinates if moves else None), grad_planes, None
+    needs_coordinates = bool(ctx.needs_input_grad[0])
+    grad_planes, grad_coordinates = _sample_backward(coordinates, planes, ctx.axes, gradient, needs_coordinates)
+    return (grad_coordinates if needs_coordinates else None), grad_planes, None
 
 
 _sample.register_autograd(_backward, setup_context=_setup)
@@ -140,7 +138,9 @@ def _empty_samples(coordinates: Tensor, planes: Sequence[Tensor]) -> Tensor:
     return coordinates.new_empty(coordinates.shape[0], len(planes) * planes[0].shape[2])
 
 
-def _empty_gradients(coordinates: Tensor, planes: Sequence[Tensor], moves: bool) -> tuple[list[Tensor], Tensor]:
-    """Room for the gradients; of no coordinates unless these are wanted."""
+def _empty_gradients(
+    coordinates: Tensor, planes: Sequence[Tensor], needs_coordinates: bool
+) -> tuple[list[Tensor], Tensor]:
+    """Allocate the gradients; that of the coordinates is empty unless it is needed."""
     grad_planes = [torch.empty_like(plane, memory_format=torch.contiguous_format) for plane in planes]
-    return grad_planes, coordinates.new_empty(coordinates.shape if moves else (0, 4))
+    return grad_planes, coordinates.new_empty(coordinates.shape if needs_coordinates else (0, 4))

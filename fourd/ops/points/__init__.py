@@ -1,1 +1,1 @@
-"""The point compositor of ``csrc/points``: CPU, CUDA and a plain torch reference."""
+"""Differentiable compositing of points (``csrc/points``)."""

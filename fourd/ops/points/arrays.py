@@ -1,4 +1,4 @@
-"""The point renderer for NumPy arrays: the CPU kernels without torch and without gradients."""
+"""Compositing of points given as NumPy arrays: the CPU kernels, without torch and without gradients."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.ops.loading import native, simd_name, thread_count
+from fourd.ops.loading import load_native, simd_name, thread_count
 from fourd.ops.points.validation import check_background, check_points, pack_camera
 
 Floats = NDArray[np.float32]
@@ -27,9 +27,9 @@ def render_points_numpy(
     transmittance_min: float = 0.0,
     threads: int = 0,
 ) -> tuple[Floats, Floats, Floats]:
-    """Render float32 arrays exactly as :func:`fourd.raster.render_points` renders tensors (same arguments).
+    """Render float32 arrays to the same bits as :func:`fourd.raster.render_points` on the CPU (same arguments).
 
-    ``threads`` 0 means FOURD_THREADS if that is set, else one a core.
+    ``threads``: 0 uses FOURD_THREADS if set, else all cores.
 
     Returns:
         features (H, W, C), alpha (H, W) and depth (H, W), float32.
@@ -43,7 +43,7 @@ def render_points_numpy(
         raise ValueError(f"transmittance_min: expected 0 or more and below 1, got {transmittance_min}")
     shape = (camera.height, camera.width)
     out = np.empty((*shape, features.shape[1]), np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
-    native().render_points(
+    load_native().render_points(
         *map(np.ascontiguousarray, arrays.values()),
         pack_camera(camera),
         layers,
@@ -70,12 +70,12 @@ def point_visibility_numpy(
     near: float = 0.01,
     threads: int = 0,
 ) -> Floats:
-    """(N,) float32 weights as :func:`fourd.raster.point_visibility` gives them (same arguments)."""
+    """Compute the (N,) float32 weights of :func:`fourd.raster.point_visibility` (same arguments)."""
     arrays: dict[str, Any] = {"xyz": xyz, "radius": radius, "density": density}
     check_points(arrays, camera, layers, near)
     out = np.empty(radius.shape, np.float32)
     size = (camera.width, camera.height)
-    native().point_visibility(
+    load_native().point_visibility(
         *map(np.ascontiguousarray, arrays.values()),
         pack_camera(camera),
         *size,

@@ -1,4 +1,4 @@
-"""The CUDA kernels of ``csrc/points`` for torch tensors: room for what they draw, and the calls."""
+"""Calls of the CUDA kernels of ``csrc/points`` on torch tensors, with their scratch memory."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from typing import Any
 
 from torch import Tensor
 
-from fourd.ops.gpu import Gpu, dense, load_gpu
+from fourd.ops.gpu import Gpu, contiguous, load_gpu
 
-MOST_LAYERS_BACKWARD = 64
+MAX_LAYERS_BACKWARD = 64
+"""The gradient kernel keeps a pixel's layers in its thread's own memory."""
 
 
 def render(
@@ -19,12 +20,14 @@ def render(
     transmittance_min: float,
     out: tuple[Tensor, Tensor, Tensor],
 ) -> None:
-    """Draw xyz, features, radius and density into features (H, W, C), alpha and depth (H, W)."""
+    """Render xyz, features, radius and density into ``out``: features (H, W, C), alpha (H, W) and depth (H, W)."""
     gpu = load_gpu(inputs[0].device)
     height, width = out[1].shape
-    with gpu.current():
-        room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
-        gpu.kernels.render_points(*_all_dense(inputs), camera, layers, near, transmittance_min, *room, gpu.stream, *out)
+    with gpu.activate():
+        plan = _plan(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
+        gpu.kernels.render_points(
+            *_contiguous(inputs), camera, layers, near, transmittance_min, *plan, gpu.stream, *out
+        )
 
 
 def render_backward(
@@ -35,20 +38,20 @@ def render_backward(
     gradients: tuple[Tensor, Tensor, Tensor | None],
     out: tuple[Tensor, Tensor, Tensor, Tensor],
 ) -> None:
-    """Gradients of the inputs from those of the image's features, alpha and depth."""
+    """Write the gradients of xyz, features, radius and density to ``out``, given those of features, alpha and depth."""
     gpu = load_gpu(inputs[0].device)
     height, width = gradients[1].shape
-    with gpu.current():
-        room = _room(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
+    with gpu.activate():
+        plan = _plan(gpu, inputs[0].shape[0], inputs[1].shape[1], width, height)
         gpu.kernels.render_points_backward(
-            *_all_dense(inputs),
+            *_contiguous(inputs),
             camera,
             layers,
             near,
-            *room,
+            *plan,
             gpu.stream,
-            *_all_dense(gradients[:2]),
-            None if gradients[2] is None else dense(gradients[2]),
+            *_contiguous(gradients[:2]),
+            None if gradients[2] is None else contiguous(gradients[2]),
             *out,
         )
 
@@ -61,17 +64,18 @@ def visibility(
     near: float,
     out: Tensor,
 ) -> None:
-    """The largest weight (N,) of xyz, radius and density in any pixel of a picture of ``size`` (width, height)."""
+    """Write every point's largest weight in any pixel (N,) to ``out``; ``size`` is (width, height) in pixels."""
     gpu = load_gpu(inputs[0].device)
-    with gpu.current():
-        room = _room(gpu, inputs[0].shape[0], 0, *size)
-        gpu.kernels.point_visibility(*_all_dense(inputs), camera, *size, layers, near, *room, gpu.stream, out)
+    with gpu.activate():
+        plan = _plan(gpu, inputs[0].shape[0], 0, *size)
+        gpu.kernels.point_visibility(*_contiguous(inputs), camera, *size, layers, near, *plan, gpu.stream, out)
 
 
-def _room(gpu: Gpu, count: int, channels: int, width: int, height: int) -> tuple[Any, int, Tensor]:
+def _plan(gpu: Gpu, count: int, channels: int, width: int, height: int) -> tuple[Any, int, Tensor]:
+    """Predict the entries that a picture needs and allocate scratch memory for them."""
     entries, size = gpu.kernels.plan_points(gpu.rooms, count, channels, width, height)
-    return gpu.rooms, entries, gpu.memory(size)
+    return gpu.rooms, entries, gpu.allocate(size)
 
 
-def _all_dense(tensors: tuple[Tensor, ...]) -> list[Tensor]:
-    return [dense(tensor) for tensor in tensors]
+def _contiguous(tensors: tuple[Tensor, ...]) -> list[Tensor]:
+    return [contiguous(tensor) for tensor in tensors]

@@ -1,7 +1,7 @@
-"""The kernels of ``csrc/points`` as torch operators: ``torch.ops.fourd.render_points`` and its gradient.
+"""Compositing of points: the operators ``torch.ops.fourd.render_points``, its gradient, and ``point_visibility``.
 
-Arguments are checked by the callers in :mod:`fourd.raster.points`. The operators work with
-autograd, ``torch.library.opcheck`` and ``torch.compile`` (by their fake implementations).
+:mod:`fourd.raster.points` is the public API: it checks the arguments and selects the backend. The operators support
+autograd, ``torch.library.opcheck`` and ``torch.compile`` (through their fake implementations).
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.gpu import takes
-from fourd.ops.loading import as_array, native, simd_name, thread_count
+from fourd.ops.gpu import uses_gpu_kernels
+from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 from fourd.ops.points import cuda as gpu
 
 
@@ -30,14 +30,16 @@ def render(
     transmittance_min: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Features (H, W, C), alpha (H, W) and depth (H, W) of points; ``camera`` is pack_camera(...)."""
+    """Render features (H, W, C), alpha (H, W) and depth (H, W); ``camera`` comes from ``pack_camera``."""
     out = _empty_image(features, width, height)
-    if takes(xyz):
+    if uses_gpu_kernels(xyz):
         gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
         return out
     arrays = [as_array(tensor) for tensor in (xyz, features, radius, density)]
     count = thread_count(threads, torch.get_num_threads())
-    native().render_points(*arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(as_array, out))
+    load_native().render_points(
+        *arrays, camera, layers, near, transmittance_min, count, simd_name(), *map(as_array, out)
+    )
     return out
 
 
@@ -72,13 +74,13 @@ def render_backward(
     near: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Gradients of xyz, features, radius and density from those of the image."""
+    """Compute the gradients of xyz, features, radius and density from those of the image."""
     inputs = (xyz, features, radius, density)
-    out = _empty_cloud(*inputs)
-    if takes(xyz):
+    out = _empty_gradients(*inputs)
+    if uses_gpu_kernels(xyz):
         gpu.render_backward(inputs, camera, layers, near, (grad_features, grad_alpha, grad_depth), out)
         return out
-    native().render_points_backward(
+    load_native().render_points_backward(
         *map(as_array, inputs),
         camera,
         layers,
@@ -107,13 +109,13 @@ def _(
     near: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    return _empty_cloud(xyz, features, radius, density)
+    return _empty_gradients(xyz, features, radius, density)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
     xyz, features, radius, density, camera, width, height, layers, near, transmittance_min, threads = inputs
     if transmittance_min > 0 and any(tensor.requires_grad for tensor in (xyz, features, radius, density)):
-        raise ValueError(f"transmittance_min: expected 0 where gradients are wanted, got {transmittance_min}")
+        raise ValueError(f"transmittance_min: expected 0 where gradients are required, got {transmittance_min}")
     if any(tensor.requires_grad for tensor in (xyz, features, radius, density)):
         _check_layers(xyz, layers)
     ctx.set_materialize_grads(False)
@@ -150,14 +152,14 @@ def visibility(
     near: float,
     threads: int,
 ) -> Tensor:
-    """The largest weight (N,) that each point has in any pixel."""
+    """Compute every point's largest weight (N,) in any pixel."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
-    if takes(xyz):
+    if uses_gpu_kernels(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
         return out
     count = thread_count(threads, torch.get_num_threads())
     arrays = [as_array(tensor) for tensor in (xyz, radius, density)]
-    native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), as_array(out))
+    load_native().point_visibility(*arrays, camera, width, height, layers, near, count, simd_name(), as_array(out))
     return out
 
 
@@ -177,9 +179,9 @@ def _(
 
 
 def _check_layers(xyz: Tensor, layers: int) -> None:
-    """On a GPU a pixel's layers lie in its thread's own memory on the way back."""
-    if takes(xyz) and layers > gpu.MOST_LAYERS_BACKWARD:
-        expected = f"at most {gpu.MOST_LAYERS_BACKWARD} where gradients are wanted on a GPU"
+    """Check that the gradient kernel of a GPU can hold a pixel's layers."""
+    if uses_gpu_kernels(xyz) and layers > gpu.MAX_LAYERS_BACKWARD:
+        expected = f"at most {gpu.MAX_LAYERS_BACKWARD} where gradients are required on a GPU"
         raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' takes any number")
 
 
@@ -191,13 +193,13 @@ def _empty_image(features: Tensor, width: int, height: int) -> tuple[Tensor, Ten
     )
 
 
-def _empty_cloud(
+def _empty_gradients(
     xyz: Tensor, features: Tensor, radius: Tensor, density: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    dense = torch.contiguous_format
+    layout = torch.contiguous_format
     return (
-        torch.empty_like(xyz, memory_format=dense),
-        torch.empty_like(features, memory_format=dense),
-        torch.empty_like(radius, memory_format=dense),
-        torch.empty_like(density, memory_format=dense),
+        torch.empty_like(xyz, memory_format=layout),
+        torch.empty_like(features, memory_format=layout),
+        torch.empty_like(radius, memory_format=layout),
+        torch.empty_like(density, memory_format=layout),
     )

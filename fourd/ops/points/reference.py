@@ -1,8 +1,8 @@
-"""The point renderer in plain torch: slow, obvious, and what every other backend is held to.
+"""The point renderer in plain torch: slow, obvious, and the standard for every other backend.
 
-Works in float32 and float64 on any device and is differentiable by autograd. In float32 it
-computes the numbers that decide hits and order with the operations of ``csrc/points/maths.h``
-in the same order, so that the kernels agree with it on every hit, not on most.
+It works in float32 and float64 on any device and is differentiable by autograd. In float32 it computes the numbers
+that decide hits and order with the operations of ``csrc/points/maths.h`` in the same order, so that the kernels agree
+with it on every hit.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from torch import Tensor
 
 from fourd.cameras import Camera
 
-# Pixels times points that are looked at in one go; bounds the memory to some 100 MB.
 CHUNK = 1 << 23
+"""Pixels times points evaluated at once; bounds the memory to about 100 MB."""
 
 
 class Splats(NamedTuple):
-    """Points as the image sees them, (M,) each; alpha is density * (1 - distance^2 * inverse_square)."""
+    """Points projected to the image, (M,) each; alpha is density * (1 - distance_px^2 * inverse_square)."""
 
     u: Tensor
     v: Tensor
@@ -29,7 +29,7 @@ class Splats(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """The chosen points of some pixels, (P, K), nearest first; where not valid, splat is 0."""
+    """The points that P pixels composite, (P, K), nearest first. Where ``valid`` is False, ``splat`` is 0."""
 
     splat: Tensor
     valid: Tensor
@@ -38,24 +38,24 @@ class Layers(NamedTuple):
 def render_points_reference(
     xyz: Tensor, features: Tensor, radius: Tensor, density: Tensor, camera: Camera, layers: int, near: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Render (see :func:`fourd.raster.render_points`); returns features (H, W, C), alpha and depth (H, W)."""
-    kept = _visible(xyz, radius, density, camera, near)
+    """Render features (H, W, C), alpha (H, W) and depth (H, W) as :func:`fourd.raster.render_points` specifies."""
+    kept = _cull(xyz, radius, density, camera, near)
     splats = _project(xyz[kept], radius[kept], density[kept], camera)
     features = features[kept]
-    parts = [_composite(splats, features, *part)[:3] for part in _pixel_chunks(splats, camera, layers)]
-    colour, alpha, depth = (torch.cat(part) for part in zip(*parts, strict=True))
+    chunks = [_composite(splats, features, *chunk)[:3] for chunk in _pixel_chunks(splats, camera, layers)]
+    colour, alpha, depth = (torch.cat(chunk) for chunk in zip(*chunks, strict=True))
     shape = (camera.height, camera.width)
-    # Where no point is left, the image still has a gradient, which is zero.
-    nothing = sum((array[:0].sum() for array in (features, radius, density)), start=xyz[:0].sum())
-    return colour.reshape(*shape, features.shape[1]) + nothing, alpha.reshape(shape) + nothing, depth.reshape(shape)
+    # If every point is culled, the image still needs a gradient, which is zero.
+    zero = sum((array[:0].sum() for array in (features, radius, density)), start=xyz[:0].sum())
+    return colour.reshape(*shape, features.shape[1]) + zero, alpha.reshape(shape) + zero, depth.reshape(shape)
 
 
 @torch.no_grad()
 def point_visibility_reference(
     xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, layers: int, near: float
 ) -> Tensor:
-    """The largest weight each point has in any pixel (see :func:`fourd.raster.point_visibility`)."""
-    kept = _visible(xyz, radius, density, camera, near)
+    """Compute the (N,) weights that :func:`fourd.raster.point_visibility` specifies."""
+    kept = _cull(xyz, radius, density, camera, near)
     splats = _project(xyz[kept], radius[kept], density[kept], camera)
     best = xyz.new_zeros(kept.shape[0])
     for pixels, chosen in _pixel_chunks(splats, camera, layers):
@@ -65,8 +65,8 @@ def point_visibility_reference(
 
 
 @torch.no_grad()
-def _visible(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, near: float) -> Tensor:
-    """Indices of the points that are not culled, nearest first, ties by index."""
+def _cull(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, near: float) -> Tensor:
+    """Return the indices of the points that are not culled, nearest first, ties by index."""
     u, v, inverse_square, _, z = _project(xyz, radius, density, camera)
     keep = (z >= torch.as_tensor(near, dtype=xyz.dtype)) & (radius > 0) & (density > 0) & (inverse_square > 0)
     for value in (z, radius, density, u, v, inverse_square):
@@ -87,23 +87,23 @@ def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Sp
 
 
 def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
-    """Alpha at pixel centres (P, 2) of splats (P, K) or (1, M), not yet limited to 0 and more."""
+    """Evaluate alpha of splats (P, K) or (1, M) at pixel centres (P, 2), without the lower limit of 0."""
     dx = splats.u - pixels[:, :1]
     dy = splats.v - pixels[:, 1:]
     return splats.density * (1 - (dx * dx + dy * dy) * splats.inverse_square)
 
 
 def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Tensor, Layers]]:
-    """Pixel centres (P, 2) in reading order, and the points that each composites."""
+    """Return the pixel centres (P, 2) in row-major order, in chunks, with the points that each composites."""
     rows = torch.arange(camera.height, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     columns = torch.arange(camera.width, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).reshape(-1, 2)
-    return [(part, _choose(splats, part, layers)) for part in pixels.split(max(1, CHUNK // (len(splats.z) + 1)))]
+    return [(chunk, _choose(splats, chunk, layers)) for chunk in pixels.split(max(1, CHUNK // (len(splats.z) + 1)))]
 
 
 @torch.no_grad()
 def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
-    """The nearest ``layers`` points with alpha above 0 at each pixel; splats come nearest first."""
+    """Select the nearest ``layers`` splats with positive alpha at every pixel; splats are sorted nearest first."""
     count = len(splats.z)
     hit = _alpha(Splats(*(value[None] for value in splats)), pixels) > 0
     order = torch.where(hit, torch.arange(count, device=hit.device), count)
@@ -115,13 +115,13 @@ def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
 def _composite(
     splats: Splats, features: Tensor, pixels: Tensor, chosen: Layers
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
+    """Composite front to back: features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
     local = Splats(*(value[chosen.splat] for value in splats))
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
-    transmittance, total, behind, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
-    # Depths are averaged relative to the nearest, which counts as constant: the mean and its gradient
-    # are the same, and a pixel with one layer has no rounding error that a small weight would magnify.
+    transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
+    # Depths are averaged relative to the nearest one, which is constant: the mean and its gradient are the same,
+    # and a pixel with one layer has no rounding error that a small weight would amplify.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):
@@ -130,10 +130,10 @@ def _composite(
         layer = torch.where(valid[:, None], features[chosen.splat[:, k]], 0)
         colour = colour + weight[:, None] * layer
         total = total + weight
-        behind = behind + weight * torch.where(valid, local.z[:, k] - nearest, 0)
+        offset = offset + weight * torch.where(valid, local.z[:, k] - nearest, 0)
         transmittance = transmittance * (1 - alphas[:, k])
         weights.append(weight)
     alpha = 1 - transmittance
-    seen = alpha > 0
-    depth = torch.where(seen, nearest + behind / torch.where(seen, total, 1), 0)
+    covered = alpha > 0
+    depth = torch.where(covered, nearest + offset / torch.where(covered, total, 1), 0)
     return colour, alpha, depth, torch.stack(weights, dim=1) if weights else alphas

@@ -1,4 +1,4 @@
-"""What the point renderers check before they run, the same for torch tensors and NumPy arrays."""
+"""Argument checks of the point renderers, the same for torch tensors and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 from fourd.cameras import Camera
 
-MOST_CHANNELS = 32
-MOST_POINTS = 2**31 - 1
-# The kernels count tiles of 16 x 16 pixels in 32 bits: this leaves them a factor of 8.
-LONGEST_SIDE = 2**18
+MAX_CHANNELS = 32
+MAX_POINTS = 2**31 - 1
+MAX_SIDE_PX = 2**18
+"""The kernels count tiles of 16 x 16 pixels in 32 bits; this limit leaves a factor of 8."""
 
 
 def check_points(
@@ -19,13 +19,18 @@ def check_points(
 ) -> None:
     """Check the arguments that all renderers share.
 
-    ``arrays`` holds xyz (N, 3), radius (N,), density (N,) and, where the caller has them, features
-    (N, C) with C in 1..32: all of one dtype, which must be among ``dtypes``, and on one device.
-    Values of the arrays are not checked: what is not finite is culled by the renderers.
+    Args:
+        arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32, all of one
+            dtype out of ``dtypes`` and on one device. Values are not checked: the renderers cull points that are not
+            finite.
+        camera: must be an ideal pinhole.
+        layers: must be an integer of at least 1.
+        near: must be finite and positive.
+        dtypes: names of the accepted dtypes.
 
     Raises:
-        TypeError: for a wrong type or dtype. ValueError: for a wrong shape or range. Both name the
-        argument, what was expected and what came.
+        TypeError: for a wrong type or dtype, naming the argument, what was expected and what came.
+        ValueError: for a wrong shape or range, likewise.
     """
     for name, array in arrays.items():
         if not hasattr(array, "shape") or not hasattr(array, "dtype"):
@@ -42,7 +47,7 @@ def check_points(
 
 
 def check_background(background: Any, camera: Camera, channels: int) -> None:
-    """Check that a background is (C,) or (H, W, C)."""
+    """Check that a background is an array of shape (C,) or (H, W, C). Raises TypeError, ValueError."""
     shapes = [(channels,), (camera.height, camera.width, channels)]
     if not hasattr(background, "shape"):
         raise TypeError(f"background: expected an array or tensor, got {type(background).__name__}")
@@ -51,7 +56,7 @@ def check_background(background: Any, camera: Camera, channels: int) -> None:
 
 
 def pack_camera(camera: Camera) -> list[float]:
-    """K, R (row by row) and T: the 21 numbers that the kernels take."""
+    """Return the 21 numbers that the kernels take: K and R row by row, then T."""
     return [*camera.intrinsics.ravel(), *camera.rotation.ravel(), *camera.translation]
 
 
@@ -59,17 +64,17 @@ def _check_shapes(arrays: Mapping[str, Any]) -> None:
     xyz = tuple(arrays["xyz"].shape)
     if len(xyz) != 2 or xyz[1] != 3:
         raise ValueError(f"xyz: expected shape (N, 3), got {xyz}")
-    if xyz[0] > MOST_POINTS:
-        raise ValueError(f"xyz: expected at most {MOST_POINTS} points, got {xyz[0]}")
+    if xyz[0] > MAX_POINTS:
+        raise ValueError(f"xyz: expected at most {MAX_POINTS} points, got {xyz[0]}")
     for name in ("radius", "density"):
         shape = tuple(arrays[name].shape)
         if shape != (xyz[0],):
             raise ValueError(f"{name}: expected shape ({xyz[0]},) to match xyz, got {shape}")
     if "features" in arrays:
         shape = tuple(arrays["features"].shape)
-        if len(shape) != 2 or shape[0] != xyz[0] or not 1 <= shape[1] <= MOST_CHANNELS:
+        if len(shape) != 2 or shape[0] != xyz[0] or not 1 <= shape[1] <= MAX_CHANNELS:
             raise ValueError(
-                f"features: expected shape ({xyz[0]}, C) to match xyz, with C from 1 to {MOST_CHANNELS}, got {shape}"
+                f"features: expected shape ({xyz[0]}, C) to match xyz, with C from 1 to {MAX_CHANNELS}, got {shape}"
             )
 
 
@@ -78,12 +83,12 @@ def _check_dtypes(arrays: Mapping[str, Any], dtypes: tuple[str, ...]) -> None:
     for name, array in arrays.items():
         dtype = str(array.dtype).removeprefix("torch.")
         if dtype not in dtypes:
-            mend = "; float64 is for backend='reference'" if dtype == "float64" else ""
-            raise TypeError(f"{name}: expected {' or '.join(dtypes)}, got {dtype}{mend}")
+            fix = "; float64 needs backend='reference'" if dtype == "float64" else ""
+            raise TypeError(f"{name}: expected {' or '.join(dtypes)}, got {dtype}{fix}")
         if dtype != first:
-            raise TypeError(f"{name}: expected {first} as xyz has, got {dtype}")
+            raise TypeError(f"{name}: expected {first} like xyz, got {dtype}")
         if str(getattr(array, "device", "cpu")) != str(getattr(arrays["xyz"], "device", "cpu")):
-            raise ValueError(f"{name}: expected device {arrays['xyz'].device} as xyz has, got {array.device}")
+            raise ValueError(f"{name}: expected device {arrays['xyz'].device} like xyz, got {array.device}")
 
 
 def _check_camera(camera: Camera) -> None:
@@ -94,7 +99,7 @@ def _check_camera(camera: Camera) -> None:
             "camera: expected an ideal pinhole, got one with lens distortion; undistort the images and use "
             "dataclasses.replace(camera, distortion=None)"
         )
-    if max(camera.width, camera.height) > LONGEST_SIDE:
+    if max(camera.width, camera.height) > MAX_SIDE_PX:
         raise ValueError(
-            f"camera: expected sides of at most {LONGEST_SIDE} pixels, got {camera.width} x {camera.height}"
+            f"camera: expected sides of at most {MAX_SIDE_PX} pixels, got {camera.width} x {camera.height}"
         )

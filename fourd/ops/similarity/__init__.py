@@ -1,1 +1,1 @@
-"""Structural similarity with its gradient: ``csrc/similarity``."""
+"""Structural similarity as a loss (``csrc/similarity``)."""

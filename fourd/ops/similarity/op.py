@@ -1,4 +1,4 @@
-"""Structural similarity as a loss: ``torch.ops.fourd.similarity``, value and gradient in one pass."""
+"""Structural similarity as a loss: the operator ``torch.ops.fourd.similarity``, value and gradient in one pass."""
 
 from __future__ import annotations
 
@@ -7,41 +7,43 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import as_array, native, simd_name, thread_count
-from fourd.training.evaluation.metrics import ssim
+from fourd.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.ops.similarity.reference import WINDOW_PX, structural_similarity_reference
 
 
-def similarity(prediction: Tensor, target: Tensor) -> Tensor:
-    """What :func:`fourd.training.evaluation.metrics.ssim` gives for (H, W, C), by a kernel where there is one.
+def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
+    """Compute :func:`fourd.ops.similarity.reference.structural_similarity_reference` of two (H, W, C) images.
 
-    That is for float32 on the CPU and a target that wants no gradient. The gradient is computed with the value,
-    and is the same for any number of threads.
+    Float32 on the CPU with a target that requires no gradient uses a kernel, which computes the gradient together with
+    the value, to the same bits for any number of threads. Everything else uses the reference.
+
+    Returns:
+        A scalar, differentiable in both images.
 
     Raises:
-        ValueError: as :func:`fourd.training.evaluation.metrics.ssim`.
+        ValueError: as the reference.
     """
-    sound = prediction.ndim == 3 and prediction.shape == target.shape and min(prediction.shape[:2]) >= 11
-    plain = all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in (prediction, target))
-    if not sound or not plain or target.requires_grad:
-        return ssim(prediction, target)
-    wanted = prediction.requires_grad and torch.is_grad_enabled()
-    return _similarity(prediction, target, wanted)[0]
+    fits = prediction.ndim == 3 and prediction.shape == target.shape and min(prediction.shape[:2]) >= WINDOW_PX
+    has_kernel = all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in (prediction, target))
+    if not fits or not has_kernel or target.requires_grad:
+        return structural_similarity_reference(prediction, target)
+    needs_gradient = prediction.requires_grad and torch.is_grad_enabled()
+    return _similarity(prediction, target, needs_gradient)[0]
 
 
 @torch.library.custom_op("fourd::similarity", mutates_args=(), device_types="cpu")
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    """The similarity, and its gradient (H, W, C) with respect to the prediction; empty unless it is wanted."""
-    gradient = torch.empty_like(prediction if with_gradient else prediction[:0], memory_format=torch.contiguous_format)
+    """The similarity, and its gradient (H, W, C) in the prediction; the gradient is empty unless requested."""
+    gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())
     out = as_array(gradient) if with_gradient else None
-    value = native().similarity(as_array(prediction), as_array(target), threads, simd_name(), out)
+    value = load_native().similarity(as_array(prediction), as_array(target), threads, simd_name(), out)
     return prediction.new_tensor(value), gradient
 
 
 @_similarity.register_fake
 def _(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    gradient = torch.empty_like(prediction if with_gradient else prediction[:0], memory_format=torch.contiguous_format)
-    return prediction.new_empty(()), gradient
+    return prediction.new_empty(()), _empty_gradient(prediction, with_gradient)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
@@ -55,3 +57,8 @@ def _backward(ctx: Any, grad_value: Tensor | None, grad_gradient: Tensor | None)
 
 
 _similarity.register_autograd(_backward, setup_context=_setup)
+
+
+def _empty_gradient(prediction: Tensor, with_gradient: bool) -> Tensor:
+    like = prediction if with_gradient else prediction[:0]
+    return torch.empty_like(like, memory_format=torch.contiguous_format)

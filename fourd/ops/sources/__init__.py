@@ -1,1 +1,1 @@
-"""Sampling of source views: ``csrc/sources``."""
+"""Bilinear samples of source views at projected points (``csrc/sources``)."""

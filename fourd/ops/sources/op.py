@@ -1,8 +1,4 @@
-"""Source views sampled: ``torch.ops.fourd.sample_sources`` and its gradient.
-
-What they compute is :func:`fourd.model.sources.sample_sources_reference`. With FOURD_SIMD=emulated the CPU runs the
-CUDA kernel's source, for tests.
-"""
+"""Samples of source views at projected points: the operator ``torch.ops.fourd.sample_sources`` and its gradient."""
 
 from __future__ import annotations
 
@@ -11,14 +7,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.gpu import dense, load_gpu, takes
-from fourd.ops.loading import as_array, native, simd_name, thread_count
+from fourd.ops.gpu import contiguous, cuda_unavailable_reason, load_gpu, uses_gpu_kernels
+from fourd.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.ops.sources.reference import sample_sources_reference
 
 MAX_VIEWS_GPU = 16
 
 
-@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types=("cpu", "cuda"))
-def sample(
+def sample_sources(
     xyz: Tensor,
     features: Tensor | None,
     images: Tensor,
@@ -27,27 +23,61 @@ def sample(
     cameras: list[float],
     softness: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Channels (V, C + 3, N) and trust (V, N) of points (N, 3) in V views.
+    """Project points into every source view and sample it bilinearly.
+
+    Float32 on the CPU, or on a CUDA device whose kernels are built, uses a kernel; everything else uses
+    :func:`fourd.ops.sources.reference.sample_sources_reference`.
 
     Args:
-        features: (V, C, h, w), or None. In torch's channels_last format they are read as they are, else copied.
-        images, mattes, depth: (V, 3, H, W), (V, H, W) and (V, H, W) or None; no gradient.
-        cameras: the 21 numbers of each view, one after another.
-        softness: (N,) above 0, world units; no gradient.
+        xyz: (N, 3) world points.
+        features: (V, C, h, w) image features at their own resolution, or None. In torch's channels_last format they
+            are read in place, else copied.
+        images: (V, 3, H, W) in [0, 1]; no gradient.
+        mattes: (V, H, W) in [0, 1], 1 where the object covers the pixel; no gradient.
+        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is none; None for no
+            occlusion test. No gradient.
+        cameras: :func:`fourd.ops.points.validation.pack_camera` of every view, concatenated.
+        softness: (N,) depth in world units, above 0, over which the visibility of an occluded point decays
+            exponentially; the decay starts two such depths behind the surface. No gradient.
+
+    Returns:
+        channels (V, C + 3, N), features then RGB, differentiable in ``xyz`` and ``features``; and the visibility
+        weight (V, N) in [0, 1], without gradient: the squared matte times the occlusion test. The matte is squared
+        because a pixel on the silhouette mixes in background: the weight must fall faster than coverage does.
+
+    Raises:
+        ValueError: from the kernels, for shapes that do not match.
     """
+    device = xyz.device.type
+    cuda_works = device == "cuda" and not cuda_unavailable_reason() and images.shape[0] <= MAX_VIEWS_GPU
+    if xyz.dtype != torch.float32 or not (device == "cpu" or cuda_works):
+        return sample_sources_reference(xyz, features, images, mattes, depth, cameras, softness)
+    return _sample(xyz, features, images, mattes, depth, cameras, softness)
+
+
+@torch.library.custom_op("fourd::sample_sources", mutates_args=(), device_types=("cpu", "cuda"))
+def _sample(
+    xyz: Tensor,
+    features: Tensor | None,
+    images: Tensor,
+    mattes: Tensor,
+    depth: Tensor | None,
+    cameras: list[float],
+    softness: Tensor,
+) -> tuple[Tensor, Tensor]:
     out = _empty_samples(xyz, features, images)
-    if takes(xyz):
+    if uses_gpu_kernels(xyz):
         gpu = load_gpu(xyz.device)
-        maps = (dense(images), dense(mattes), _dense(depth), _dense(_rows(features)))
-        with gpu.current():
-            gpu.kernels.sample_sources(dense(xyz), *maps, cameras, dense(softness), gpu.stream, *out)
+        maps = (contiguous(images), contiguous(mattes), _contiguous(depth), _contiguous(_channels_last(features)))
+        with gpu.activate():
+            gpu.kernels.sample_sources(contiguous(xyz), *maps, cameras, contiguous(softness), gpu.stream, *out)
         return out
-    native().sample_sources(
+    load_native().sample_sources(
         as_array(xyz),
         as_array(images),
         as_array(mattes),
-        _array(depth),
-        _array(_rows(features)),
+        _optional_array(depth),
+        _optional_array(_channels_last(features)),
         cameras,
         as_array(softness),
         thread_count(0, torch.get_num_threads()),
@@ -57,7 +87,7 @@ def sample(
     return out
 
 
-@sample.register_fake
+@_sample.register_fake
 def _(
     xyz: Tensor,
     features: Tensor | None,
@@ -71,42 +101,42 @@ def _(
 
 
 @torch.library.custom_op("fourd::sample_sources_backward", mutates_args=(), device_types=("cpu", "cuda"))
-def sample_backward(
+def _sample_backward(
     xyz: Tensor,
     features: Tensor | None,
     images: Tensor,
     mattes: Tensor,
     cameras: list[float],
     gradient: Tensor,
-    learns: bool,
+    needs_features: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Gradients of xyz and, where the features learn, of these (else an empty tensor)."""
-    grad_xyz, grad_features = _empty_gradients(xyz, features, learns)
-    to_features = _rows(grad_features) if learns else None
-    if takes(xyz):
+    """Compute the gradients of ``xyz`` and ``features``; the latter is empty unless it is needed."""
+    grad_xyz, grad_features = _empty_gradients(xyz, features, needs_features)
+    feature_rows = _channels_last(grad_features) if needs_features else None
+    if uses_gpu_kernels(xyz):
         gpu = load_gpu(xyz.device)
-        maps = (dense(images), dense(mattes), _dense(_rows(features)))
-        with gpu.current():
+        maps = (contiguous(images), contiguous(mattes), _contiguous(_channels_last(features)))
+        with gpu.activate():
             gpu.kernels.sample_sources_backward(
-                dense(xyz), *maps, cameras, gpu.stream, dense(gradient), grad_xyz, to_features
+                contiguous(xyz), *maps, cameras, gpu.stream, contiguous(gradient), grad_xyz, feature_rows
             )
         return grad_xyz, grad_features
-    native().sample_sources_backward(
+    load_native().sample_sources_backward(
         as_array(xyz),
         as_array(images),
         as_array(mattes),
-        _array(_rows(features)),
+        _optional_array(_channels_last(features)),
         cameras,
         thread_count(0, torch.get_num_threads()),
         simd_name(),
         as_array(gradient),
         as_array(grad_xyz),
-        _array(to_features),
+        _optional_array(feature_rows),
     )
     return grad_xyz, grad_features
 
 
-@sample_backward.register_fake
+@_sample_backward.register_fake
 def _(
     xyz: Tensor,
     features: Tensor | None,
@@ -114,9 +144,9 @@ def _(
     mattes: Tensor,
     cameras: list[float],
     gradient: Tensor,
-    learns: bool,
+    needs_features: bool,
 ) -> tuple[Tensor, Tensor]:
-    return _empty_gradients(xyz, features, learns)
+    return _empty_gradients(xyz, features, needs_features)
 
 
 def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
@@ -127,29 +157,29 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> 
 
 
 def _backward(
-    ctx: Any, gradient: Tensor | None, grad_trust: Tensor | None
+    ctx: Any, gradient: Tensor | None, grad_visibility: Tensor | None
 ) -> tuple[Tensor | None, Tensor | None, None, None, None, None, None]:
     xyz, features, images, mattes = ctx.saved_tensors
     if gradient is None:
         return None, None, None, None, None, None, None
-    learns = bool(ctx.needs_input_grad[1])
-    grad_xyz, grad_features = sample_backward(xyz, features, images, mattes, ctx.cameras, gradient, learns)
-    return grad_xyz, grad_features if learns else None, None, None, None, None, None
+    needs_features = bool(ctx.needs_input_grad[1])
+    grad_xyz, grad_features = _sample_backward(xyz, features, images, mattes, ctx.cameras, gradient, needs_features)
+    return grad_xyz, grad_features if needs_features else None, None, None, None, None, None
 
 
-sample.register_autograd(_backward, setup_context=_setup)
+_sample.register_autograd(_backward, setup_context=_setup)
 
 
-def _dense(tensor: Tensor | None) -> Tensor | None:
-    return None if tensor is None else dense(tensor)
+def _contiguous(tensor: Tensor | None) -> Tensor | None:
+    return None if tensor is None else contiguous(tensor)
 
 
-def _array(tensor: Tensor | None) -> Any:
+def _optional_array(tensor: Tensor | None) -> Any:
     return None if tensor is None else as_array(tensor)
 
 
-def _rows(features: Tensor | None) -> Tensor | None:
-    """(V, C, h, w) -> (V, h, w, C), the order in memory of torch's channels_last."""
+def _channels_last(features: Tensor | None) -> Tensor | None:
+    """(V, C, h, w) -> (V, h, w, C), the memory order of torch's channels_last."""
     return None if features is None else features.permute(0, 2, 3, 1)
 
 
@@ -159,8 +189,8 @@ def _empty_samples(xyz: Tensor, features: Tensor | None, images: Tensor) -> tupl
     return xyz.new_empty(views, channels, count), xyz.new_empty(views, count)
 
 
-def _empty_gradients(xyz: Tensor, features: Tensor | None, learns: bool) -> tuple[Tensor, Tensor]:
+def _empty_gradients(xyz: Tensor, features: Tensor | None, needs_features: bool) -> tuple[Tensor, Tensor]:
     grad_xyz = torch.empty_like(xyz, memory_format=torch.contiguous_format)
-    if features is None or not learns:
+    if features is None or not needs_features:
         return grad_xyz, xyz.new_empty(0)
     return grad_xyz, torch.empty_like(features, memory_format=torch.channels_last)

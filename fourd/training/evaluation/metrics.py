@@ -6,12 +6,8 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
-from torch.nn import functional
 
-SSIM_WINDOW = 11
-SSIM_SIGMA = 1.5
-SSIM_C1 = 0.01**2
-SSIM_C2 = 0.03**2
+from fourd.ops.similarity.reference import check_image_pair, structural_similarity_reference
 
 
 def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tensor | ArrayLike | None = None) -> Tensor:
@@ -56,22 +52,7 @@ def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
     Raises:
         ValueError: shapes differ, integer images, or an image smaller than the window.
     """
-    prediction, target = _images(prediction, target)
-    if prediction.ndim < 3 or min(prediction.shape[-3:-1]) < SSIM_WINDOW:
-        raise ValueError(
-            f"prediction: expected (..., H, W, C) with H and W at least {SSIM_WINDOW} pixels, "
-            f"got {tuple(prediction.shape)}"
-        )
-    x, y = _planes(prediction), _planes(target)
-    planes = x.shape[1]
-    # The target's two means are filtered apart, so that a loss makes no gradients for them.
-    mean_x, square_x, product = _blurred(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
-    mean_y, square_y = _blurred(torch.cat([y, y * y], dim=1)).split(planes, dim=1)
-    covariance = product - mean_x * mean_y
-    variances = (square_x - mean_x.square()) + (square_y - mean_y.square())
-    luminance = (2 * mean_x * mean_y + SSIM_C1) / (mean_x.square() + mean_y.square() + SSIM_C1)
-    structure = (2 * covariance + SSIM_C2) / (variances + SSIM_C2)
-    return (luminance * structure).mean()
+    return structural_similarity_reference(torch.as_tensor(prediction), torch.as_tensor(target))
 
 
 def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tuple[int, int, int, int] | None:
@@ -101,24 +82,5 @@ def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tu
 
 def _images(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> tuple[Tensor, Tensor]:
     first, second = torch.as_tensor(prediction), torch.as_tensor(target)
-    if first.shape != second.shape:
-        raise ValueError(f"target: expected the prediction's shape {tuple(first.shape)}, got {tuple(second.shape)}")
-    if not (first.is_floating_point() and second.is_floating_point()):
-        raise ValueError(f"images: expected floating point in [0, 1], got {first.dtype} and {second.dtype}")
+    check_image_pair(first, second)
     return first, second
-
-
-def _planes(images: Tensor) -> Tensor:
-    """(..., H, W, C) -> (1, B*C, H, W): a channel a plane, so that one grouped filter does all."""
-    height, width, channels = images.shape[-3:]
-    planes = images.reshape(-1, height, width, channels).permute(0, 3, 1, 2)
-    return planes.reshape(1, -1, height, width)
-
-
-def _blurred(planes: Tensor) -> Tensor:
-    """(1, P, H, W) -> (1, P, H-10, W-10), filtered where the window lies in the image."""
-    count = planes.shape[1]
-    offsets = torch.arange(SSIM_WINDOW, dtype=planes.dtype, device=planes.device) - SSIM_WINDOW // 2
-    window = torch.softmax(-offsets.square() / (2 * SSIM_SIGMA**2), dim=0)
-    rows = functional.conv2d(planes, window.view(1, 1, 1, -1).expand(count, -1, -1, -1), groups=count)
-    return functional.conv2d(rows, window.view(1, 1, -1, 1).expand(count, -1, -1, -1), groups=count)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from torch import Tensor
 from torch.nn import functional
 
-from fourd.ops.similarity.op import similarity
+from fourd.ops.similarity.op import structural_similarity
 from fourd.training.config import LossConfig
 from fourd.training.losses.lpips import LPIPS
 
@@ -31,7 +31,7 @@ class ImageLoss:
         if self.lpips is not None and self.config.perceptual > 0:
             terms["lpips"] = self.config.perceptual * self.lpips(predicted, truth)
         elif self.lpips is None and self.config.stand_in > 0 and min(truth.shape[:2]) >= 11:
-            terms["ssim"] = self.config.stand_in * (1 - similarity(predicted, truth))
+            terms["ssim"] = self.config.stand_in * (1 - structural_similarity(predicted, truth))
         if self.config.mask > 0 and coverage is not None and matte is not None:
             terms["mask"] = self.config.mask * functional.mse_loss(coverage, matte)
         return terms

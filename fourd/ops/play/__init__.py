@@ -1,0 +1,1 @@
+"""Drawing and depth-sorting of baked points (``csrc/play``)."""

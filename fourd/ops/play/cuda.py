@@ -1,0 +1,69 @@
+"""Drawing of baked points by the CUDA kernels, for torch tensors."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.ops.gpu import load_gpu
+from fourd.ops.play.op import MIN_TRANSMITTANCE
+from fourd.ops.points.validation import check_points, pack_camera
+from fourd.ops.shade.shading import Shading
+
+
+def draw_points_gpu(
+    xyz: Tensor,
+    radius: Tensor,
+    density: Tensor,
+    sh: Tensor,
+    blend_weights: Tensor,
+    rgb: Tensor,
+    shading: Shading,
+    camera: Camera,
+    *,
+    layers: int,
+    near: float,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    out: Tensor | None = None,
+) -> Tensor:
+    """Draw the picture of :meth:`fourd.ops.play.op.PointPlayer.draw` on the tensors' device, to one step of a byte.
+
+    Float16 arrays come as int16 tensors of their bits; all tensors are contiguous. The work is queued on torch's
+    current stream and not waited for. CPU tensors run the emulated kernels.
+
+    Returns:
+        (H, W, 4) uint8 on the device, ``out`` if given.
+
+    Raises:
+        TypeError, ValueError: naming the argument, what was expected and what came.
+    """
+    check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
+    gpu = load_gpu(xyz.device)
+    shape = (camera.height, camera.width, 4)
+    if out is None:
+        out = torch.empty(shape, dtype=torch.uint8, device=gpu.device)
+    elif tuple(out.shape) != shape or out.dtype != torch.uint8 or not out.is_contiguous():
+        raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of {tuple(out.shape)}")
+    entries, size = gpu.kernels.plan_draw(gpu.rooms, xyz.shape[0], camera.width, camera.height)
+    with gpu.activate():
+        gpu.kernels.draw(
+            xyz,
+            radius,
+            density,
+            sh,
+            blend_weights,
+            rgb,
+            *shading.arguments(),
+            pack_camera(camera),
+            layers,
+            near,
+            MIN_TRANSMITTANCE,
+            background,
+            gpu.rooms,
+            entries,
+            gpu.allocate(size),
+            gpu.stream,
+            out,
+        )
+    return out

@@ -1,0 +1,79 @@
+"""Drawing and depth-sorting of baked points in NumPy and plain torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.ops.points.reference import render_points_reference
+from fourd.ops.shade.reference import shade_points_reference
+from fourd.ops.shade.shading import Shading
+
+MAX_FLOAT32 = np.finfo(np.float32).max
+RADIUS_MARGIN = 1 + 1e-6
+"""The kernels enlarge discs by this factor before they test for pixels, so that rounding loses none."""
+
+
+def draw_points_reference(
+    xyz: NDArray[np.float32],
+    radius: NDArray[np.float16],
+    density: NDArray[np.float16],
+    sh: NDArray[np.float16],
+    blend_weights: NDArray[np.float16],
+    rgb: NDArray[np.uint8],
+    shading: Shading,
+    camera: Camera,
+    *,
+    layers: int,
+    near: float,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> NDArray[np.float32]:
+    """Compute the picture of :meth:`fourd.ops.play.op.PointPlayer.draw` without early termination.
+
+    Returns:
+        (H, W, 4) float32 in [0, 1]: colour over the background, and alpha; not rounded to bytes.
+    """
+    colours = shade_points_reference(xyz, sh, blend_weights, rgb, shading)
+    arrays = (xyz, colours, radius.astype(np.float32), density.astype(np.float32))
+    tensors = [torch.from_numpy(np.array(array)) for array in arrays]
+    image, alpha, _ = (part.numpy() for part in render_points_reference(*tensors, camera, layers, near))
+    image = image + (1 - alpha)[..., None] * np.asarray(background, np.float32)
+    return np.concatenate([np.clip(image, 0, 1), alpha[..., None]], axis=2)
+
+
+def sort_points_reference(
+    xyz: NDArray[np.float32],
+    radius: NDArray[np.float16],
+    density: NDArray[np.float16],
+    camera: Camera,
+    near: float,
+) -> NDArray[np.uint32]:
+    """Compute what :meth:`fourd.ops.play.op.PointSorter.sort` specifies, by a stable sort of float32 depths.
+
+    The float32 operations and their order are those of ``csrc/points/maths.h``.
+    """
+    k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
+    radius_float, density_float = radius.astype(np.float32), density.astype(np.float32)
+    a, b, c = xyz.T
+    with np.errstate(all="ignore"):
+        x, y, z = (r[i, 0] * a + r[i, 1] * b + r[i, 2] * c + t[i] for i in range(3))
+        u = (k[0, 0] * x + k[0, 1] * y) / z + k[0, 2]
+        v = (k[1, 0] * x + k[1, 1] * y) / z + k[1, 2]
+        rho = k[1, 1] * radius_float / z
+        inverse_square = np.float32(1) / (rho * rho)
+        visible = (z >= np.float32(near)) & (radius_float > 0) & (density_float > 0) & (inverse_square > 0)
+        for value in (z, radius_float, density_float, u, v, inverse_square):
+            visible &= np.abs(value) <= MAX_FLOAT32
+        visible &= _covers_pixel(u, rho, camera.width) & _covers_pixel(v, rho, camera.height)
+    index = np.flatnonzero(visible)
+    return index[np.argsort(z[index], kind="stable")].astype(np.uint32)
+
+
+def _covers_pixel(centre: NDArray[np.float32], rho: NDArray[np.float32], size: int) -> NDArray[np.bool_]:
+    """Whether a disc's extent along one axis contains a pixel centre of the image."""
+    extent = rho.astype(np.float64) * RADIUS_MARGIN
+    first = np.ceil(centre - extent - 0.5)
+    last = np.floor(centre + extent - 0.5)
+    return np.maximum(first, 0) <= np.minimum(last, size - 1)

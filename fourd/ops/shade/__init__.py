@@ -1,0 +1,1 @@
+"""Colours of baked points seen from a camera (``csrc/shade``)."""

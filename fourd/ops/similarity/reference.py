@@ -1,0 +1,70 @@
+"""Structural similarity in plain torch."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+WINDOW_PX = 11
+SIGMA_PX = 1.5
+C1 = 0.01**2
+C2 = 0.03**2
+
+
+def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tensor:
+    """Structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5 and data range 1.
+
+    The mean is taken over channels and over the pixels whose window lies inside the image, as in
+    ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
+
+    Args:
+        prediction, target: (..., H, W, C) of the same shape, floating point; H and W at least 11 pixels.
+
+    Returns:
+        A scalar, differentiable in both images; 1 for equal images.
+
+    Raises:
+        ValueError: for different shapes, integer images, or an image smaller than the window.
+    """
+    check_image_pair(prediction, target)
+    if prediction.ndim < 3 or min(prediction.shape[-3:-1]) < WINDOW_PX:
+        raise ValueError(
+            f"prediction: expected (..., H, W, C) with H and W at least {WINDOW_PX} pixels, "
+            f"got {tuple(prediction.shape)}"
+        )
+    x, y = _to_planes(prediction), _to_planes(target)
+    planes = x.shape[1]
+    # The target's two means are filtered separately, so that a loss computes no gradients for them.
+    mean_x, square_x, product = _blur(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
+    mean_y, square_y = _blur(torch.cat([y, y * y], dim=1)).split(planes, dim=1)
+    covariance = product - mean_x * mean_y
+    variances = (square_x - mean_x.square()) + (square_y - mean_y.square())
+    luminance = (2 * mean_x * mean_y + C1) / (mean_x.square() + mean_y.square() + C1)
+    structure = (2 * covariance + C2) / (variances + C2)
+    return (luminance * structure).mean()
+
+
+def check_image_pair(prediction: Tensor, target: Tensor) -> None:
+    """Check that two images have the same shape and floating-point values. Raises ValueError."""
+    if prediction.shape != target.shape:
+        got = tuple(target.shape)
+        raise ValueError(f"target: expected the prediction's shape {tuple(prediction.shape)}, got {got}")
+    if not (prediction.is_floating_point() and target.is_floating_point()):
+        raise ValueError(f"images: expected floating point in [0, 1], got {prediction.dtype} and {target.dtype}")
+
+
+def _to_planes(images: Tensor) -> Tensor:
+    """(..., H, W, C) -> (1, B*C, H, W): one plane per channel, for a single grouped convolution."""
+    height, width, channels = images.shape[-3:]
+    planes = images.reshape(-1, height, width, channels).permute(0, 3, 1, 2)
+    return planes.reshape(1, -1, height, width)
+
+
+def _blur(planes: Tensor) -> Tensor:
+    """Filter (1, P, H, W) -> (1, P, H-10, W-10) where the window lies inside the image."""
+    count = planes.shape[1]
+    offsets = torch.arange(WINDOW_PX, dtype=planes.dtype, device=planes.device) - WINDOW_PX // 2
+    window = torch.softmax(-offsets.square() / (2 * SIGMA_PX**2), dim=0)
+    rows = functional.conv2d(planes, window.view(1, 1, 1, -1).expand(count, -1, -1, -1), groups=count)
+    return functional.conv2d(rows, window.view(1, 1, -1, 1).expand(count, -1, -1, -1), groups=count)
