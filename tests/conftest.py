@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import secrets
 from pathlib import Path
@@ -11,7 +12,6 @@ import pytest
 import torch
 
 from fourd.ops.gpu import cuda_unavailable_reason
-from fourd.ops.loading import load_native
 from tests.captures import write_ball_capture
 
 
@@ -38,7 +38,7 @@ def gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> torc
         if cuda_unavailable_reason():
             pytest.skip("the CUDA kernels are not built")
         return torch.device("cuda", torch.cuda.current_device())
-    if not load_native().simd_available("emulated"):
+    if importlib.util.find_spec("fourd._emulated") is None:
         pytest.skip("the emulated kernels are not built")
     monkeypatch.setenv("FOURD_SIMD", "emulated")
     return torch.device("cpu")

@@ -71,8 +71,12 @@ void logits_backward(const Array<const float, 2>& point, const Array<const float
 }  // namespace
 
 void bind_blend(nb::module_& module) {
-    module.def("blend_logits", &logits);
-    module.def("blend_logits_backward", &logits_backward);
+    module.def("blend_logits", &logits, nb::arg("point"), nb::arg("samples"), nb::arg("weight"), nb::arg("out"),
+               nb::arg("bias"), nb::arg("range"), nb::arg("threads"), nb::arg("simd"), nb::arg("logits"));
+    module.def("blend_logits_backward", &logits_backward, nb::arg("point"), nb::arg("samples"), nb::arg("weight"),
+               nb::arg("out"), nb::arg("bias"), nb::arg("range"), nb::arg("threads"), nb::arg("simd"),
+               nb::arg("logits"), nb::arg("grad_logits"), nb::arg("out_point"), nb::arg("out_samples"),
+               nb::arg("out_weight"), nb::arg("out_out"), nb::arg("out_bias"));
 }
 
 }  // namespace fourd

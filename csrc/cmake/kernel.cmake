@@ -1,8 +1,9 @@
 # The library fourd_kernels and the functions that add to it:
-#   fourd_kernel(NAME ...)        a kernel
-#   fourd_add_module(TARGET)      the Python module of all kernels added before
-#   fourd_add_cuda_module(TARGET) the same for their CUDA sources
-#   fourd_emulate(TARGET)         compiles the CUDA sources for the CPU into a target
+#   fourd_kernel(NAME ...)               a kernel
+#   fourd_add_module(NAME ...)           the Python module of all kernels added before
+#   fourd_add_cuda_module(NAME ...)      the same for their CUDA sources
+#   fourd_add_emulated_module(NAME ...)  the same for their CUDA sources compiled for the CPU
+#   fourd_emulate(TARGET)                compiles the CUDA sources for the CPU into a program
 include_guard(GLOBAL)
 get_filename_component(FOURD_CSRC ${CMAKE_CURRENT_LIST_DIR} DIRECTORY)
 
@@ -67,7 +68,7 @@ function(fourd_kernel name)
 endfunction()
 
 # Writes fourd::bind_kernels, or fourd::cuda::bind_kernels, which calls the kernels' binding functions.
-function(fourd_bindings_of kind namespace out)
+function(fourd_generate_bindings kind namespace out)
   get_property(names GLOBAL PROPERTY FOURD_${kind}_NAMES)
   get_property(files GLOBAL PROPERTY FOURD_${kind}_FILES)
   set(declarations "")
@@ -97,15 +98,24 @@ function(fourd_emulate target)
   target_compile_definitions(${target} PRIVATE FOURD_EMULATED)
 endfunction()
 
-# A module whose entry point is in the given sources, which call fourd::bind_kernels.
+# A module NAME whose entry point is in the given sources, which call fourd::bind_kernels.
 function(fourd_add_module target)
-  fourd_bindings_of(BINDING fourd bindings)
+  fourd_generate_bindings(BINDING fourd bindings)
   nanobind_add_module(${target} NB_STATIC NOMINSIZE ${ARGN} ${bindings})
   target_link_libraries(${target} PRIVATE fourd_kernels)
   target_compile_options(${target} PRIVATE ${FOURD_WARNINGS})
 endfunction()
 
-# The same of the CUDA sources; the language CUDA is enabled before.
+# The same for the CUDA sources compiled for the CPU; the entry point calls fourd::cuda::bind_kernels.
+function(fourd_add_emulated_module target)
+  fourd_generate_bindings(CUDA_BINDING fourd::cuda bindings)
+  nanobind_add_module(${target} NB_STATIC NOMINSIZE NB_DOMAIN ${target} ${ARGN} ${bindings})
+  target_link_libraries(${target} PRIVATE fourd_kernels)
+  target_compile_options(${target} PRIVATE ${FOURD_WARNINGS})
+  fourd_emulate(${target})
+endfunction()
+
+# The same for the GPU; the project has enabled the language CUDA.
 function(fourd_add_cuda_module target)
   get_property(sources GLOBAL PROPERTY FOURD_CUDA_SOURCES)
   add_library(${target}_kernels STATIC ${sources} ${FOURD_CSRC}/device/shared_number.cu)
@@ -121,9 +131,9 @@ function(fourd_add_cuda_module target)
   if(FOURD_WERROR)
     target_compile_options(${target}_kernels PRIVATE -Werror=all-warnings)
   endif()
-  fourd_bindings_of(CUDA_BINDING fourd::cuda bindings)
-  # A domain of its own: it registers other types under the names of the emulated ones.
-  nanobind_add_module(${target} NB_STATIC NOMINSIZE NB_DOMAIN fourd_cuda ${ARGN} ${bindings})
+  fourd_generate_bindings(CUDA_BINDING fourd::cuda bindings)
+  # Domains of their own: both register types of the same names.
+  nanobind_add_module(${target} NB_STATIC NOMINSIZE NB_DOMAIN ${target} ${ARGN} ${bindings})
   target_link_libraries(${target} PRIVATE ${target}_kernels fourd_kernels)
   target_compile_options(${target} PRIVATE ${FOURD_WARNINGS})
 endfunction()

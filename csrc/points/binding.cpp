@@ -71,12 +71,17 @@ void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, cons
 }  // namespace
 
 void bind_points(nb::module_& module) {
-    module.def("render_points", &render);
+    module.def("render_points", &render, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"), nb::arg("density"),
+               nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
+               nb::arg("threads"), nb::arg("simd"), nb::arg("out_features"), nb::arg("out_alpha"),
+               nb::arg("out_depth"));
     module.def("render_points_backward", &render_backward, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"),
                nb::arg("density"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("threads"),
                nb::arg("simd"), nb::arg("grad_features"), nb::arg("grad_alpha"), nb::arg("grad_depth").none(),
                nb::arg("out_xyz"), nb::arg("out_features"), nb::arg("out_radius"), nb::arg("out_density"));
-    module.def("point_visibility", &visibility);
+    module.def("point_visibility", &visibility, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"),
+               nb::arg("camera"), nb::arg("width"), nb::arg("height"), nb::arg("layers"), nb::arg("near"),
+               nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
 }
 
 }  // namespace fourd

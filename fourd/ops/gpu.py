@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.loading import load_native, simd_name
+from fourd.ops.loading import simd_name
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Gpu:
     """The kernels of one device.
 
     Attributes:
-        kernels: ``fourd._cuda``, or its emulation.
+        kernels: ``fourd._cuda``, or ``fourd._emulated`` for the CPU.
         rooms: native object that predicts how many (point, tile) entries the next picture on this device needs.
         device: the device.
     """
@@ -57,10 +57,8 @@ def load_gpu(device: torch.device) -> Gpu:
     """
     if device.type == "cuda":
         kernels = import_module("fourd._cuda")
-    elif hasattr(load_native(), "emulated"):
-        kernels = load_native().emulated
     else:
-        raise ImportError("fourd._native.emulated: expected the emulated kernels, which this build does not include")
+        kernels = import_module("fourd._emulated")
     return Gpu(kernels, kernels.Rooms(), device)
 
 

@@ -41,7 +41,8 @@ void encode_backward(const PointsIn& coordinates, const RowsIn& table, const std
 }  // namespace
 
 void bind_hashgrid(nb::module_& module) {
-    module.def("encode_hash_grid", &encode);
+    module.def("encode_hash_grid", &encode, nb::arg("coordinates"), nb::arg("table"), nb::arg("resolutions"),
+               nb::arg("log2_entries"), nb::arg("stream"), nb::arg("out"));
     module.def("encode_hash_grid_backward", &encode_backward, nb::arg("coordinates"), nb::arg("table"),
                nb::arg("resolutions"), nb::arg("log2_entries"), nb::arg("stream"), nb::arg("gradient"),
                nb::arg("out_table").none(), nb::arg("out_coordinates").none());

@@ -40,7 +40,8 @@ void sample_backward(const Arguments::Coordinates& coordinates, const std::vecto
 }  // namespace
 
 void bind_planes(nb::module_& module) {
-    module.def("sample_planes", &sample);
+    module.def("sample_planes", &sample, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
+               nb::arg("stream"), nb::arg("out"));
     module.def("sample_planes_backward", &sample_backward, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
                nb::arg("stream"), nb::arg("gradient"), nb::arg("out_planes"), nb::arg("out_coordinates").none());
 }

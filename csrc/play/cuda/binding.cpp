@@ -59,8 +59,14 @@ void shade(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Argu
 void bind_play(nb::module_& module) {
     module.def("plan_draw", &plan, nb::arg("rooms"), nb::arg("count"), nb::arg("width"), nb::arg("height"),
                "Room for entries, and the bytes of workspace, for the next picture.");
-    module.def("draw", &draw);
-    module.def("shade", &shade);
+    module.def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
+               nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
+               nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
+               nb::arg("transmittance_min"), nb::arg("background"), nb::arg("rooms"), nb::arg("entries"),
+               nb::arg("workspace"), nb::arg("stream"), nb::arg("out"));
+    module.def("shade", &shade, nb::arg("xyz"), nb::arg("sh"), nb::arg("blend_weights"), nb::arg("rgb"),
+               nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("stream"),
+               nb::arg("out"));
 }
 
 }  // namespace fourd::cuda
