@@ -1,6 +1,6 @@
 """Baked scenes: the `.4dv` file, and rendering it without torch and without the model."""
 
-from fourd.baking.combine import joined
+from fourd.baking.combine import combine_frames
 from fourd.baking.container import SceneReader, SceneWriter
 from fourd.baking.rendering import RenderedImage, Scene, open_scene
 from fourd.baking.scene import BakedFrame, SceneBackground, SceneManifest
@@ -14,7 +14,7 @@ __all__ = [
     "SceneManifest",
     "SceneReader",
     "SceneWriter",
-    "joined",
+    "combine_frames",
     "open_scene",
     "shade",
     "shade_reference",

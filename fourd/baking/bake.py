@@ -15,7 +15,7 @@ from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
-from fourd.baking.scene import SHADOW_ONE, BakedFrame, SceneBackground, SceneManifest, triple
+from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, SceneBackground, SceneManifest, to_triple
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.appearance import zero_low_visibility
@@ -72,7 +72,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 
     return SceneManifest(
         source_names=tuple(run.capture.names[index] for index in sources),
         source_cameras=tuple(run.capture.cameras[index] for index in sources),
-        focus=triple(run.focus),
+        focus=to_triple(run.focus),
         bounds=(run.config.scene.lower, run.config.scene.upper),
         frame_numbers=run.capture.frame_numbers,
         other_names=tuple(run.capture.names[index] for index in others),
@@ -113,12 +113,12 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
 
 
 def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
-    """What a frame's shadow multiplies the background's colours by, (M,) in 1/SHADOW_ONE; None without shadows."""
+    """What a frame's shadow multiplies the background's colours by, (M,) in 1/SHADOW_IDENTITY; None without shadows."""
     background = trained.renderer.background
     if background is None or background.model.shadow is None:
         return None
     factor = background.model.shadow(background.points.xyz, trained.run.capture.time(frame)).factor
-    return (SHADOW_ONE * factor).round().clamp(0, 255).byte().numpy()
+    return (SHADOW_IDENTITY * factor).round().clamp(0, 255).byte().numpy()
 
 
 def _baked(model: PointModel, points: FramePoints, time: float, sources: list[int], seen_from: SeenFrom) -> BakedFrame:

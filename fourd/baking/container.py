@@ -1,10 +1,10 @@
-"""The `.4dv` file: a ZIP64 of stored members, one a frame and attribute, and manifest.json.
+"""The `.4dv` file: a ZIP64 with manifest.json and one stored member per frame and attribute.
 
-A full scene has its background's attributes once, and may have one more member a frame: the shadow on it.
+A full scene has its background's attributes once, and optionally one more member per frame: the shadow on it.
 
-Members are stored and never deflated, so that a web server's range requests and plain seeks get
-at a frame's bytes. The reader takes the file for hostile: sizes are compared with the manifest
-before anything is allocated.
+Members are never deflated, so that range requests of a web server and plain seeks reach a frame's bytes. The reader
+assumes a hostile file: it compares sizes with the manifest before it allocates memory. It skips members that the
+manifest or this program does not know.
 """
 
 from __future__ import annotations
@@ -24,27 +24,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.combine import joined
+from fourd.baking.combine import combine_frames
 from fourd.baking.manifest import ManifestError, NewerVersionError, manifest_from_json, manifest_to_json
-from fourd.baking.scene import (
-    ATTRIBUTES,
-    FULL_VERSION,
-    OBJECT_VERSION,
-    BakedFrame,
-    SceneBackground,
-    SceneManifest,
-)
+from fourd.baking.scene import FULL_VERSION, OBJECT_VERSION, BakedFrame, SceneBackground, SceneManifest, make_frame
 from fourd.errors import UserError
 from fourd.files import atomic_path
 
 MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 64 << 20
 BACKGROUND = "background"
-"""Folder of the background's members."""
+"""Folder of the background's members in the ZIP."""
 SHADOW = "shadow"
-_STORED_AT = (1980, 1, 1, 0, 0, 0)
+_TIMESTAMP = (1980, 1, 1, 0, 0, 0)
 _ENCRYPTED = 0x1
-_BROKEN = (
+_ZIP_ERRORS = (
     zipfile.BadZipFile,
     zipfile.LargeZipFile,
     struct.error,
@@ -58,32 +51,35 @@ _BROKEN = (
 
 
 def member_name(frame: int, attribute: str) -> str:
-    """Path of a frame's array inside the ZIP."""
+    """Return the path of a frame's array inside the ZIP."""
     return f"{_frame_folder(frame)}/{attribute}"
 
 
 class SceneWriter:
-    """Writes a scene frame by frame; memory does not grow with their number.
+    """Writes a scene frame by frame; memory does not grow with the number of frames.
 
-    Use as a context manager: the file appears at ``path`` whole when the block ends, and not at
-    all (an older file stays) when it raises.
+    Use as a context manager: the complete file appears at ``path`` when the block ends. If the block raises, an older
+    file stays and no other file remains.
 
     Args:
-        path: the `.4dv` to make; its folder is made when missing.
-        manifest: of the scene; ``points``, ``background`` and ``version`` are filled in from what is added.
+        path: of the `.4dv`; a missing folder is created.
+        manifest: of the scene; ``points``, ``background``, ``version`` and ``optional_attributes`` are set from what
+            is added.
 
     Raises:
-        UserError: when the disk is full or the place cannot be written.
-        ValueError: when frames do not come in order, do not fit the manifest or each other or hold numbers
-            that are not finite, and when a full scene's background does not come exactly once.
+        UserError: if the disk is full or the path cannot be written.
+        ValueError: if frames come out of order, do not match the manifest or each other, or hold values that
+            :data:`fourd.baking.attributes.ATTRIBUTES` excludes; if a full scene's background is not added exactly
+            once.
     """
 
     def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
         self.path = Path(path)
         self.manifest = manifest
         self._points: list[int] = []
-        self._background: int | None = None  # number of points, once it was added
+        self._background: int | None = None  # number of points, once added
         self._shadow: int | None = None  # length of the frames' shadows; None while there are none
+        self._optional: tuple[str, ...] | None = None  # optional attributes, once points were added
         self._stack = ExitStack()
         self._zip: zipfile.ZipFile | None = None
 
@@ -95,12 +91,12 @@ class SceneWriter:
         return self
 
     def add_frame(self, index: int, frame: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> None:
-        """Append frame ``index``; frames come in order, from 0.
+        """Append frame ``index``; frames are added in order, starting at 0.
 
         Args:
-            frame: the points of this frame alone.
-            shadow: (M,) uint8, the factors in 1/128 by which the colours of a full scene's M background
-                points are multiplied in this frame. Given for all frames or for none.
+            frame: the points of this frame, without the background.
+            shadow: (M,) uint8, factors in units of 1/128 for the colours of a full scene's M background points in
+                this frame. Given for all frames or for none.
         """
         if index != len(self._points) or index >= self.manifest.frame_count:
             raise ValueError(f"index: expected frame {len(self._points)} of {self.manifest.frame_count}, got {index}")
@@ -114,7 +110,7 @@ class SceneWriter:
         self._points.append(frame.point_count)
 
     def add_background(self, frame: BakedFrame) -> None:
-        """Add the static points of a full scene, once; before, between or after the frames."""
+        """Add the static points of a full scene, once, before, between or after the frames."""
         if self.manifest.kind != "full":
             raise ValueError(f'background: expected none in a scene of kind "{self.manifest.kind}", got one')
         if self._background is not None:
@@ -137,26 +133,30 @@ class SceneWriter:
             self._stack.__exit__(kind, error, trace)
             return
         with _disk_errors(self.path), self._stack, self._zip:
-            self.manifest = self._finished_manifest()
+            self.manifest = self._complete_manifest()
             self._write(MANIFEST_NAME, manifest_to_json(self.manifest))
 
-    def _finished_manifest(self) -> SceneManifest:
+    def _complete_manifest(self) -> SceneManifest:
         if len(self._points) != self.manifest.frame_count:
             raise ValueError(f"expected {self.manifest.frame_count} frames, got {len(self._points)}")
-        points = tuple(self._points)
-        if self.manifest.kind == "object":
-            return replace(self.manifest, points=points, version=OBJECT_VERSION)
+        manifest = replace(self.manifest, points=tuple(self._points), optional_attributes=self._optional or ())
+        if manifest.kind == "object":
+            return replace(manifest, version=OBJECT_VERSION)
         if self._background is None:
             raise ValueError('background: expected one in a scene of kind "full", got none; call add_background')
         background = SceneBackground(self._background, shadow=self._shadow is not None)
-        return replace(self.manifest, points=points, background=background, version=FULL_VERSION)
+        return replace(manifest, background=background, version=FULL_VERSION)
 
     def _check(self, what: str, frame: BakedFrame) -> None:
         if frame.view_count != self.manifest.view_count:
             raise ValueError(f"{what}: expected {self.manifest.view_count} source views, got {frame.view_count}")
-        bad = frame.find_invalid_array()
-        if bad is not None:
-            raise ValueError(f"{what}, {bad}: expected finite numbers (radius and weights >= 0, density in [0, 1])")
+        optional = tuple(item.name for item in frame.attributes if item.is_optional)
+        if self._optional not in (None, optional):
+            raise ValueError(f"{what}: expected the optional attributes {self._optional}, got {optional}")
+        self._optional = optional
+        invalid = frame.find_invalid_array()
+        if invalid is not None:
+            raise ValueError(f"{what}, {invalid}: expected finite numbers (radius and weights >= 0, density in [0, 1])")
 
     def _check_shadow(self, index: int, shadow: NDArray[np.uint8] | None) -> None:
         where = f"frame {index}, shadow"
@@ -172,8 +172,9 @@ class SceneWriter:
             raise ValueError(f"{where}: expected uint8 of shape ({points},), got {shadow.dtype} of {shadow.shape}")
 
     def _write_arrays(self, folder: str, frame: BakedFrame) -> None:
-        for attribute in ATTRIBUTES:
-            array = getattr(frame, attribute.name).astype(attribute.dtype, copy=False)
+        arrays = frame.arrays
+        for attribute in frame.attributes:
+            array = arrays[attribute.name].astype(attribute.dtype, copy=False)
             self._write_array(f"{folder}/{attribute.name}", array)
 
     def _write_array(self, name: str, array: NDArray[Any]) -> None:
@@ -182,27 +183,26 @@ class SceneWriter:
 
     def _write(self, name: str, content: bytes | memoryview) -> None:
         assert self._zip is not None
-        info = zipfile.ZipInfo(name, _STORED_AT)
+        info = zipfile.ZipInfo(name, _TIMESTAMP)
         info.external_attr = 0o644 << 16
         self._zip.writestr(info, content)
 
 
 class SceneReader:
-    """Reads a `.4dv`. Arrays are read when asked; the background alone is kept. Threads may share it.
+    """Reads a `.4dv`. Every read gets arrays from the file; only the background is cached. Threads may share it.
 
     Raises:
-        UserError: one line that names the file and the mend, on opening when the file is cut short,
-            is no scene, is newer than this program or contradicts itself; on reading when a member
-            is damaged.
+        UserError: one line that names the file and the fix. On opening: the file is cut short, is not a scene, is
+            newer than this program or contradicts itself. On reading: a member is damaged.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self._zip = _opened(self.path)
+        self._zip = _open_zip(self.path)
         self._background: BakedFrame | None = None
         self._lock = Lock()
         try:
-            self._members = _checked_members(self.path, self._zip)
+            self._members = _check_members(self.path, self._zip)
             self.manifest = self._read_manifest()
             self._check_sizes()
         except BaseException:
@@ -210,26 +210,26 @@ class SceneReader:
             raise
 
     def close(self) -> None:
-        """Close the file and let go of the background; reading afterwards raises ValueError."""
+        """Close the file and release the background; reading then raises ValueError."""
         self._zip.close()
         self._background = None
 
     def read(self, index: int) -> BakedFrame:
-        """Frame ``index``, from 0: its own points, then the background's in the frame's shadow, if there are any.
+        """Read frame ``index``, from 0: its dynamic points, then the background's under the frame's shadow, if any.
 
         Its arrays are read-only. Raises IndexError outside the scene.
         """
-        moving = self.read_dynamic(index)
+        dynamic = self.read_dynamic(index)
         background = self.read_background()
-        return moving if background is None else joined(moving, background, self.read_shadow(index))
+        return dynamic if background is None else combine_frames(dynamic, background, self.read_shadow(index))
 
     def read_dynamic(self, index: int) -> BakedFrame:
-        """The points that frame ``index`` alone has. Raises IndexError outside the scene."""
+        """Read the dynamic points of frame ``index``. Raises IndexError outside the scene."""
         self._require_frame(index)
         return self._read(_frame_folder(index), self.manifest.points[index])
 
     def read_background(self) -> BakedFrame | None:
-        """The points that all frames share, without shadows; None in an object scene. Read once, and kept."""
+        """Return the points that all frames share, without shadows; None for an object scene. Cached."""
         described = self.manifest.background
         if described is None:
             return None
@@ -239,7 +239,7 @@ class SceneReader:
             return self._background
 
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:
-        """(M,) factors in 1/128 for the M background points' colours in a frame; None where there are none.
+        """Read a frame's (M,) uint8 factors in units of 1/128 for the background's colours; None without shadows.
 
         Raises IndexError outside the scene.
         """
@@ -253,24 +253,24 @@ class SceneReader:
             raise IndexError(f"frame: expected 0 to {self.manifest.frame_count - 1}, got {index}")
 
     def _read(self, folder: str, points: int) -> BakedFrame:
-        arrays: list[NDArray[Any]] = []
-        for attribute in ATTRIBUTES:
+        arrays: dict[str, NDArray[Any]] = {}
+        for attribute in self.manifest.attributes:
             content = self._content(f"{folder}/{attribute.name}")
-            shape = attribute.sized(points, self.manifest.view_count)
-            arrays.append(np.frombuffer(content, dtype=attribute.dtype).reshape(shape))
-        frame = BakedFrame(*arrays)
-        bad = frame.find_invalid_array()
-        if bad is not None:
-            name = f"{folder}/{bad}"
+            shape = attribute.resolve_shape(points, self.manifest.view_count)
+            arrays[attribute.name] = np.frombuffer(content, dtype=attribute.dtype).reshape(shape)
+        frame = make_frame(arrays)
+        invalid = frame.find_invalid_array()
+        if invalid is not None:
+            name = f"{folder}/{invalid}"
             raise _damaged(self.path, f"finite numbers in {name}", "NaN, infinity or a number out of range")
         return frame
 
     def _content(self, name: str) -> bytes:
         if self._zip.fp is None:
-            raise ValueError(f"{self.path}: expected an open scene, got one that was closed")
+            raise ValueError(f"{self.path}: expected an open scene, got a closed one")
         try:
             return self._zip.read(self._members[name])
-        except _BROKEN as error:
+        except _ZIP_ERRORS as error:
             raise _damaged(self.path, f"a whole member {name}", str(error) or "the file's end") from error
         except OSError as error:
             raise UserError(f"{self.path}: cannot be read ({error}); check the disk") from error
@@ -289,7 +289,7 @@ class SceneReader:
             raise UserError(f"{self.path}: {error}; export the scene again") from error
 
     def _check_sizes(self) -> None:
-        for name, expected in _sizes(self.manifest):
+        for name, expected in _member_sizes(self.manifest):
             if name not in self._members:
                 raise _damaged(self.path, f"a member {name}", "none")
             size = self._members[name].file_size
@@ -301,8 +301,8 @@ def _frame_folder(index: int) -> str:
     return f"frames/{index:06d}"
 
 
-def _sizes(manifest: SceneManifest) -> Iterator[tuple[str, int]]:
-    """Names of all arrays of a scene, and their bytes."""
+def _member_sizes(manifest: SceneManifest) -> Iterator[tuple[str, int]]:
+    """Yield the names of all arrays of a scene and their sizes in bytes."""
     folders = [(_frame_folder(index), points) for index, points in enumerate(manifest.points)]
     if manifest.background is not None:
         if manifest.background.shadow:
@@ -310,18 +310,18 @@ def _sizes(manifest: SceneManifest) -> Iterator[tuple[str, int]]:
                 yield f"{folder}/{SHADOW}", manifest.background.points
         folders.append((BACKGROUND, manifest.background.points))
     for folder, points in folders:
-        for attribute in ATTRIBUTES:
+        for attribute in manifest.attributes:
             yield f"{folder}/{attribute.name}", attribute.nbytes(points, manifest.view_count)
 
 
-def _opened(path: Path) -> zipfile.ZipFile:
+def _open_zip(path: Path) -> zipfile.ZipFile:
     if path.is_dir():
         raise UserError(f"{path}: expected a .4dv file, got a folder; name the file that fourd export wrote")
     try:
         return zipfile.ZipFile(path)
     except FileNotFoundError as error:
         raise UserError(f"{path}: expected a .4dv file, got nothing there; check the name") from error
-    except _BROKEN as error:
+    except _ZIP_ERRORS as error:
         raise UserError(
             f"{path}: expected a whole .4dv scene (a ZIP), got a file cut short or of another kind; "
             "copy or export it again"
@@ -330,7 +330,7 @@ def _opened(path: Path) -> zipfile.ZipFile:
         raise UserError(f"{path}: cannot be read ({error}); check its permissions") from error
 
 
-def _checked_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+def _check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     members: dict[str, zipfile.ZipInfo] = {}
     size, total = path.stat().st_size, 0
     for info in archive.infolist():

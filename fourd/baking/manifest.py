@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from fourd.baking.attributes import ATTRIBUTES
 from fourd.baking.scene import (
-    ATTRIBUTES,
     FORMAT_NAME,
     FORMAT_VERSION,
     FULL_VERSION,
@@ -52,7 +52,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         "sh": {"range": manifest.sh_range, "base": manifest.sh_base},
         "focus": list(manifest.focus),
         "bounds": {"lower": list(manifest.bounds[0]), "upper": list(manifest.bounds[1])},
-        "attributes": {item.name: {"dtype": item.dtype, "shape": list(item.shape)} for item in ATTRIBUTES},
+        "attributes": {item.name: {"dtype": item.dtype, "shape": list(item.shape)} for item in manifest.attributes},
         "source_views": _views_to_json(manifest.source_names, manifest.source_cameras),
         "other_views": _views_to_json(manifest.other_names, manifest.other_cameras),
         "frames": [
@@ -75,7 +75,7 @@ def manifest_from_json(text: bytes) -> SceneManifest:
     version = root.whole("version", 1, 1 << 31)
     if version > FORMAT_VERSION:
         raise NewerVersionError(f"expected format version {FORMAT_VERSION} or older, got {version}")
-    _check_attributes(root.node("attributes"))
+    optional_attributes = _check_attributes(root.node("attributes"))
     source_names, source_cameras = _views(root.items("source_views", MAX_VIEWS))
     other_names, other_cameras = _views(root.items("other_views", MAX_VIEWS))
     kind = _kind(root)
@@ -102,6 +102,7 @@ def manifest_from_json(text: bytes) -> SceneManifest:
             background=background,
             producer=root.text("producer"),
             version=version,
+            optional_attributes=optional_attributes,
         )
     except ManifestError:
         raise
@@ -226,13 +227,20 @@ def _bounds(node: _Node) -> tuple[tuple[float, float, float], tuple[float, float
     return lower, upper
 
 
-def _check_attributes(node: _Node) -> None:
+def _check_attributes(node: _Node) -> tuple[str, ...]:
+    """Check the entries of known attributes; return the names of the optional ones. Unknown entries are skipped."""
+    optional = []
     for attribute in ATTRIBUTES:
+        if attribute.is_optional:
+            if attribute.name not in node.content:
+                continue
+            optional.append(attribute.name)
         given = node.node(attribute.name)
         if given.get("dtype") != attribute.dtype:
             raise given.fail("dtype", f'"{attribute.dtype}"')
         if given.get("shape") != list(attribute.shape):
             raise given.fail("shape", f"{list(attribute.shape)}")
+    return tuple(optional)
 
 
 def _views_to_json(names: tuple[str, ...], cameras: tuple[Camera, ...]) -> list[dict[str, Any]]:

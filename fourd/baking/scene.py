@@ -1,77 +1,45 @@
-"""What a baked scene is in memory: one frame's arrays, and what holds for all frames."""
+"""A baked scene in memory: the arrays of a frame, and what holds for all frames."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.baking.attributes import ATTRIBUTES, Attribute
 from fourd.cameras import Camera
 
 FORMAT_NAME = "fourd-scene"
 FORMAT_VERSION = 2
-"""The newest that is read."""
+"""The newest version that this program reads."""
 OBJECT_VERSION, FULL_VERSION = 1, 2
-"""What is written for each kind: programs that know version 1 alone can still read object scenes."""
-SH_TERMS = 16
-SHADOW_ONE = 128
-"""The shadow that leaves a colour as it is; shadows are bytes, in 1/128."""
+"""The version written for each kind: programs that only support version 1 can still read object scenes."""
+SHADOW_IDENTITY = 128
+"""The shadow that keeps a colour: shadows are bytes in units of 1/128."""
 
 SceneKind = Literal["object", "full"]
 
 
-@dataclass(frozen=True)
-class Attribute:
-    """One array of a frame as stored: its little-endian dtype and its shape, "points" and "views" by name."""
-
-    name: str
-    dtype: str
-    shape: tuple[str | int, ...]
-
-    def sized(self, points: int, views: int) -> tuple[int, ...]:
-        """The shape in numbers."""
-        known = {"points": points, "views": views}
-        return tuple(known[side] if isinstance(side, str) else side for side in self.shape)
-
-    def nbytes(self, points: int, views: int) -> int:
-        """Size of the array in bytes."""
-        count = 1
-        for side in self.sized(points, views):
-            count *= side
-        return count * np.dtype(self.dtype).itemsize
-
-
-# In the order of BakedFrame's fields.
-ATTRIBUTES = (
-    Attribute("xyz", "<f4", ("points", 3)),
-    Attribute("radius", "<f2", ("points",)),
-    Attribute("density", "<f2", ("points",)),
-    Attribute("sh", "<f2", ("points", 3, SH_TERMS)),
-    Attribute("blend_weights", "<f2", ("points", "views")),
-    Attribute("rgb", "|u1", ("points", "views", 3)),
-)
-
-
 @dataclass(frozen=True, eq=False)
 class BakedFrame:
-    """The N points of one frame and what V source views say of them. All arrays are C-contiguous.
+    """The N points of one frame and their data in V source views. All arrays are C-contiguous.
 
     Attributes:
         xyz: (N, 3) float32, world units.
         radius: (N,) float16, world units.
         density: (N,) float16 in [0, 1].
         sh: (N, 3, 16) float16, degree-3 spherical harmonics of red, green and blue.
-        blend_weights: (N, V) float16, not negative, not normalised: shading normalises them over
-            the few views that it picks.
+        blend_weights: (N, V) float16, not negative, not normalized: shading normalizes them over the few views that
+            it selects.
         rgb: (N, V, 3) uint8, the point's colour in every source view.
-        still: M points, one object for all frames that end with these; None where frames have nothing in common.
-        shadowed: whether ``rgb`` of the last M points is not that of ``still``.
+        background: M points, the same object for all frames that end with these points; None for other frames.
+        has_shadow: whether ``rgb`` of the last M points differs from the background's.
 
     Raises:
-        ValueError: naming the array, when a shape or a dtype is wrong.
+        ValueError: naming the array, for a wrong shape or dtype.
     """
 
     xyz: NDArray[np.float32]
@@ -81,21 +49,30 @@ class BakedFrame:
     blend_weights: NDArray[np.float16]
     rgb: NDArray[np.uint8]
     _: KW_ONLY
-    still: BakedFrame | None = None
-    shadowed: bool = False
+    background: BakedFrame | None = None
+    has_shadow: bool = False
 
     def __post_init__(self) -> None:
         points = self.xyz.shape[0] if self.xyz.ndim else 0
         views = self.blend_weights.shape[-1] if self.blend_weights.ndim == 2 else 0
         for attribute in ATTRIBUTES:
             array = getattr(self, attribute.name)
-            shape = attribute.sized(points, views)
-            if array.shape != shape or array.dtype != np.dtype(attribute.dtype):
-                raise ValueError(
-                    f"{attribute.name}: expected {np.dtype(attribute.dtype)} of shape {shape}, "
-                    f"got {array.dtype} of shape {array.shape}"
-                )
+            if array is None:
+                if attribute.is_optional:
+                    continue
+                raise ValueError(f"{attribute.name}: expected an array, got None")
+            attribute.check(array, points, views)
             object.__setattr__(self, attribute.name, np.ascontiguousarray(array))
+
+    @property
+    def attributes(self) -> tuple[Attribute, ...]:
+        """The attributes that this frame has, in the order of ATTRIBUTES."""
+        return tuple(attribute for attribute in ATTRIBUTES if getattr(self, attribute.name) is not None)
+
+    @property
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays of :attr:`attributes` by name."""
+        return {attribute.name: getattr(self, attribute.name) for attribute in self.attributes}
 
     @property
     def point_count(self) -> int:
@@ -104,8 +81,8 @@ class BakedFrame:
 
     @property
     def dynamic_count(self) -> int:
-        """N - M: the first points, which no other frame has."""
-        return self.point_count - (0 if self.still is None else self.still.point_count)
+        """N - M: the first points, which are this frame's own."""
+        return self.point_count - (0 if self.background is None else self.background.point_count)
 
     @property
     def view_count(self) -> int:
@@ -115,32 +92,32 @@ class BakedFrame:
     @property
     def nbytes(self) -> int:
         """Memory of all arrays in bytes."""
-        return sum(getattr(self, attribute.name).nbytes for attribute in ATTRIBUTES)
+        return sum(array.nbytes for array in self.arrays.values())
 
     def find_invalid_array(self) -> str | None:
-        """Name of the first array with NaN, infinity, a negative radius or weight, or a density outside [0, 1]."""
-        if not np.isfinite(self.xyz).all():
-            return "xyz"
-        # float16 is compared as bits, which is several times faster: a sign makes them large, and
-        # infinity and NaN begin at 0x7C00.
-        for name, limit in (("radius", 0x7BFF), ("density", 0x3C00), ("sh", 0x7BFF), ("blend_weights", 0x7BFF)):
-            bits = getattr(self, name).view(np.uint16)
-            if name == "sh":
-                bits = bits & np.uint16(0x7FFF)
-            if bits.size and int(bits.max()) > limit:
-                bits = np.where(bits == 0x8000, np.uint16(0), bits)
-                if int(bits.max()) > limit:
-                    return name
+        """Name of the first array with a value that :data:`ATTRIBUTES` excludes, such as NaN; None if there is none."""
+        arrays = self.arrays
+        for attribute in self.attributes:
+            if not attribute.has_valid_values(arrays[attribute.name]):
+                return attribute.name
         return None
+
+
+def make_frame(
+    arrays: Mapping[str, NDArray[Any]], background: BakedFrame | None = None, has_shadow: bool = False
+) -> BakedFrame:
+    """Make a frame from arrays by attribute name; optional attributes may be missing. Raises ValueError."""
+    given: dict[str, Any] = {attribute.name: arrays.get(attribute.name) for attribute in ATTRIBUTES}
+    return BakedFrame(**given, background=background, has_shadow=has_shadow)
 
 
 @dataclass(frozen=True)
 class SceneBackground:
-    """The static points of a full scene, stored once.
+    """The static points of a full scene, which are stored once.
 
     Attributes:
-        points: how many.
-        shadow: whether every frame has a factor for the colours of each.
+        points: their number.
+        shadow: whether every frame has a factor for the colours of each point.
     """
 
     points: int
@@ -153,24 +130,25 @@ class SceneManifest:
 
     Attributes:
         source_names, source_cameras: the V source views in the order of the frames' arrays.
-        focus: (x, y, z), the point from which view angles are measured.
-        bounds: lower and upper corner of what moves, world units.
-        frame_numbers: the frames' numbers in the capture; their count is the scene's frame count.
-        points: number of points of every frame, without the background's; the writer fills this in.
-        other_names, other_cameras: further cameras of the capture, such as held-out views, that
-            give no colour but can be rendered by name.
-        fps: frames a second when played.
-        layers: how many points a pixel composites, K.
-        neighbours: how many source views a picture blends, N'.
-        sh_range, sh_base: the SH part is ``sh_base + sh_range * tanh(sh . Y(d))``.
-        near: points nearer to the camera than this are not drawn, world units.
-        kind: "object" on black, or "full", with a static background.
-        background: of a full scene; the writer fills this in.
+        focus: (x, y, z) from which view angles are measured, world units.
+        bounds: lower and upper corner of the dynamic points, world units.
+        frame_numbers: the frames' numbers in the capture, one per frame.
+        points: number of points of every frame without the background's; set by the writer.
+        other_names, other_cameras: further cameras of the capture, such as held-out views, that contribute no colour
+            but can be rendered by name.
+        fps: playback rate, frames per second.
+        layers: K, the most points that a pixel composites.
+        neighbours: N', the number of source views that a picture blends.
+        sh_range, sh_base: the view-dependent colour is ``sh_base + sh_range * tanh(sh . Y(d))``.
+        near: camera depth below which points are culled, world units.
+        kind: "object" (on black) or "full" (with a static background).
+        background: of a full scene; set by the writer.
         producer: program and version that wrote the scene.
-        version: of the file format; the writer fills this in.
+        version: of the file format; set by the writer.
+        optional_attributes: names of the optional attributes that the scene's points have; set by the writer.
 
     Raises:
-        ValueError: naming the field, when two of them contradict each other.
+        ValueError: naming the fields that contradict each other.
     """
 
     source_names: tuple[str, ...]
@@ -191,6 +169,7 @@ class SceneManifest:
     background: SceneBackground | None = None
     producer: str = "fourd"
     version: int = OBJECT_VERSION
+    optional_attributes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.source_names) != len(self.source_cameras):
@@ -230,19 +209,30 @@ class SceneManifest:
         return self.cameras[self.names.index(name)]
 
     @property
+    def attributes(self) -> tuple[Attribute, ...]:
+        """The attributes that the scene stores, in the order of ATTRIBUTES."""
+        return select_attributes(self.optional_attributes)
+
+    @property
     def background_nbytes(self) -> int:
-        """Memory of the background's arrays in bytes; 0 without one."""
+        """Memory of the background's arrays in bytes; 0 without a background."""
         return 0 if self.background is None else self._nbytes(self.background.points)
 
     def frame_nbytes(self, frame: int) -> int:
-        """Memory of a frame's arrays in bytes, the background's points among them."""
+        """Memory of a frame's arrays in bytes, including the background's points."""
         return self._nbytes(self.points[frame]) + self.background_nbytes
 
     def _nbytes(self, points: int) -> int:
-        return sum(attribute.nbytes(points, self.view_count) for attribute in ATTRIBUTES)
+        return sum(attribute.nbytes(points, self.view_count) for attribute in self.attributes)
 
 
-def triple(values: Sequence[float] | NDArray[np.floating]) -> tuple[float, float, float]:
-    """Three numbers as the tuple that the manifest wants."""
+def select_attributes(optional: Iterable[str]) -> tuple[Attribute, ...]:
+    """The required attributes and the named optional ones, in the order of ATTRIBUTES."""
+    names = set(optional)
+    return tuple(item for item in ATTRIBUTES if not item.is_optional or item.name in names)
+
+
+def to_triple(values: Sequence[float] | NDArray[np.floating]) -> tuple[float, float, float]:
+    """Convert three numbers to a tuple of Python floats, as the manifest stores them."""
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter
-from fourd.baking.scene import ATTRIBUTES
+from fourd.baking.attributes import ATTRIBUTES
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from tests.baking.scenes import manifest, random_frame, write_scene

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneBackground, SceneReader, SceneWriter, joined, open_scene
-from fourd.baking.scene import ATTRIBUTES
+from fourd.baking import BakedFrame, SceneBackground, SceneReader, SceneWriter, combine_frames, open_scene
+from fourd.baking.attributes import ATTRIBUTES
 from fourd.errors import UserError
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame, write_full_scene, write_scene
 from tests.baking.test_container import rewritten, with_manifest
@@ -98,10 +98,14 @@ def test_every_shadow_on_every_colour() -> None:
     nobody = random_frame(0, 1, seed=0)
     for value in range(256):
         shadow = np.full(256, value, np.uint8)
-        np.testing.assert_array_equal(joined(nobody, room, shadow).rgb, darkened(room.rgb, shadow))
-    half = joined(nobody, room, np.full(256, 64, np.uint8)).rgb
+        np.testing.assert_array_equal(combine_frames(nobody, room, shadow).rgb, darkened(room.rgb, shadow))
+    half = combine_frames(nobody, room, np.full(256, 64, np.uint8)).rgb
     assert half[[0, 1, 2, 3, 255], 0, 0].tolist() == [0, 1, 1, 2, 128]
-    assert joined(nobody, room, np.full(256, 192, np.uint8)).rgb[[100, 170, 171], 0, 0].tolist() == [150, 255, 255]
+    assert combine_frames(nobody, room, np.full(256, 192, np.uint8)).rgb[[100, 170, 171], 0, 0].tolist() == [
+        150,
+        255,
+        255,
+    ]
 
 
 def test_a_shadow_falls_on_the_background_alone() -> None:
@@ -110,7 +114,7 @@ def test_a_shadow_falls_on_the_background_alone() -> None:
     own, room = random_frame(40, 2, seed=1), room_frame(5000, 2, seed=2)
     before = room.rgb.copy()
     shadow = np.random.default_rng(3).choice(np.array([128, 60, 200], np.uint8), 5000)
-    frame = joined(own, room, shadow)
+    frame = combine_frames(own, room, shadow)
     np.testing.assert_array_equal(frame.rgb[:40], own.rgb)
     np.testing.assert_array_equal(frame.rgb[40:], darkened(before, shadow))
     np.testing.assert_array_equal(room.rgb, before)
@@ -120,10 +124,10 @@ def test_what_cannot_be_joined_is_named() -> None:
     """Catches a shadow that is cut or repeated to fit, and NumPy's words for it."""
     own, room = random_frame(5, 2, seed=1), room_frame(8, 2, seed=2)
     with pytest.raises(ValueError, match="background: expected 2 source views, got 3"):
-        joined(own, room_frame(8, 3, seed=2))
+        combine_frames(own, room_frame(8, 3, seed=2))
     for shadow in (np.full(1, 128, np.uint8), np.full(9, 128, np.uint8), np.ones(8)):
         with pytest.raises(ValueError, match=r"shadow: expected uint8 of shape \(8,\), got"):
-            joined(own, room, shadow)
+            combine_frames(own, room, shadow)
 
 
 def test_joined_frames_are_read_only(scene: Path) -> None:
@@ -352,7 +356,7 @@ def test_a_closed_reader_keeps_nothing(scene: Path) -> None:
     reader = SceneReader(scene)
     reader.read_background()
     reader.close()
-    with pytest.raises(ValueError, match=r"full\.4dv: expected an open scene, got one that was closed"):
+    with pytest.raises(ValueError, match=r"full\.4dv: expected an open scene, got a closed one"):
         reader.read_background()
     with pytest.raises(ValueError, match="expected an open scene"):
         reader.read(0)

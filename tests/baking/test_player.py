@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fourd.baking.attributes import ATTRIBUTES
 from fourd.baking.player import Player
-from fourd.baking.scene import ATTRIBUTES, BakedFrame
+from fourd.baking.scene import BakedFrame
 from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
 from fourd.ops.loading import load_native

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fourd.baking import BakedFrame, SceneReader, SceneWriter, open_scene
-from fourd.baking.scene import ATTRIBUTES
+from fourd.baking.attributes import ATTRIBUTES
 from fourd.capture import open_capture
 from fourd.cli.main import main
 from fourd.ply import write_ply

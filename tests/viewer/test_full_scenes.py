@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.baking import SceneWriter, joined, open_scene
+from fourd.baking import SceneWriter, combine_frames, open_scene
 from fourd.cameras import Camera, look_at
 from fourd.cli.main import main
 from fourd.viewer.display import DisplaySettings, RenderRequest
@@ -59,7 +59,7 @@ def shot_from(place: str) -> RenderRequest:
     room = room_frame(1200, 6, seed=2, half=HALF)
     shadow = np.where(room.xyz[:, 2] < 0, 70, 128).astype(np.uint8)
     settings = DisplaySettings(MOST_LAYERS, (0.2, 0.4, 0.8))
-    return RenderRequest(joined(solid(800, seed=1), room, shadow), PLACES[place], full_manifest(), settings)
+    return RenderRequest(combine_frames(solid(800, seed=1), room, shadow), PLACES[place], full_manifest(), settings)
 
 
 @cache
@@ -106,7 +106,7 @@ def test_large_points_far_away_do_not_slow_sprites_down(context: moderngl.Contex
     uploaded = UploadedFrame(context, "float16")
     discs = Discs(context, {"blend": "sorted.frag"})
     for seen, sprites in ((camera, True), (near, False)):
-        request = RenderRequest(joined(ball, room), seen, full_manifest(), DisplaySettings())
+        request = RenderRequest(combine_frames(ball, room), seen, full_manifest(), DisplaySettings())
         uploaded.load(request.frame)
         discs.place(uploaded, ExactOrders().order(request, True).points, request)
         assert discs.as_sprites == sprites
@@ -120,7 +120,7 @@ def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch:
     shadow = np.where(room.xyz[:, 2] < 0, 70, 128).astype(np.uint8)
     counts = (700, 760, 300, 750, 700, 700, 760, 300, 2000)
     casts = (None, None, None, None, shadow, shadow, None, None, None)
-    frames = [joined(solid(count, seed=count), room, cast) for count, cast in zip(counts, casts, strict=True)]
+    frames = [combine_frames(solid(count, seed=count), room, cast) for count, cast in zip(counts, casts, strict=True)]
     sent: list[int] = []
     write = ArrayTexture.write
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame
+from fourd.baking.attributes import ATTRIBUTES, Attribute
 from fourd.errors import UserError
 from fourd.viewer.gl.context import information
 from fourd.viewer.gl.shaders import TEXELS_A_ROW
@@ -81,17 +82,13 @@ class UploadedFrame:
         """float32 takes twice the memory and bandwidth, and is there to be compared with."""
         short = "f2" if precision == "float16" else "f4"
         self._number = np.float16 if precision == "float16" else np.float32
+        formats = {"<f4": "f4", "<f2": short, "|u1": "f1"}
         self._textures = {
-            "xyz": ArrayTexture(context, 3, "f4"),
-            "radius": ArrayTexture(context, 1, short),
-            "density": ArrayTexture(context, 1, short),
-            "sh": ArrayTexture(context, 4, short),
-            "blend_weights": ArrayTexture(context, 1, short),
-            "rgb": ArrayTexture(context, 3, "f1"),
+            item.name: ArrayTexture(context, _components(item), formats[item.dtype]) for item in ATTRIBUTES
         }
         self.frame: BakedFrame | None = None
-        self._still: BakedFrame | None = None
-        self._shadowed = False
+        self._background: BakedFrame | None = None
+        self._has_shadow = False
         self._room = 0  # points before the still ones
 
     def load(self, frame: BakedFrame) -> None:
@@ -100,46 +97,56 @@ class UploadedFrame:
             return
         self.frame = None  # not half of one, should a write fail
         kept = self._make_room(frame)
-        recoloured = frame.shadowed or self._shadowed
-        self._still = None
-        for name in self._textures:
-            self._write(name, frame, slice(0, frame.dynamic_count), 0)
-            if frame.still is not None and (not kept or (name == "rgb" and recoloured)):
-                self._write(name, frame, slice(frame.dynamic_count, None), self._room)
-        self._still, self._shadowed = frame.still, frame.shadowed
+        recoloured = frame.has_shadow or self._has_shadow
+        self._background = None
+        for attribute in frame.attributes:
+            self._write(attribute, frame, slice(0, frame.dynamic_count), 0)
+            if frame.background is not None and (not kept or (attribute.combine == "cast_shadow" and recoloured)):
+                self._write(attribute, frame, slice(frame.dynamic_count, None), self._room)
+        self._background, self._has_shadow = frame.background, frame.has_shadow
         self.frame = frame
 
     def use(self) -> dict[str, int]:
         """Bind all textures; returns what the shader is told: the unit of each by name, and where points lie."""
         assert self.frame is not None
-        for unit, texture in enumerate(self._textures.values()):
-            texture.use(unit)
+        names = [attribute.name for attribute in self.frame.attributes]
+        for unit, name in enumerate(names):
+            self._textures[name].use(unit)
         moving = self.frame.dynamic_count
-        gap = 0 if self.frame.still is None else self._room - moving
-        return {"moving": moving, "gap": gap, **{name: unit for unit, name in enumerate(self._textures)}}
+        gap = 0 if self.frame.background is None else self._room - moving
+        return {"moving": moving, "gap": gap, **{name: unit for unit, name in enumerate(names)}}
 
     def release(self) -> None:
         for texture in self._textures.values():
             texture.release()
-        self.frame = self._still = None
+        self.frame = self._background = None
 
     def _make_room(self, frame: BakedFrame) -> bool:
         """Have room for all points; whether the still ones are there already."""
-        kept = frame.still is not None and frame.still is self._still and frame.dynamic_count <= self._room
+        same = frame.background is not None and frame.background is self._background
+        kept = same and frame.dynamic_count <= self._room
         if not kept:
             # Frames differ in their points by a few: the largest need not come first.
-            self._room = frame.dynamic_count if frame.still is None else int(1.25 * frame.dynamic_count)
-        behind = 0 if frame.still is None else frame.still.point_count
-        for name, texture in self._textures.items():
-            kept &= texture.require_room((self._room + behind) * self._texels(name, frame))
+            self._room = frame.dynamic_count if frame.background is None else int(1.25 * frame.dynamic_count)
+        behind = 0 if frame.background is None else frame.background.point_count
+        for attribute in frame.attributes:
+            texels = (self._room + behind) * _texels(attribute, frame)
+            kept &= self._textures[attribute.name].require_room(texels)
         return kept
 
-    def _write(self, name: str, frame: BakedFrame, points: slice, first: int) -> None:
-        array = getattr(frame, name)[points]
-        if name not in ("xyz", "rgb"):
+    def _write(self, attribute: Attribute, frame: BakedFrame, points: slice, first: int) -> None:
+        array = getattr(frame, attribute.name)[points]
+        if array.dtype == np.float16:
             array = array.astype(self._number, copy=False)
-        self._textures[name].write(array, first * self._texels(name, frame))
+        self._textures[attribute.name].write(array, first * _texels(attribute, frame))
 
-    def _texels(self, name: str, frame: BakedFrame) -> int:
-        """Of a point."""
-        return {"sh": 12, "blend_weights": frame.view_count, "rgb": frame.view_count}.get(name, 1)
+
+def _components(attribute: Attribute) -> int:
+    """Numbers per texel: as many as fit a point's numbers evenly, at most four."""
+    return next(count for count in (4, 3, 2, 1) if attribute.numbers % count == 0)
+
+
+def _texels(attribute: Attribute, frame: BakedFrame) -> int:
+    """Texels per point."""
+    views = frame.view_count if attribute.is_per_view else 1
+    return attribute.numbers // _components(attribute) * views

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader, joined
+from fourd.baking import BakedFrame, SceneManifest, SceneReader, combine_frames
 from fourd.errors import UserError
 from fourd.viewer.playback.prefetch import BakedFrameSource
 
@@ -63,7 +63,7 @@ class RunSource:
                 self._background = bake_background(trained, sources)
                 self._trained_step = trained.step
         if self._background is not None:
-            frame = joined(frame, self._background)
+            frame = combine_frames(frame, self._background)
         bad = frame.find_invalid_array()
         if bad is not None:
             raise UserError(

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from fourd.baking import BakedFrame, SceneBackground, SceneManifest, SceneReader
+from fourd.baking.attributes import ATTRIBUTES
 from fourd.baking.container import member_name
-from fourd.baking.scene import ATTRIBUTES
 from fourd.errors import UserError
 from fourd.viewer.playback.prefetch import FramePrefetcher
 from tests.baking.scenes import manifest, random_frame, write_scene

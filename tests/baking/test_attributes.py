@@ -1,0 +1,130 @@
+"""The table of attributes: unknown ones are skipped, optional ones may be missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fourd.baking.manifest
+import fourd.baking.scene
+from fourd.baking import BakedFrame, SceneReader, SceneWriter, combine_frames, open_scene
+from fourd.baking.attributes import ATTRIBUTES, Attribute
+from fourd.baking.player import Player
+from fourd.errors import UserError
+from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame, write_full_scene, write_scene
+from tests.baking.test_container import rewritten, with_manifest
+
+
+def with_unknown_attribute(path: Path, entry: object) -> Path:
+    """A copy of a scene as a newer program may write it: every frame has a member that this program does not know."""
+
+    def add_member(members: dict[str, bytes]) -> None:
+        for name in [name for name in members if name.endswith("/xyz")]:
+            members[name.replace("/xyz", "/normal")] = b"\x01\x02\x03"
+
+    def add_entry(content: dict[str, Any]) -> None:
+        content["attributes"]["normal"] = entry
+
+    extended = rewritten(path, add_member)
+    return with_manifest(extended.rename(path.with_name("extended.4dv")), add_entry)
+
+
+@pytest.mark.parametrize("entry", [{"dtype": "<f8", "shape": ["points", "bones", 3]}, "anything", None])
+@pytest.mark.parametrize("write", [write_scene, write_full_scene])
+def test_unknown_attributes_are_skipped(tmp_path: Path, write: Callable[[Path], object], entry: object) -> None:
+    """Catches a reader that refuses scenes of newer programs, or checks what it cannot understand."""
+    write(tmp_path / "scene.4dv")
+    path = with_unknown_attribute(tmp_path / "scene.4dv", entry)
+    plain, extended = SceneReader(tmp_path / "scene.4dv"), SceneReader(path)
+    camera = plain.manifest.cameras[0]
+    for index in range(plain.manifest.frame_count):
+        pictures = [Player().draw(reader.read(index), camera, reader.manifest) for reader in (plain, extended)]
+        assert np.array_equal(*pictures)
+    with open_scene(path) as scene:
+        assert scene.render(camera, 0).alpha.max() > 0
+
+
+@pytest.fixture
+def optional_sh(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Declares the harmonics optional, as an attribute is that older scenes lack."""
+    table = tuple(replace(item, is_optional=item.name == "sh") for item in ATTRIBUTES)
+    monkeypatch.setattr(fourd.baking.scene, "ATTRIBUTES", table)
+    monkeypatch.setattr(fourd.baking.manifest, "ATTRIBUTES", table)
+
+
+def without_sh(frame: BakedFrame) -> BakedFrame:
+    arrays = {name: array for name, array in frame.arrays.items() if name != "sh"}
+    return fourd.baking.scene.make_frame(arrays)
+
+
+@pytest.mark.usefixtures("optional_sh")
+@pytest.mark.parametrize("change", [without_sh, lambda frame: frame])
+def test_optional_attributes_are_stored_where_frames_have_them(
+    tmp_path: Path, change: Callable[[BakedFrame], BakedFrame]
+) -> None:
+    """Catches a scene without an optional attribute that cannot be read, and one that loses it when combined."""
+    own, room = change(random_frame(20, 6, seed=1)), change(room_frame(30, 6, seed=2))
+    with SceneWriter(tmp_path / "scene.4dv", full_manifest(frames=1)) as writer:
+        writer.add_background(room)
+        writer.add_frame(0, own)
+    reader = SceneReader(tmp_path / "scene.4dv")
+    got, expected = reader.read(0), combine_frames(own, room)
+    assert list(got.arrays) == list(expected.arrays) == list(own.arrays)
+    for name, array in expected.arrays.items():
+        np.testing.assert_array_equal(got.arrays[name], array)
+    assert reader.manifest.frame_nbytes(0) == got.nbytes
+
+
+@pytest.mark.usefixtures("optional_sh")
+def test_frames_of_one_scene_have_the_same_attributes(tmp_path: Path) -> None:
+    """Catches an attribute that some frames have: the manifest could not describe it."""
+    own, room = random_frame(20, 6, seed=1), without_sh(room_frame(30, 6, seed=2))
+    with pytest.raises(ValueError, match=r"background: expected the attributes \['xyz', .*'sh'.*\], got \['xyz'"):
+        combine_frames(own, room)
+    with (
+        pytest.raises(ValueError, match=r"frame 1: expected the optional attributes \('sh',\), got \(\)"),
+        SceneWriter(tmp_path / "scene.4dv", manifest()) as writer,
+    ):
+        writer.add_frame(0, own)
+        writer.add_frame(1, without_sh(own))
+
+
+@pytest.mark.usefixtures("optional_sh")
+def test_an_optional_attribute_of_another_shape_is_rejected(tmp_path: Path) -> None:
+    """Catches an optional attribute that is not checked like the others."""
+    write_scene(tmp_path / "scene.4dv")
+
+    def change(content: dict[str, Any]) -> None:
+        content["attributes"]["sh"]["shape"] = ["points", 3, 9]
+
+    with pytest.raises(UserError, match="sh, shape: expected"):
+        SceneReader(with_manifest(tmp_path / "scene.4dv", change))
+
+
+@pytest.mark.parametrize(
+    ("values", "valid", "invalid"),
+    [
+        ("finite", [-1, 0, 7], [np.nan, np.inf, -np.inf]),
+        ("nonnegative", [0, -0.0, 7], [np.nan, np.inf, -0.5]),
+        ("unit", [0, -0.0, 1], [np.nan, np.inf, -0.5, 1.5]),
+    ],
+)
+@pytest.mark.parametrize("dtype", ["<f2", "<f4"])
+def test_values_are_checked_as_declared(values: Any, valid: list[float], invalid: list[float], dtype: str) -> None:
+    """Catches float16 bits compared with the wrong limit, and -0 taken for a negative number."""
+    attribute = Attribute("test", dtype, ("points",), values=values)
+    assert attribute.has_valid_values(np.array(valid, dtype))
+    assert attribute.has_valid_values(np.array([], dtype))
+    for value in invalid:
+        assert not attribute.has_valid_values(np.array([*valid, value], dtype))
+
+
+def test_every_attribute_has_a_field() -> None:
+    """Catches an attribute that is declared and then dropped by frames."""
+    fields = BakedFrame.__dataclass_fields__
+    assert {item.name for item in ATTRIBUTES} <= set(fields)
