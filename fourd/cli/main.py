@@ -43,6 +43,9 @@ USERS_DISK = (
 )
 """What the system refuses for reasons that the user can mend and our code cannot."""
 
+TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch")
+"""What the extra ``fourd[train]`` adds; playing a scene needs none of it."""
+
 HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
   fourd make CAPTURE -o scene.4dv   everything below, cached and resumable
@@ -86,6 +89,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(words[0], words[1:])
     except UserError as error:
         print(f"fourd {words[0]}: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        package = (error.name or "").split(".")[0]
+        if package not in TRAINING_PACKAGES:
+            raise
+        missing = f"needs the training packages, of which {package} is missing; pip install 'fourd[train]'"
+        print(f"fourd {words[0]}: {missing}", file=sys.stderr)
         return 2
     except OSError as error:
         if error.errno not in USERS_DISK:

@@ -1,0 +1,68 @@
+"""An install without the extra ``fourd[train]``: scenes play, and other commands name the extra in one line."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from fourd.cli.main import TRAINING_PACKAGES
+from tests.baking.scenes import write_scene
+
+ROOT = Path(__file__).parents[2]
+
+BLOCKED_MAIN = f"""
+import sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {TRAINING_PACKAGES!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Blocked())
+from fourd.cli.main import main
+sys.exit(main())
+"""
+
+
+def run_without_training_packages(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", BLOCKED_MAIN, *words], capture_output=True, text=True, check=False)
+
+
+def test_scenes_play(tmp_path: Path) -> None:
+    """Catches an import of torch, or of another training package, on the way from a .4dv file to pictures."""
+    scene = tmp_path / "scene.4dv"
+    write_scene(scene)
+    size = ["--size", "64", "48"]
+    commands = [
+        ["info", str(scene)],
+        ["render", str(scene), "--out", str(tmp_path / "pictures"), "--path", "orbit", *size],
+        ["view", str(scene), "--headless", str(tmp_path / "view.mp4"), *size],
+    ]
+    for words in commands:
+        done = run_without_training_packages(*words)
+        assert done.returncode == 0, done.stderr[-2000:]
+    assert any((tmp_path / "pictures").rglob("*.png"))
+    assert (tmp_path / "view.mp4").stat().st_size > 0
+
+
+@pytest.mark.parametrize("words", [["train", "capture", "--out", "run"], ["make", "--help"], ["eval", "run"]])
+def test_training_names_the_extra_in_one_line(words: list[str]) -> None:
+    """Catches a traceback where a package of the extra is not installed."""
+    done = run_without_training_packages(*words)
+    assert done.returncode == 2
+    expected = (
+        rf"fourd {words[0]}: needs the training packages, of which \w+ is missing; pip install 'fourd\[train\]'\n"
+    )
+    assert re.fullmatch(expected, done.stderr), done.stderr
+
+
+def test_extra_lists_the_same_packages() -> None:
+    """Catches a training package that moves between the extra and the base install unnoticed."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    names = [re.split(r"[<>=\[]", requirement)[0] for requirement in project["optional-dependencies"]["train"]]
+    assert sorted(names) == sorted(TRAINING_PACKAGES)
