@@ -69,6 +69,6 @@ def test_visibility_falls_where_conventions_say() -> None:
     )
     behind = torch.tensor([0.0, 1.0, 2.0, 3.0, 4.0]) * spacing
     xyz = torch.stack([torch.zeros(5), behind, torch.zeros(5)], dim=1)
-    samples = sources.sample_sources_reference(xyz, views, None, torch.full((5,), spacing))
+    samples = sources.sample_sources(xyz, views, None, torch.full((5,), spacing))
     expected = torch.tensor([1.0, 1.0, 1.0, np.exp(-1.0), np.exp(-2.0)], dtype=torch.float32)
     torch.testing.assert_close(samples.trust[0], expected, atol=1e-4, rtol=1e-4)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mkdocs.structure.files import Files
 
 ROOT = Path(__file__).parents[2]
-HELP_COLUMNS = "100"
+HELP_COLUMNS = "84"
 """Width of the help texts in characters."""
 
 CLI_HEAD = """# Commands
@@ -36,6 +36,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
     pages = {
         "reference/cli.md": cli_reference(),
+        "contributing.md": repository_page("CONTRIBUTING.md"),
         "changelog.md": repository_page("CHANGELOG.md"),
     }
     for uri, text in pages.items():

@@ -1,0 +1,86 @@
+"""Files, modules and rooms that the documentation names exist."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "examples" / "README.md",
+    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if "measurements" not in page.parts),
+]
+TOP = ("fourd", "viewer", "csrc", "configs", "examples", "tools", "tests", "docs")
+PATH = re.compile(rf"`((?:{'|'.join(TOP)})/[\w./-]*)`")
+NAME = re.compile(r"`(fourd(?:\.\w+)+)(?:\(\))?`")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
+PLACEHOLDER = re.compile(r"[A-Z]{3,}|\*")
+GENERATED = {"docs/contributing.md", "docs/changelog.md", "docs/reference/cli.md"}
+"""Pages that exist only in the built site."""
+
+
+def mentions(pattern: re.Pattern[str]) -> list[tuple[str, str]]:
+    """Page and mention, for every match outside fenced blocks."""
+    found = set()
+    for page in PAGES:
+        text = FENCE.sub("", page.read_text(encoding="utf-8"))
+        found |= {(page.relative_to(ROOT).as_posix(), match) for match in pattern.findall(text)}
+    return sorted(found)
+
+
+@pytest.mark.parametrize(("page", "path"), mentions(PATH))
+def test_a_named_file_exists(page: str, path: str) -> None:
+    """Catches a page that names a file which was moved."""
+    if not PLACEHOLDER.search(path):
+        actual = path.replace("fourd/viewer", "viewer")  # installed as fourd.viewer
+        assert (ROOT / actual).exists(), f"{page} names {path}"
+
+
+@pytest.mark.parametrize(("page", "name"), mentions(NAME))
+def test_a_named_object_exists(page: str, name: str) -> None:
+    """Catches a page that names a module, function or class which was renamed."""
+    parts = name.split(".")
+    for count in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(parts[:count]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[count:]:
+            assert hasattr(found, part), f"{page} names {name}"
+            found = getattr(found, part)
+        return
+    pytest.fail(f"{page} names {name}")
+
+
+@pytest.mark.parametrize(("page", "link"), mentions(LINK))
+def test_a_link_leads_to_a_file(page: str, link: str) -> None:
+    """Catches links to pages and pictures that were renamed or never committed."""
+    target = link.partition("#")[0]
+    if target and "://" not in target:
+        path = ((ROOT / page).parent / target).resolve()
+        assert path.exists() or path.relative_to(ROOT).as_posix() in GENERATED, f"{page} links to {link}"
+
+
+def test_readme_links_every_page() -> None:
+    """Catches a page that a reader of the README cannot find."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    pages = [page.relative_to(ROOT).as_posix() for page in sorted((ROOT / "docs").rglob("*.md"))]
+    assert [page for page in pages if f"({page})" not in readme] == []
+
+
+def test_architecture_lists_the_rooms_in_the_order_of_imports() -> None:
+    """Catches a room that the table lacks, or an order other than the one that import-linter enforces."""
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    layers = settings["tool"]["importlinter"]["contracts"][0]["layers"]
+    expected = [re.findall(r"\w+", layer) for layer in layers]
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = page.partition("## Rooms")[2].partition("\n## ")[0]
+    rows = [re.findall(r"`(\w+)`", line.split("|")[1]) for line in table.splitlines() if line.startswith("| `")]
+    assert rows == expected
