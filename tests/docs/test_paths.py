@@ -21,7 +21,8 @@ PATH = re.compile(rf"`((?:{'|'.join(TOP)})/[\w./-]*)`")
 NAME = re.compile(r"`(fourd(?:\.\w+)+)(?:\(\))?`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
-PLACEHOLDER = re.compile(r"[A-Z]{3,}|\*")
+PLACEHOLDER = re.compile(r"[A-Z]{3,}|\*|saxpy|\.pyi$")
+"""Names that stand for others, the example kernel of docs/adding_a_kernel.md, and files made by the build."""
 GENERATED = {"docs/contributing.md", "docs/changelog.md", "docs/reference/cli.md"}
 """Pages that exist only in the built site."""
 
