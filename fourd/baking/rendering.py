@@ -1,14 +1,14 @@
-"""Opening a baked scene and rendering its frames: NumPy and the native kernels, no torch."""
+"""Opening a baked scene and rendering its frames with NumPy and the native kernels; no torch is loaded."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
 from types import TracebackType
 
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from fourd.baking.container import SceneReader
@@ -22,27 +22,30 @@ CACHE_BYTES = 256 << 20
 
 @dataclass(frozen=True, eq=False)
 class RenderedImage:
-    """A picture: rgb (H, W, 3) in [0, 1], alpha (H, W) and camera depth (H, W) in world units, float32."""
+    """A picture: rgb (H, W, 3) in [0, 1], alpha (H, W) and camera depth (H, W) in world units, all float32."""
 
     rgb: NDArray[np.float32]
     alpha: NDArray[np.float32]
     depth: NDArray[np.float32]
 
     def to_uint8(self) -> NDArray[np.uint8]:
-        """rgb as (H, W, 3) bytes, rounded."""
+        """Round ``rgb`` to (H, W, 3) bytes."""
         return np.round(self.rgb * 255).astype(np.uint8)
 
 
 class Scene:
-    """A baked scene that was opened. Threads may share it.
+    """An open baked scene. Threads may share it.
 
-    Use as a context manager or call :meth:`close`. A few frames are kept in memory, by size.
+    Use as a context manager or call :meth:`close`. The frames used last are cached, up to a size in bytes.
     """
 
     def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
         self._reader = SceneReader(path)
-        self._cache: OrderedDict[int, BakedFrame] = OrderedDict()
-        self._cache_bytes = cache_bytes - self._reader.manifest.background_nbytes  # which the reader keeps
+        manifest = self._reader.manifest
+        largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
+        # The reader caches the background; the cache holds at least one frame of any size.
+        size = max(cache_bytes - manifest.background_nbytes, largest)
+        self._cache: LRUCache[int, BakedFrame] = LRUCache(size, getsizeof=lambda frame: frame.nbytes)
         self._lock = Lock()
 
     @property
@@ -65,24 +68,23 @@ class Scene:
         self.close()
 
     def close(self) -> None:
-        """Close the file and let go of the frames."""
+        """Close the file and release the cached frames."""
         self._reader.close()
-        self._cache.clear()
+        with self._lock:
+            self._cache.clear()
 
     def frame(self, index: int) -> BakedFrame:
-        """The arrays of frame ``index`` from 0, a background's points behind its own; read-only.
+        """Return the arrays of frame ``index`` from 0, the background's points after the dynamic ones; read-only.
 
-        Raises IndexError outside the scene, UserError when the file is damaged there.
+        Raises IndexError outside the scene, UserError where the file is damaged.
         """
         with self._lock:
-            if index in self._cache:
-                self._cache.move_to_end(index)
-                return self._cache[index]
+            cached = self._cache.get(index)
+        if cached is not None:
+            return cached
         frame = self._reader.read(index)
         with self._lock:
             self._cache[index] = frame
-            while len(self._cache) > 1 and sum(item.nbytes for item in self._cache.values()) > self._cache_bytes:
-                self._cache.popitem(last=False)
         return frame
 
     def render(
@@ -94,12 +96,18 @@ class Scene:
         background: NDArray[np.float32] | None = None,
         threads: int = 0,
     ) -> RenderedImage:
-        """Render frame ``frame`` (index from 0) from a pinhole ``camera``.
+        """Render a frame.
 
         Args:
-            layers: points composited in a pixel; None for the manifest's.
+            camera: an ideal pinhole.
+            frame: index from 0.
+            layers: the most points that a pixel composites; None for the manifest's.
             background: (3,) colour in [0, 1] behind the points; None for black.
-            threads: 0 for FOURD_THREADS if that is set, else one a core.
+            threads: 0 uses FOURD_THREADS if set, else all cores.
+
+        Raises:
+            IndexError: outside the scene. UserError: where the file is damaged.
+            TypeError, ValueError: naming the argument, what was expected and what came.
         """
         baked = self.frame(frame)
         rgb, alpha, depth = render_points_numpy(
@@ -120,9 +128,9 @@ def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
     """Open a `.4dv`.
 
     Args:
-        cache_bytes: memory for frames that were read and a background; one frame is kept whatever its size.
+        cache_bytes: memory for cached frames and the background; at least one frame is cached whatever its size.
 
     Raises:
-        UserError: one line that names the file and the mend, when it is no whole scene.
+        UserError: one line that names the file and the fix, if it is not a valid scene.
     """
     return Scene(path, cache_bytes=cache_bytes)

@@ -25,10 +25,10 @@ def with_unknown_attribute(path: Path, entry: object) -> Path:
 
     def add_member(members: dict[str, bytes]) -> None:
         for name in [name for name in members if name.endswith("/xyz")]:
-            members[name.replace("/xyz", "/normal")] = b"\x01\x02\x03"
+            members[name.replace("/xyz", "/from_the_future")] = b"\x01\x02\x03"
 
     def add_entry(content: dict[str, Any]) -> None:
-        content["attributes"]["normal"] = entry
+        content["attributes"]["from_the_future"] = entry
 
     extended = rewritten(path, add_member)
     return with_manifest(extended.rename(path.with_name("extended.4dv")), add_entry)

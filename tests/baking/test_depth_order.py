@@ -1,8 +1,10 @@
-"""Points in the order of their depth, against NumPy."""
+"""Points sorted by depth, against NumPy."""
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -13,26 +15,26 @@ from fourd.baking import BakedFrame
 from fourd.baking.depth_order import DepthSorter
 from fourd.cameras import Camera
 from fourd.ops.loading import load_native
+from fourd.ops.play.reference import sort_points_reference
 from tests.baking.scenes import random_frame, ring
 
 NEAR = 0.5
-LARGEST = np.finfo(np.float32).max
 
 
 def straight_camera(width: int = 40, height: int = 30) -> Camera:
-    """Looks along z from (0, 0, -2): points of equal z have equal depths."""
+    """A camera at (0, 0, -2) that views along z: points of equal z have equal depths."""
     intrinsics = np.array([[35.0, 0.2, width / 2 + 0.3], [0, 34.0, height / 2 - 0.4], [0, 0, 1]])
     return Camera(intrinsics, np.eye(3), np.array([0.0, 0, 2]), width, height)
 
 
 def turned_camera() -> Camera:
-    """As above from elsewhere, turned in all three axes."""
+    """A camera rotated about all three axes."""
     rotation = Rotation.from_euler("xyz", [0.3, -0.4, 0.2]).as_matrix()
     return replace(straight_camera(33, 47), rotation=rotation, translation=np.array([0.1, -0.2, 1.5]))
 
 
 def hard_frame(points: int, seed: int) -> BakedFrame:
-    """Points in and around the view: tied, behind, near, outside, at the border, not finite, and of no size."""
+    """Points in and around the view: tied, behind, too near, outside, at the border, not finite, and of radius 0."""
     rng = np.random.default_rng(seed)
     frame = random_frame(points, 1, seed)
     xyz = rng.uniform([-2.5, -2.5, -2.5], [2.5, 2.5, 2.5], (points, 3)).astype(np.float32)
@@ -54,70 +56,47 @@ def hard_frame(points: int, seed: int) -> BakedFrame:
     return replace(frame, xyz=xyz, radius=radius, density=density)
 
 
-def expected(frame: BakedFrame, camera: Camera, near: float) -> NDArray[np.uint32]:
-    """Visible points by a stable sort of their float32 depths, with the renderers' operations in their order."""
-    k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
-    radius, density = frame.radius.astype(np.float32), frame.density.astype(np.float32)
-    a, b, c = frame.xyz.T
-    with np.errstate(all="ignore"):
-        x, y, z = (r[i, 0] * a + r[i, 1] * b + r[i, 2] * c + t[i] for i in range(3))
-        u = (k[0, 0] * x + k[0, 1] * y) / z + k[0, 2]
-        v = (k[1, 0] * x + k[1, 1] * y) / z + k[1, 2]
-        rho = k[1, 1] * radius / z
-        inverse_square = np.float32(1) / (rho * rho)
-        seen = (z >= np.float32(near)) & (radius > 0) & (density > 0) & (inverse_square > 0)
-        for value in (z, radius, density, u, v, inverse_square):
-            seen &= np.abs(value) <= LARGEST
-        seen &= touches(u, rho, camera.width) & touches(v, rho, camera.height)
-    index = np.flatnonzero(seen)
-    return index[np.argsort(z[index], kind="stable")].astype(np.uint32)
-
-
-def touches(centre: NDArray[np.float32], rho: NDArray[np.float32], size: int) -> NDArray[np.bool_]:
-    """Whether a disc holds the centre of a pixel, along one axis."""
-    reach = rho.astype(np.float64) * (1 + 1e-6)
-    first = np.ceil(centre - reach - 0.5)
-    last = np.floor(centre + reach - 0.5)
-    return np.maximum(first, 0) <= np.minimum(last, size - 1)
+def sort_reference(frame: BakedFrame, camera: Camera, near: float) -> NDArray[np.uint32]:
+    return sort_points_reference(frame.xyz, frame.radius, frame.density, camera, near)
 
 
 @pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
 @pytest.mark.parametrize("camera", [straight_camera(), turned_camera()], ids=["straight", "turned"])
 @pytest.mark.parametrize("points", [0, 1, 9, 3000])
-def test_the_order_is_a_stable_sort_of_what_is_seen(
+def test_order_equals_a_stable_sort_of_the_visible_points(
     points: int, camera: Camera, simd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches ties out of order, points that should be left out or should not, and depths rounded otherwise."""
+    """Catches ties out of order, points culled wrongly, and depths with other rounding."""
     if not load_native().simd_available(simd):
         pytest.skip(f"{simd} is not available here")
     monkeypatch.setenv("FOURD_SIMD", simd)
     frame = hard_frame(points, seed=points)
     order = DepthSorter().sort(frame, camera, NEAR)
     assert order.dtype == np.uint32
-    np.testing.assert_array_equal(order, expected(frame, camera, NEAR))
+    np.testing.assert_array_equal(order, sort_reference(frame, camera, NEAR))
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 7, 32])
 @pytest.mark.parametrize("points", [5, 20_000])
-def test_any_number_of_threads_gives_the_same_order(points: int, threads: int) -> None:
-    """Catches a part's points sorted before those of the part before, and parts that are empty."""
+def test_any_thread_count_gives_the_same_order(points: int, threads: int) -> None:
+    """Catches a chunk sorted before the previous one, and empty chunks."""
     frame, camera = hard_frame(points, seed=6), straight_camera()
     order = DepthSorter().sort(frame, camera, NEAR, threads=threads)
-    np.testing.assert_array_equal(order, expected(frame, camera, NEAR))
+    np.testing.assert_array_equal(order, sort_reference(frame, camera, NEAR))
 
 
-def test_the_default_number_of_threads_is_the_environments(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches FOURD_THREADS that is not read, and a wrong one that is taken."""
+def test_default_thread_count_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches FOURD_THREADS that is ignored, and an invalid value that is accepted."""
     frame, camera = hard_frame(3000, seed=7), turned_camera()
     monkeypatch.setenv("FOURD_THREADS", "3")
-    np.testing.assert_array_equal(DepthSorter().sort(frame, camera, NEAR), expected(frame, camera, NEAR))
+    np.testing.assert_array_equal(DepthSorter().sort(frame, camera, NEAR), sort_reference(frame, camera, NEAR))
     monkeypatch.setenv("FOURD_THREADS", "many")
     with pytest.raises(ValueError, match="FOURD_THREADS: expected a whole number of at least 1, got 'many'"):
         DepthSorter().sort(frame, camera, NEAR)
 
 
-def test_equal_depths_come_by_index() -> None:
-    """Catches an order that flickers from one picture to the next where surfaces lie in a plane."""
+def test_equal_depths_are_sorted_by_index() -> None:
+    """Catches an order that flickers between pictures where points lie in a plane."""
     frame = random_frame(5000, 1, seed=8)
     frame.xyz[:] = np.random.default_rng(8).uniform(-0.3, 0.3, frame.xyz.shape)
     frame.xyz[:, 2] = np.float32(0.125) * (np.arange(5000) % 3)
@@ -142,8 +121,8 @@ def test_equal_depths_come_by_index() -> None:
         ("density", -1),
     ],
 )
-def test_a_point_that_is_not_drawn_is_left_out(name: str, value: float | tuple[float, ...]) -> None:
-    """Catches each reason for leaving a point out, alone, between points that stay."""
+def test_culled_points_are_left_out(name: str, value: float | tuple[float, ...]) -> None:
+    """Catches each culling condition on its own, between two visible points."""
     frame = random_frame(3, 1, seed=9)
     frame.xyz[:] = [[0, 0, 0.2], [0, 0, 0.1], [0, 0, 0]]
     assert DepthSorter().sort(frame, straight_camera(), NEAR).tolist() == [2, 1, 0]
@@ -151,25 +130,25 @@ def test_a_point_that_is_not_drawn_is_left_out(name: str, value: float | tuple[f
     assert DepthSorter().sort(frame, straight_camera(), NEAR).tolist() == [2, 0]
 
 
-def test_a_disc_that_reaches_into_the_picture_is_kept() -> None:
-    """Catches discs judged by their centres, which would vanish at the border."""
+def test_a_disc_that_overlaps_the_border_is_kept() -> None:
+    """Catches discs culled by their centres, which would vanish at the border."""
     frame = random_frame(2, 1, seed=10)
     frame.xyz[:] = [[2, 0, 0], [0, 0, 0]]
     frame.radius[:] = (1.5, 0.05)
     assert sorted(DepthSorter().sort(frame, straight_camera(), NEAR).tolist()) == [0, 1]
 
 
-def test_a_sorter_forgets_the_frame_before() -> None:
-    """Catches memory of a larger frame that shows in the next, and results written over by it."""
+def test_an_order_does_not_depend_on_the_frame_before() -> None:
+    """Catches workspace of a larger frame that leaks into the next one, and results that the next call overwrites."""
     sorter, camera = DepthSorter(), ring(4)[1]
     frames = [random_frame(points, 1, seed=points) for points in (3000, 40, 0, 5000)]
     orders = [sorter.sort(frame, camera, NEAR) for frame in frames]
     for frame, order in zip(frames, orders, strict=True):
-        np.testing.assert_array_equal(order, expected(frame, camera, NEAR))
+        np.testing.assert_array_equal(order, sort_reference(frame, camera, NEAR))
 
 
-def test_what_cannot_be_sorted_is_said() -> None:
-    """Catches a wrong picture, or a crash, from a lens that is not ideal or a plane behind the camera."""
+def test_invalid_arguments_are_named() -> None:
+    """Catches a wrong order, or a crash, from a distorted lens or a near plane behind the camera."""
     frame, camera, sorter = random_frame(5, 1, seed=11), straight_camera(), DepthSorter()
     for near in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="near: expected a finite distance above 0"):
@@ -178,3 +157,19 @@ def test_what_cannot_be_sorted_is_said() -> None:
         sorter.sort(frame, replace(camera, distortion=np.array([0.1, 0, 0, 0])), NEAR)
     with pytest.raises(ValueError, match="threads: expected 0"):
         sorter.sort(frame, camera, NEAR, threads=-1)
+
+
+def test_threads_that_share_a_sorter_take_turns() -> None:
+    """Catches two calls at once in one native workspace, which corrupts memory."""
+    sorter, camera = DepthSorter(), straight_camera()
+    frames = [hard_frame(100 * 5**index, seed=index) for index in range(4)]
+    expected = [sort_reference(frame, camera, NEAR) for frame in frames]
+    start = Barrier(4)
+
+    def sort(worker: int) -> list[bool]:
+        start.wait(10)
+        chosen = [(worker + round_) % 4 for round_ in range(60)]
+        return [np.array_equal(sorter.sort(frames[k], camera, NEAR), expected[k]) for k in chosen]
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(all(same) for same in pool.map(sort, range(4)))

@@ -1,4 +1,4 @@
-"""Frames drawn by the CUDA kernels, on a GPU or emulated, against the CPU's."""
+"""Frames drawn by the CUDA kernels, on a GPU or emulated, against the float reference."""
 
 from __future__ import annotations
 
@@ -12,27 +12,24 @@ from fourd.baking import SceneReader
 from fourd.baking.gpu_player import GpuFrame, GpuPlayer
 from fourd.baking.shade import shade_reference
 from tests.baking.scenes import manifest, random_frame, ring, write_full_scene
-from tests.baking.test_player import expected
+from tests.baking.test_player import draw_reference
 
 
 @pytest.mark.parametrize(("points", "layers"), [(0, 12), (1, 1), (700, 12), (300, 3)])
-def test_bytes_equal_the_float_picture(
-    points: int, layers: int, gpu: torch.device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Catches channels in another order, and a background that shows through twice."""
-    monkeypatch.delenv("FOURD_SIMD", raising=False)  # for the CPU's picture; the player is told by its device
+def test_bytes_equal_the_float_picture(points: int, layers: int, gpu: torch.device) -> None:
+    """Catches swapped channels, and a background that is composited twice."""
     frame, described = random_frame(points, 6, seed=points + layers), manifest(views=6)
     player, held = GpuPlayer(gpu), GpuFrame.from_frame(frame, gpu)
     for camera in ring(2):
         background = (0.2, 0.9, 0.4)
         picture = player.draw(held, camera, described, layers=layers, background=background).cpu().numpy()
-        truth = expected(frame, camera, described, layers, background)
+        truth = draw_reference(frame, camera, described, layers, background)
         assert picture.shape == truth.shape
         assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
 
 
 def test_colours_equal_the_reference(gpu: torch.device) -> None:
-    """Catches harmonics in another order, and views without a say that are not taken evenly."""
+    """Catches harmonics in the wrong order, and views without weight that do not count equally."""
     frame, described = random_frame(500, 6, seed=3), manifest(views=6)
     frame.blend_weights[:50] = 0
     for camera in ring(3):
@@ -41,19 +38,20 @@ def test_colours_equal_the_reference(gpu: torch.device) -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_full_scene_of_a_file(gpu: torch.device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a background that is not drawn, and torch's warning of arrays that may not be written to."""
-    monkeypatch.delenv("FOURD_SIMD", raising=False)  # for the CPU's picture
+def test_a_full_scene_from_a_file(gpu: torch.device, tmp_path: Path) -> None:
+    """Catches a background that is not drawn, and torch's warning about read-only arrays."""
     write_full_scene(tmp_path / "full.4dv", frames=1, points=300, behind=400)
     reader, camera = SceneReader(tmp_path / "full.4dv"), ring(2)[1]
     frame = reader.read(0)
     picture = GpuPlayer(gpu).draw(GpuFrame.from_frame(frame, gpu), camera, reader.manifest).cpu().numpy()
-    truth = expected(frame, camera, reader.manifest, reader.manifest.layers, (0.0, 0.0, 0.0))
+    truth = draw_reference(frame, camera, reader.manifest, reader.manifest.layers)
     assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
     assert (picture[..., 3] > 128).mean() > 0.9
 
 
-def test_a_wrong_canvas_is_named(gpu: torch.device) -> None:
+def test_a_canvas_of_another_shape_is_rejected(gpu: torch.device) -> None:
+    """Catches a kernel that writes past the canvas."""
     frame, described, camera = random_frame(5, 6, seed=4), manifest(views=6), ring(4)[2]
     with pytest.raises(ValueError, match=r"out: expected contiguous uint8 of shape \(48, 48, 4\), got"):
-        GpuPlayer(gpu).draw(GpuFrame.from_frame(frame, gpu), camera, described, out=torch.empty(48, 48, 3, device=gpu))
+        out = torch.empty(48, 48, 3, device=gpu)
+        GpuPlayer(gpu).draw(GpuFrame.from_frame(frame, gpu), camera, described, out=out)

@@ -1,39 +1,52 @@
-"""Frames drawn as bytes against the float renderer."""
+"""Frames drawn as bytes, against the float reference."""
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from fourd.baking.attributes import ATTRIBUTES
 from fourd.baking.player import Player
-from fourd.baking.scene import BakedFrame
-from fourd.baking.shade import shade_reference
+from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
+from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
 from fourd.ops.loading import load_native
-from fourd.ops.points.arrays import render_points_numpy
+from fourd.ops.play.reference import draw_points_reference
 from tests.baking.scenes import manifest, random_frame, ring
 
+BLACK = (0.0, 0.0, 0.0)
 
-def expected(frame, camera: Camera, described, layers: int, background: tuple[float, float, float]) -> np.ndarray:
-    """Colour and alpha (H, W, 4) in [0, 1], in floats and without ends before the last layer."""
-    colour, alpha, _ = render_points_numpy(
+
+def draw_reference(
+    frame: BakedFrame,
+    camera: Camera,
+    described: SceneManifest,
+    layers: int,
+    background: tuple[float, float, float] = BLACK,
+) -> NDArray[np.float32]:
+    """Colour and alpha (H, W, 4) in [0, 1]."""
+    return draw_points_reference(
         frame.xyz,
-        shade_reference(frame, camera, described),
-        frame.radius.astype(np.float32),
-        frame.density.astype(np.float32),
+        frame.radius,
+        frame.density,
+        frame.sh,
+        frame.blend_weights,
+        frame.rgb,
+        make_shading(camera, described),
         camera,
         layers=layers,
         near=described.near,
-        background=np.asarray(background, np.float32),
+        background=background,
     )
-    return np.concatenate([np.clip(colour, 0, 1), alpha[..., None]], axis=2)
 
 
 @pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
 @pytest.mark.parametrize(("points", "layers"), [(0, 12), (1, 1), (3000, 12), (700, 3)])
 def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches channels in another order, a background added twice, and blocks stored where others belong."""
+    """Catches swapped channels, a background added twice, and tiles stored at the wrong place."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -42,28 +55,28 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monk
     for camera in ring(3):
         background = (0.2, 0.9, 0.4)
         picture = player.draw(frame, camera, described, layers=layers, background=background)
-        truth = expected(frame, camera, described, layers, background)
+        truth = draw_reference(frame, camera, described, layers, background)
         assert picture.shape == truth.shape
         assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
 
 
-def test_a_part_of_a_picture_is_that_part() -> None:
-    """Catches points in the picture that are not shaded, or as they were for the camera before."""
+def test_a_crop_of_the_camera_draws_that_part() -> None:
+    """Catches visible points that are not shaded, or keep the colours of the previous camera."""
     described, whole = manifest(views=6), ring(4)[1].resize(128, 128)
     frame = random_frame(6000, 6, seed=3)
     order = np.argsort(frame.xyz[:, 0], kind="stable")
-    arrays = {attribute.name: getattr(frame, attribute.name)[order] for attribute in ATTRIBUTES}
-    frame, player = BakedFrame(**arrays), Player()
+    frame = make_frame({name: array[order] for name, array in frame.arrays.items()})
+    player = Player()
     player.draw(frame, ring(4)[3].resize(128, 128), described)
     for left, top in ((0, 0), (90, 40), (60, 100)):
         camera = whole.crop(left, top, 20, 24)
-        truth = expected(frame, camera, described, described.layers, (0.0, 0.0, 0.0))
+        truth = draw_reference(frame, camera, described, described.layers)
         picture = player.draw(frame, camera, described)
         assert np.abs(picture.astype(float) - 255 * truth).max() <= 1.0
 
 
-def test_a_player_forgets_the_picture_before() -> None:
-    """Catches memory kept from a larger scene or picture that shows in the next one."""
+def test_a_picture_does_not_depend_on_the_one_before() -> None:
+    """Catches workspace of a larger scene or picture that shows in the next one."""
     described = manifest(views=6)
     few, many = random_frame(50, 6, seed=1), random_frame(5000, 6, seed=2)
     small, large = ring(4)[0], ring(4)[1].resize(101, 67)
@@ -73,7 +86,8 @@ def test_a_player_forgets_the_picture_before() -> None:
     assert np.array_equal(player.draw(few, small, described), alone)
 
 
-def test_drawing_into_an_array_that_is_given() -> None:
+def test_drawing_into_a_given_array() -> None:
+    """Catches a picture drawn into a copy, and a canvas of another size or dtype that is overrun."""
     frame, described, camera = random_frame(200, 6, seed=4), manifest(views=6), ring(4)[2]
     player = Player()
     out = np.full((camera.height, camera.width, 4), 7, np.uint8)
@@ -83,3 +97,20 @@ def test_drawing_into_an_array_that_is_given() -> None:
         player.draw(frame, camera, described, out=out.astype(np.float32))
     with pytest.raises(ValueError, match="layers: expected at least 1, got 0"):
         player.draw(frame, camera, described, layers=0)
+
+
+def test_threads_that_share_a_player_take_turns() -> None:
+    """Catches two calls at once in one native workspace, which corrupts memory: sizes differ, so buffers grow."""
+    described, player = manifest(views=6), Player()
+    frames = [random_frame(300 * 4**index, 6, seed=index) for index in range(4)]
+    cameras = [ring(4)[index].resize(40 * (index + 1), 30 * (index + 1)) for index in range(4)]
+    expected = [Player().draw(frame, camera, described) for frame, camera in zip(frames, cameras, strict=True)]
+    start = Barrier(4)
+
+    def draw(worker: int) -> list[bool]:
+        start.wait(10)
+        chosen = [(worker + round_) % 4 for round_ in range(40)]
+        return [np.array_equal(player.draw(frames[k], cameras[k], described), expected[k]) for k in chosen]
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(all(same) for same in pool.map(draw, range(4)))
