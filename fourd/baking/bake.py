@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +18,14 @@ from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, SceneBackground, Sce
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.appearance import zero_low_visibility
-from fourd.model.point_model import PointFeatures
+from fourd.model.point_model import EvaluatedPoints
 from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceViews, sample_sources
-from fourd.training.points.frame_store import FramePoints
+from fourd.training.occlusion import with_surface_depth
+from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
-from fourd.training.step import with_depth
 
-SeenFrom = Callable[[int, FramePoints], SourceViews]
+SeenFrom = Callable[[int, EvaluatedPoints], SourceViews]
 """A source view (camera index) of evaluated points, with what hides them."""
 
 BAKED_LAYERS = 12
@@ -94,8 +93,8 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
     views = trained.renderer.views
     occlusion = trained.model.config.occlusion
 
-    def seen_from(index: int, seen: FramePoints) -> SourceViews:
-        return with_depth(views.sources([index], frame), seen, occlusion)
+    def seen_from(index: int, seen: EvaluatedPoints) -> SourceViews:
+        return with_surface_depth(views.sources([index], frame), seen, occlusion)
 
     points, time = trained.frames.get(frame), trained.run.capture.time(frame)
     return _baked(trained.model, points, time, sources, seen_from)
@@ -122,18 +121,17 @@ def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
 
 
 def _baked(model: PointModel, points: FramePoints, time: float, sources: list[int], seen_from: SeenFrom) -> BakedFrame:
-    features = model.point_features(points.xyz, time)
-    radius, density = model.geometry(features, points.spacing)
-    displacement = model.displacement(points.xyz, time)
-    xyz = points.xyz if displacement is None else points.xyz + displacement
-    sh = model.harmonics(features, points.free.get("sh"))
-    seen = replace(points, radius=radius, density=density, free={"xyz": xyz})
-    weights, rgb = _blend_data(model, features, seen, points.free.get("rgb"), sources, seen_from)
-    count = xyz.shape[0]
+    parameters = points.parameters
+    evaluated = model.evaluate(
+        points.xyz, points.spacing, time, explicit_sh=parameters.get("sh"), rgb=parameters.get("rgb")
+    )
+    sh = model.harmonics(evaluated)
+    weights, rgb = _blend_data(model, evaluated, sources, seen_from)
+    count = evaluated.xyz.shape[0]
     return BakedFrame(
-        xyz=xyz.numpy(),
-        radius=radius.numpy().astype(np.float16),
-        density=density.numpy().astype(np.float16),
+        xyz=evaluated.xyz.numpy(),
+        radius=evaluated.radius.numpy().astype(np.float16),
+        density=evaluated.density.numpy().astype(np.float16),
         sh=np.zeros((count, 3, 16), np.float16) if sh is None else sh.numpy().astype(np.float16),
         blend_weights=weights.numpy().astype(np.float16),
         rgb=(rgb * 255).round().clamp(0, 255).byte().numpy(),
@@ -141,26 +139,21 @@ def _baked(model: PointModel, points: FramePoints, time: float, sources: list[in
 
 
 def _blend_data(
-    model: PointModel,
-    features: PointFeatures,
-    seen: FramePoints,
-    base: Tensor | None,
-    sources: list[int],
-    seen_from: SeenFrom,
+    model: PointModel, points: EvaluatedPoints, sources: list[int], seen_from: SeenFrom
 ) -> tuple[Tensor, Tensor]:
-    """Weights (N, V), scaled to each point's largest, 0 without a say, and colours (N, V, 3); a view at a time."""
-    count = seen.xyz.shape[0]
+    """Weights (N, V), scaled to each point's largest, 0 where invisible, and colours (N, V, 3); a view at a time."""
+    count = points.xyz.shape[0]
     weights = torch.zeros(count, len(sources))
     rgb = torch.zeros(count, len(sources), 3)
     for column, index in enumerate(sources):
-        view = seen_from(index, seen)
+        view = seen_from(index, points)
         encoded = model.encode_images(view.images) if view.encoded is None else view.encoded
-        samples = sample_sources(seen.xyz, view, encoded, OCCLUSION_FALLOFF_SPACINGS * seen.spacing)
-        logits = model.blend_logits(features, samples, seen.xyz, view, None)
-        trust = zero_low_visibility(samples.trust[0])
-        weights[:, column] = torch.exp(logits[0]) * trust
+        samples = sample_sources(points.xyz, view, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)
+        logits = model.blend_logits(points, samples, view, None)
+        visibility = zero_low_visibility(samples.visibility[0])
+        weights[:, column] = torch.exp(logits[0]) * visibility
         colours = samples.colours[0]
-        rgb[:, column] = colours if base is None else base.lerp(colours, trust[:, None])
+        rgb[:, column] = colours if points.rgb is None else points.rgb.lerp(colours, visibility[:, None])
     if sources:
         weights = weights * (LARGEST_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
     return weights, rgb

@@ -43,7 +43,7 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
     """The same step again and again, at rates so small that the scene stays as it is."""
     trainer = Trainer(run, None, Console(quiet=True), config)
-    choice = trainer.sampler.choose(1)
-    points = trainer.frames.get(choice.frame)
+    sample = trainer.sampler.sample(1)
+    points = trainer.frames.get(sample.frame)
     number = 0 if learning else 1
-    return lambda: trainer.stepper.step(points, 0.0, choice, 1e-6, number)
+    return lambda: trainer.stepper.step(points, 0.0, sample, 1e-6, number)

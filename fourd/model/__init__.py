@@ -1,4 +1,4 @@
-"""The model: K-Planes features, a geometry head and an appearance head over per-frame points."""
+"""The point model: K-Planes features, a geometry head and appearance heads over the points of each frame."""
 
 from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.model.point_model import PointModel

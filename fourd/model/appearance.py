@@ -1,4 +1,4 @@
-"""The appearance heads: image CNN, blend weights and spherical harmonics (4K4D, eq. 2 to 4)."""
+"""Appearance heads: image encoder, blend weights and spherical harmonics (4K4D, eq. 2 to 4)."""
 
 from __future__ import annotations
 
@@ -12,43 +12,42 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""A view that is trusted less at a point has no say there. Bounds the ratio of weights that float16 has to hold."""
+"""Views with a lower visibility weight at a point are ignored there. Bounds the ratio of weights that float16 holds."""
 
 
 class ImageEncoder(nn.Module):
-    """A three-level feature pyramid over the source images, 8, 16 and 32 channels wide.
+    """Three-level feature pyramid over the source images, 8, 16 and 32 channels wide.
 
-    (V, 3, H, W) in [0, 1] -> (V, image_features, H / stride, W / stride); H and W must be multiples
-    of 4 * stride. There is no normalisation over the image, so a crop gets the features of the
-    whole but for its border.
+    (V, 3, H, W) in [0, 1] -> (V, image_features, H / stride, W / stride); H and W are multiples of 4 * stride.
+    Nothing is normalised over the image, so that a crop has the same features as the whole image, except at its border.
     """
 
     def __init__(self, out_features: int, stride: int) -> None:
         super().__init__()
         self.stride = stride
-        self.at_full = nn.Sequential(_conv(3, 8), _conv(8, 8))
-        self.at_half = nn.Sequential(_conv(8, 16, stride=2), _conv(16, 16))
-        self.at_quarter = nn.Sequential(_conv(16, 32, stride=2), _conv(32, 32))
+        self.at_full = nn.Sequential(_convolution(3, 8), _convolution(8, 8))
+        self.at_half = nn.Sequential(_convolution(8, 16, stride=2), _convolution(16, 16))
+        self.at_quarter = nn.Sequential(_convolution(16, 32, stride=2), _convolution(32, 32))
         self.lateral_half = nn.Conv2d(16, 32, 1)
         self.lateral_full = nn.Conv2d(8, 16, 1)
         self.reduce = nn.Conv2d(32, 16, 1)
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # Channels side by side, as the sampling of the result reads them.
+        # The sampling kernel reads all channels of a pixel at once.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
         quarter = self.at_quarter(half)
-        half = self.lateral_half(half) + _doubled(quarter)
-        return self.out(self.lateral_full(full) + _doubled(self.reduce(half)))
+        half = self.lateral_half(half) + _upsample(quarter)
+        return self.out(self.lateral_full(full) + _upsample(self.reduce(half)))
 
 
 class BlendHead(nn.Module):
-    """Logits that say how much a source view counts for a point, one a point and view.
+    """MLP that gives a blend logit for each point and source view.
 
-    The first layer acts on [point feature, image sample, optional direction]; its point half is
-    computed once a point and not once a view, which is the same sum in another order.
+    The first layer acts on [point feature, image sample, optional direction]. Its point half is computed once for each
+    point instead of once for each view: the same sum in another order.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -61,8 +60,13 @@ class BlendHead(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, point: Tensor, samples: Tensor, directions: Tensor | None = None) -> Tensor:
-        """What ``point`` made of the features (N, H), samples (V, N, C), directions (V, N, 4) when continuous
-        -> (V, N) in +-5."""
+        """Blend logits (V, N) in +-5.
+
+        Args:
+            point: (N, H) output of the layer ``point``.
+            samples: (V, N, C) image samples.
+            directions: (V, N, 4) relative directions, for continuous blending.
+        """
         if self.direction is None:
             return blend_logits(point, samples.transpose(1, 2), self.image.weight, self.out.weight[0], self.out.bias)
         assert directions is not None, "continuous blending needs directions"
@@ -71,7 +75,7 @@ class BlendHead(nn.Module):
 
 
 class HarmonicsHead(nn.Module):
-    """An MLP with one hidden layer: (N, F) -> degree-3 SH (N, 3, 16), near zero at first."""
+    """MLP with one hidden layer: (N, F) -> degree-3 SH coefficients (N, 3, 16), initialised near zero."""
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
         super().__init__()
@@ -83,46 +87,46 @@ class HarmonicsHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> Tensor:
-        """What ``first`` made of the features, (N, H) -> (N, 3, 16)."""
+        """Output (N, H) of the layer ``first`` -> (N, 3, 16)."""
         return self.layers(hidden).reshape(-1, 3, SH_TERMS)
 
 
 def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:
-    """``base + colour_range * tanh(sh . Y(d))``: sh (N, 3, 16), directions (N, 3) unit -> (N, 3)."""
+    """``base + colour_range * tanh(sh . Y(d))``: sh (N, 3, 16), unit directions (N, 3) -> (N, 3)."""
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
-def zero_low_visibility(trust: Tensor) -> Tensor:
-    """Trust in [0, 1], and exactly 0 where it is too little for any say."""
-    return torch.where(trust < MIN_VISIBILITY, torch.zeros_like(trust), trust)
+def zero_low_visibility(visibility: Tensor) -> Tensor:
+    """Visibility weights in [0, 1], set to exactly 0 below MIN_VISIBILITY."""
+    return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 
-def blend(logits: Tensor, trust: Tensor, colours: Tensor, base: Tensor | None = None) -> Tensor:
-    """Image-based colour: a softmax over views, scaled by how far each view can be trusted.
+def blend(logits: Tensor, visibility: Tensor, colours: Tensor, base: Tensor | None = None) -> Tensor:
+    """Image-based colour: a softmax over views, multiplied by their visibility weights and normalised.
 
     Args:
         logits: (V, N).
-        trust: (V, N) in [0, 1], near 0 where a view does not see the point: it has no say there.
+        visibility: (V, N) in [0, 1]; views below MIN_VISIBILITY get no weight.
         colours: (V, N, 3).
-        base: (N, 3) colours of the points, in place of those of views that are not trusted.
+        base: (N, 3) the points' own colours, which replace a view's colour in proportion to its invisibility.
 
     Returns:
-        (N, 3). Where no view has a say it is ``base``, or else the views' plain mean, as of a baked point whose
+        (N, 3). Where no view is visible: ``base``, or else the mean over the views, as for a baked point whose
         weights are all 0.
     """
-    trust = zero_low_visibility(trust)
+    visibility = zero_low_visibility(visibility)
     if base is not None:
-        colours = base.lerp(colours, trust[..., None])
-    weights = torch.softmax(logits, dim=0) * trust
+        colours = base.lerp(colours, visibility[..., None])
+    weights = torch.softmax(logits, dim=0) * visibility
     total = weights.sum(0)
     even = torch.full_like(weights, 1 / weights.shape[0])
     weights = torch.where(total > 0, weights / torch.where(total > 0, total, torch.ones_like(total)), even)
     return (weights[..., None] * colours).sum(0)
 
 
-def _conv(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
+def _convolution(channels_in: int, channels_out: int, stride: int = 1) -> nn.Sequential:
     return nn.Sequential(nn.Conv2d(channels_in, channels_out, 3, stride=stride, padding=1), nn.ReLU())
 
 
-def _doubled(features: Tensor) -> Tensor:
+def _upsample(features: Tensor) -> Tensor:
     return functional.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)

@@ -1,4 +1,4 @@
-"""What a model is made of; every field is a config value and an ablation switch."""
+"""Configuration of the point model; every field is a config key and an ablation switch."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise ValueError(message) unless ``condition`` holds; config readers add file and key."""
+    """Raise ValueError(message) unless ``condition`` is true; config readers add file and key."""
     if not condition:
         raise ValueError(message)
 
@@ -23,9 +23,9 @@ class PlanesConfig:
     base_resolution: int = 64
     """Cells along the longest side of the bounds at the coarsest level."""
     multiplier: int = 2
-    """Growth of the resolution from a level to the next."""
+    """Factor between the resolutions of consecutive levels."""
     reduction: Literal["concat", "sum", "product"] = "concat"
-    """How the planes of a level are joined: concat as in 4K4D, product as in K-Planes, or sum."""
+    """How the planes of a level are combined: concat as in 4K4D, product as in K-Planes, or sum."""
     time: bool = True
     """Whether the planes xt, yt and zt exist; without them a point's feature ignores time."""
 
@@ -46,27 +46,27 @@ class ModelConfig:
     appearance: Literal["both", "ibr", "sh"] = "both"
     """Colour from source images and spherical harmonics together, or one of them alone."""
     sh: Literal["mlp", "explicit"] = "mlp"
-    """Spherical harmonics from an MLP on the point feature, or 48 free numbers a point and frame."""
+    """Spherical harmonics from an MLP on the point feature, or 48 free coefficients for each point and frame."""
     sh_range: float = 0.25
-    """The SH part lies within plus and minus this colour when images give the base colour."""
+    """Largest absolute value of the SH part when images give the base colour."""
     continuous: bool = False
-    """Let the blend weights see the viewing direction (as ENeRF does). Such a model cannot be exported."""
+    """Blend weights depend on the viewing direction (as in ENeRF). Such a model cannot be exported."""
     neighbours: int = 4
     """Number N' of source views blended for a viewing camera."""
     image_features: int = 8
-    """Channels that the image CNN gives a pixel."""
+    """Channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2
-    """Image pixels a side for one pixel of the image CNN's features; 1 takes four times as long."""
+    """Stride in pixels of the image encoder's features; 1 takes four times as long as 2."""
     occlusion: bool = True
-    """Give a source view no say about points that something hides from it."""
+    """Ignore source views in which a point is occluded."""
     radius_range: tuple[float, float] = (0.5, 6.0)
     """Smallest and largest radius, in multiples of the mean distance between neighbouring points."""
     radius_start: float = 1.3
     """Radius of every point before training, in the same unit."""
     residual: bool = False
-    """Add a learnt displacement field (a smaller K-Planes) to the points; folded in by export."""
+    """Add a learnt displacement field (a smaller K-Planes) to the points; export bakes it into the positions."""
     residual_range: float = 0.1
-    """Largest displacement in world units for a scene of size 1; it scales with the bounds."""
+    """Largest displacement, as a share of the longest side of the bounds."""
 
     def __post_init__(self) -> None:
         low, high = self.radius_range

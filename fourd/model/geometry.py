@@ -1,4 +1,4 @@
-"""The geometry head: a point's feature -> its radius and density."""
+"""Geometry head: a point's feature -> its radius and density."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from torch import Tensor, nn
 
 from fourd.model.config import ModelConfig
 
-DENSITY_START = 5.0
+DENSITY_OFFSET = 5.0
+"""Added to the density's logit, so that training starts with nearly opaque points."""
 
 
 class GeometryHead(nn.Module):
-    """An MLP with two hidden layers gives radius and density (4K4D, eq. 1 and supplement).
+    """MLP with two hidden layers that gives radius and density (4K4D, eq. 1 and supplement).
 
-    ``radius = low + (high - low) * sigmoid(a + offset)`` with the offset that makes ``a = 0`` the
-    configured starting radius, and ``density = sigmoid(b + 5)``. Radii are multiples of the points' spacing.
+    ``radius = low + (high - low) * sigmoid(a + offset)``, where the offset makes ``a = 0`` the configured initial
+    radius, and ``density = sigmoid(b + 5)``. Radii are multiples of the points' spacing.
     """
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
@@ -39,8 +40,8 @@ class GeometryHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """What ``first`` made of the features (N, H) -> radius (N,) in spacings, density (N,) in (0, 1)."""
+        """Output (N, H) of the layer ``first`` -> radius (N,) in spacings, density (N,) in (0, 1)."""
         raw_radius, raw_density = self.layers(hidden).unbind(-1)
         share = torch.sigmoid(raw_radius + self.radius_offset)
         radius = self.radius_low + (self.radius_high - self.radius_low) * share
-        return radius, torch.sigmoid(raw_density + DENSITY_START)
+        return radius, torch.sigmoid(raw_density + DENSITY_OFFSET)

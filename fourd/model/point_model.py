@@ -1,4 +1,4 @@
-"""The point model: per-frame points in, radius, density and colour out (4K4D, sec. 3)."""
+"""The point model: points of a frame in, renderable arrays out (4K4D, sec. 3)."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from torch import Tensor, nn
 from fourd.background.contraction import CONTRACTED_RADIUS, Contraction
 from fourd.cameras import Camera
 from fourd.model.appearance import BlendHead, HarmonicsHead, ImageEncoder, blend, harmonics_colour
-from fourd.model.config import ModelConfig, PlanesConfig
+from fourd.model.config import ModelConfig
 from fourd.model.geometry import GeometryHead
 from fourd.model.kplanes import KPlanes
+from fourd.model.residual import ResidualField
 from fourd.model.shadow import Shadow, ShadowField
 from fourd.model.shared_linear import shared_linear
 from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceSamples, SourceViews, sample_sources
@@ -23,12 +24,12 @@ RGB = 3
 
 @dataclass(frozen=True)
 class PointFeatures:
-    """What the planes say of N points, as each head's hidden layer of width H takes it: (N, H), before its ReLU.
+    """Outputs of the heads' first layers over the K-Planes features of N points: (N, H) each, before the ReLU.
 
     Attributes:
-        geometry: for :meth:`PointModel.geometry`.
-        blend: for :meth:`PointModel.blend_logits`; None without an image-based part.
-        harmonics: for :meth:`PointModel.harmonics`; None where no MLP makes them.
+        geometry: of the geometry head.
+        blend: of the blend head; None without image-based colour.
+        harmonics: of the harmonics head; None without one.
     """
 
     geometry: Tensor
@@ -36,11 +37,36 @@ class PointFeatures:
     harmonics: Tensor | None
 
 
-class PointModel(nn.Module):
-    """Everything learnt that all frames share; the points themselves belong to the frames.
+@dataclass(frozen=True)
+class EvaluatedPoints:
+    """N points at one time, with their geometry and the features that give their colour.
 
-    Points are (N, 3) float32 in world units, time is a number in [0, 1]. ``shadow`` is set of a background on which
-    what moves casts some.
+    Attributes:
+        xyz: (N, 3) world units, displacement included.
+        radius: (N,) world units.
+        density: (N,) in (0, 1).
+        spacing: (N,) distance between neighbouring points in world units.
+        displacement: (N, 3) the part of ``xyz`` from the residual field; None without one.
+        features: for the appearance heads.
+        explicit_sh: (N, 48) optimised SH coefficients; None where an MLP gives them.
+        rgb: (N, 3) colours in place of those of views that do not see the point; None keeps the views' own.
+    """
+
+    xyz: Tensor
+    radius: Tensor
+    density: Tensor
+    spacing: Tensor
+    displacement: Tensor | None
+    features: PointFeatures
+    explicit_sh: Tensor | None
+    rgb: Tensor | None
+
+
+class PointModel(nn.Module):
+    """The networks that all frames share; the points belong to the frames.
+
+    Points are (N, 3) float32 in world units, time is in [0, 1]. ``shadow`` is set on a background's model where the
+    foreground casts shadows on it.
     """
 
     lower: Tensor
@@ -55,15 +81,15 @@ class PointModel(nn.Module):
         frame_count: int,
         contraction: Contraction | None = None,
     ) -> None:
-        """Make an untrained model.
+        """Build an untrained model.
 
         Args:
-            config: what to build.
+            config: layers and ablation switches.
             lower: (3,) lower corner of the scene's bounds in world units.
             upper: (3,) upper corner.
-            spacing: mean distance between neighbouring points in world units: radii scale with it.
+            spacing: mean distance between neighbouring points in world units.
             frame_count: frames of the whole capture: rows of the time planes.
-            contraction: lets the planes hold all of space; without one they end at the bounds.
+            contraction: maps all of space into the planes; without one they end at the bounds.
         """
         super().__init__()
         self.config = config
@@ -93,94 +119,58 @@ class PointModel(nn.Module):
 
     @property
     def sh_base(self) -> float:
-        """Colour that the SH part is added to: mid grey when no images give the base."""
+        """Colour to which the SH part is added: mid grey when no images give the base colour."""
         return 0.5 if self.config.appearance == "sh" else 0.0
 
     @property
     def sh_range(self) -> float:
-        """Half the width of the interval of the SH part; wide enough for all colours on its own."""
+        """Half the width of the SH part's interval; alone it covers all colours."""
         return 0.75 if self.config.appearance == "sh" else self.config.sh_range
 
-    def coordinates(self, xyz: Tensor, time: float) -> Tensor:
-        """World points (N, 3) and time in [0, 1] -> (N, 4) in [-1, 1] for the planes."""
-        if self.contraction is None:
-            space = 2 * (xyz - self.lower) / (self.upper - self.lower) - 1
-        else:
-            space = self.contraction(xyz) / CONTRACTED_RADIUS
-        return torch.cat([space, torch.full_like(space[:, :1], 2 * time - 1)], dim=1)
-
-    def displacement(self, xyz: Tensor, time: float) -> Tensor | None:
-        """(N, 3) learnt displacement in world units, or None without the residual field."""
-        return None if self.residual is None else self.residual(self.coordinates(xyz, time))
-
-    def point_features(self, xyz: Tensor, time: float) -> PointFeatures:
-        """K-Planes features of points (N, 3). Their positions get no gradient through the planes."""
-        features = self.planes(self.coordinates(xyz.detach(), time))
-        layers = [self.geometry_head.first]
-        layers += [] if self.blend_head is None else [self.blend_head.point]
-        layers += [] if self.harmonics_head is None else [self.harmonics_head.first]
-        hidden = shared_linear(features, layers)
-        blend = hidden[1].contiguous() if self.blend_head is not None else None
-        return PointFeatures(hidden[0], blend, hidden[-1] if self.harmonics_head is not None else None)
-
-    def geometry(self, features: PointFeatures, spacing: Tensor) -> tuple[Tensor, Tensor]:
-        """Radius (N,) in the units of ``spacing`` (N,), distances between neighbours; density (N,) in (0, 1)."""
-        radius, density = self.geometry_head(features.geometry)
-        return radius * spacing, density
-
-    def encode_images(self, images: Tensor) -> Tensor | None:
-        """(V, 3, H, W) -> (V, image_features, H / stride, W / stride), or None without an image-based part."""
-        return None if self.image_encoder is None else self.image_encoder(images)
-
-    def harmonics(self, features: PointFeatures, explicit: Tensor | None) -> Tensor | None:
-        """(N, 3, 16) SH from the MLP or ``explicit`` (N, 48); None without an SH part."""
-        if self.config.appearance == "ibr":
-            return None
-        if self.harmonics_head is not None:
-            assert features.harmonics is not None
-            return self.harmonics_head(features.harmonics)
-        assert explicit is not None, "explicit spherical harmonics come with the frame's points"
-        return explicit.reshape(-1, 3, 16)
-
-    def blend_logits(
+    def evaluate(
         self,
-        features: PointFeatures,
-        samples: SourceSamples,
         xyz: Tensor,
-        sources: SourceViews,
-        viewer: Camera | None,
-    ) -> Tensor:
-        """(V, N) logits of the source views; ``viewer`` matters to continuous blending alone."""
-        assert self.blend_head is not None
-        assert features.blend is not None
-        directions = None
-        if self.config.continuous:
-            assert viewer is not None, "continuous blending needs the viewing camera"
-            directions = _relative_directions(xyz, viewer, sources.cameras)
-        return self.blend_head(features.blend, samples.channels, directions)
+        spacing: Tensor,
+        time: float,
+        *,
+        explicit_sh: Tensor | None = None,
+        rgb: Tensor | None = None,
+    ) -> EvaluatedPoints:
+        """Positions, radii and densities of points at ``time``; :meth:`colour` gives their colours for a viewer.
+
+        Differentiable. Positions get no gradient through the K-Planes of geometry and appearance.
+
+        Args:
+            xyz: (N, 3) optimised positions.
+            spacing: (N,) distance between neighbouring points, the unit of radii.
+            time: in [0, 1].
+            explicit_sh: (N, 48), see :class:`EvaluatedPoints`.
+            rgb: (N, 3), see :class:`EvaluatedPoints`.
+        """
+        features = self._point_features(xyz, time)
+        radius, density = self.geometry_head(features.geometry)
+        radius = radius * spacing
+        displacement = None if self.residual is None else self.residual(self.coordinates(xyz, time))
+        displaced = xyz if displacement is None else xyz + displacement
+        return EvaluatedPoints(displaced, radius, density, spacing, displacement, features, explicit_sh, rgb)
 
     def colour(
         self,
-        xyz: Tensor,
-        features: PointFeatures,
+        points: EvaluatedPoints,
         viewer: Camera,
         sources: SourceViews | None,
-        spacing: Tensor,
-        explicit: Tensor | None = None,
         *,
-        base: Tensor | None = None,
         shadow: Shadow | None = None,
         train_encoder: bool = True,
     ) -> Tensor:
         """RGB of points seen from ``viewer``, (N, 3), not clamped (4K4D, eq. 2).
 
         Args:
-            sources: the N' views nearest to the viewer; None when colour is SH alone.
-            spacing: (N,) distances between neighbours, the unit in which points lie behind what a view sees.
-            base: (N, 3) what a source view that does not see a point takes for its colour; None leaves the
-                view's own.
-            shadow: falls on the image-based part, as on the bytes of a baked scene.
-            train_encoder: without it the image CNN gets no gradient, which is a third of a step's time.
+            points: the output of :meth:`evaluate`.
+            viewer: the viewing camera.
+            sources: the N' views nearest to the viewer; None where colour is SH alone.
+            shadow: multiplies the image-based part, as it does the bytes of a baked scene.
+            train_encoder: False gives the image encoder no gradient, which saves a third of a step's time.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:
@@ -189,39 +179,60 @@ class PointModel(nn.Module):
             if encoded is None:
                 with torch.set_grad_enabled(train_encoder and torch.is_grad_enabled()):
                     encoded = self.encode_images(sources.images)
-            samples = sample_sources(xyz, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * spacing)
-            logits = self.blend_logits(features, samples, xyz, sources, viewer)
-            colour = blend(logits, samples.trust, samples.colours, base)
-            colour = colour if shadow is None else shadow.cast(colour)
-        sh = self.harmonics(features, explicit)
+            samples = sample_sources(points.xyz, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)
+            logits = self.blend_logits(points, samples, sources, viewer)
+            colour = blend(logits, samples.visibility, samples.colours, points.rgb)
+            colour = colour if shadow is None else shadow.apply(colour)
+        sh = self.harmonics(points)
         if sh is not None:
-            part = harmonics_colour(sh, unit_directions(xyz, viewer), self.sh_range, self.sh_base)
-            part = part if shadow is None else shadow.kept(part)
+            part = harmonics_colour(sh, unit_directions(points.xyz, viewer), self.sh_range, self.sh_base)
+            part = part if shadow is None else shadow.detach_inside(part)
             colour = part if colour is None else colour + part
         assert colour is not None
         return colour
 
+    def coordinates(self, xyz: Tensor, time: float) -> Tensor:
+        """World points (N, 3) and time in [0, 1] -> K-Planes coordinates (N, 4) in [-1, 1]."""
+        if self.contraction is None:
+            space = 2 * (xyz - self.lower) / (self.upper - self.lower) - 1
+        else:
+            space = self.contraction(xyz) / CONTRACTED_RADIUS
+        return torch.cat([space, torch.full_like(space[:, :1], 2 * time - 1)], dim=1)
 
-class ResidualField(nn.Module):
-    """A small K-Planes and MLP that moves points by at most ``residual_range`` of the scene's size."""
+    def encode_images(self, images: Tensor) -> Tensor | None:
+        """(V, 3, H, W) -> (V, image_features, H / stride, W / stride), or None without image-based colour."""
+        return None if self.image_encoder is None else self.image_encoder(images)
 
-    def __init__(self, config: ModelConfig, sides: tuple[float, ...], frame_count: int) -> None:
-        super().__init__()
-        planes = PlanesConfig(levels=2, features=config.planes.features, time=config.planes.time)
-        assert len(sides) == 3
-        self.planes = KPlanes(planes, (sides[0], sides[1], sides[2]), frame_count)
-        self.range = config.residual_range * max(sides)
-        self.layers = nn.Sequential(
-            nn.Linear(self.planes.out_features, config.hidden), nn.ReLU(), nn.Linear(config.hidden, 3)
-        )
-        last = self.layers[-1]
-        assert isinstance(last, nn.Linear)
-        nn.init.uniform_(last.weight, -1e-4, 1e-4)
-        nn.init.zeros_(last.bias)
+    def harmonics(self, points: EvaluatedPoints) -> Tensor | None:
+        """SH coefficients (N, 3, 16), from the MLP or explicit; None without an SH part."""
+        if self.config.appearance == "ibr":
+            return None
+        if self.harmonics_head is not None:
+            assert points.features.harmonics is not None
+            return self.harmonics_head(points.features.harmonics)
+        assert points.explicit_sh is not None, "explicit spherical harmonics come with the frame's points"
+        return points.explicit_sh.reshape(-1, 3, 16)
 
-    def forward(self, coordinates: Tensor) -> Tensor:
-        """(N, 4) in [-1, 1] -> (N, 3) displacement in world units."""
-        return self.range * torch.tanh(self.layers(self.planes(coordinates)))
+    def blend_logits(
+        self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None
+    ) -> Tensor:
+        """Logits (V, N) of the source views; only continuous blending needs ``viewer``."""
+        assert self.blend_head is not None
+        assert points.features.blend is not None
+        directions = None
+        if self.config.continuous:
+            assert viewer is not None, "continuous blending needs the viewing camera"
+            directions = _relative_directions(points.xyz, viewer, sources.cameras)
+        return self.blend_head(points.features.blend, samples.channels, directions)
+
+    def _point_features(self, xyz: Tensor, time: float) -> PointFeatures:
+        features = self.planes(self.coordinates(xyz.detach(), time))
+        layers = [self.geometry_head.first]
+        layers += [] if self.blend_head is None else [self.blend_head.point]
+        layers += [] if self.harmonics_head is None else [self.harmonics_head.first]
+        hidden = shared_linear(features, layers)
+        blend = hidden[1].contiguous() if self.blend_head is not None else None
+        return PointFeatures(hidden[0], blend, hidden[-1] if self.harmonics_head is not None else None)
 
 
 def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
@@ -231,7 +242,7 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """(V, N, 4): difference of the viewing and source directions, and their cosine (as in IBRNet)."""
+    """(V, N, 4): difference between the viewing and source directions, and their cosine (as in IBRNet)."""
     target = unit_directions(xyz, viewer)
     parts = []
     for camera in cameras:

@@ -1,4 +1,4 @@
-"""Shadows and contact: what the subject takes of the light, or adds to it, on the background around it."""
+"""Shadows and reflected light: how the dynamic foreground changes the colours of the background around it."""
 
 from __future__ import annotations
 
@@ -14,54 +14,55 @@ from fourd.model.kplanes import KPlanes
 
 PLANES = PlanesConfig(levels=2, features=4, base_resolution=64)
 HIDDEN = 32
-REACH = 0.5
-"""Shadows reach beyond what moves by this share of its longest side."""
+MARGIN = 0.5
+"""The field extends beyond the foreground's bounds by this share of their longest side."""
 FADE = 0.25
-"""Over this share of the way from the border to the middle they come in, so that nothing ends at an edge."""
+"""Share of the distance from the border to the centre over which shadows fade in, so that they have no sharp border."""
 GAIN = 3.0
-"""Times the MLP's output: a frame is seen in few steps, and its shadow has to come in these."""
+"""Factor on the MLP's output: each frame is seen in few steps, in which its shadow has to be learnt."""
 STRENGTH = 127 / 128
-"""Factors are within 1 plus and minus this, which bytes in 1/128 hold."""
+"""Factors are within 1 +- STRENGTH, the range that bytes in units of 1/128 hold."""
 
 
 @dataclass(frozen=True)
 class Shadow:
-    """What falls on N points at one moment.
+    """Shadow on N points at one time.
 
     Attributes:
-        factor: (N,) in (0, 2), for colours from images; 1 where nothing falls. Differentiable in the field.
-        reached: (N,) bool, where something can fall.
+        factor: (N,) in (0, 2), multiplies image-based colours; 1 where there is no shadow. Differentiable in the
+            field's parameters.
+        is_inside: (N,) bool, whether the point lies within the field.
     """
 
     factor: Tensor
-    reached: Tensor
+    is_inside: Tensor
 
-    def cast(self, colour: Tensor) -> Tensor:
-        """Colours (N, 3) from images, in the shadow; see :meth:`kept`."""
-        return self.kept(colour) * self.factor[:, None]
+    def apply(self, colour: Tensor) -> Tensor:
+        """Shadowed image-based colours (N, 3), with the gradient of :meth:`detach_inside`."""
+        return self.detach_inside(colour) * self.factor[:, None]
 
-    def kept(self, colour: Tensor) -> Tensor:
-        """Colours (N, 3) as they are, but that none is learnt where something can fall: the clean plates teach
-        these, and the picture of a moment teaches its shadow alone."""
-        return torch.where(self.reached[:, None], colour.detach(), colour)
+    def detach_inside(self, colour: Tensor) -> Tensor:
+        """The same colours (N, 3), without a gradient inside the field: there the clean plates supervise the
+        background's colours, and the frames its shadow alone."""
+        return torch.where(self.is_inside[:, None], colour.detach(), colour)
 
 
 class ShadowField(nn.Module):
-    """A small K-Planes with time, and an MLP, over the bounds of what moves and their surroundings.
+    """A small K-Planes with time, and an MLP, over the bounds of the foreground and a margin.
 
-    ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes begin at 0, so that it is
-    exactly 1 before training, and stays so where no picture ever asked for another.
+    ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0, so
+    the factor is exactly 1 before training, and stays 1 where no picture gives a gradient.
     """
 
     lower: Tensor
     upper: Tensor
 
     def __init__(self, lower: NDArray[np.float64], upper: NDArray[np.float64], frame_count: int) -> None:
-        """``lower`` and ``upper`` (3,) are the corners of what moves in world units; one row of planes a frame."""
+        """``lower`` and ``upper`` (3,) are the corners of the foreground's bounds in world units."""
         super().__init__()
-        beyond = REACH * float((upper - lower).max())
-        self.register_buffer("lower", torch.tensor(lower - beyond, dtype=torch.float32))
-        self.register_buffer("upper", torch.tensor(upper + beyond, dtype=torch.float32))
+        margin = MARGIN * float((upper - lower).max())
+        self.register_buffer("lower", torch.tensor(lower - margin, dtype=torch.float32))
+        self.register_buffer("upper", torch.tensor(upper + margin, dtype=torch.float32))
         x, y, z = (float(side) for side in self.upper - self.lower)
         self.planes = KPlanes(PLANES, (x, y, z), frame_count)
         for plane in self.planes.parameters():
@@ -71,19 +72,19 @@ class ShadowField(nn.Module):
         )
 
     def forward(self, xyz: Tensor, time: float) -> Shadow:
-        """What falls on points (N, 3) in world units at ``time`` in [0, 1]; positions get no gradient."""
-        place = 2 * (xyz.detach() - self.lower) / (self.upper - self.lower) - 1
-        edge = place.abs().amax(dim=1)
-        reached = edge < 1
-        rows = reached.nonzero()[:, 0]
-        moment = torch.full((len(rows), 1), 2 * time - 1)
-        features = self.planes(torch.cat([place[rows], moment], dim=1))
+        """Shadow on points (N, 3) in world units at ``time`` in [0, 1]. Positions get no gradient."""
+        position = 2 * (xyz.detach() - self.lower) / (self.upper - self.lower) - 1
+        edge = position.abs().amax(dim=1)
+        is_inside = edge < 1
+        rows = is_inside.nonzero()[:, 0]
+        times = torch.full((len(rows), 1), 2 * time - 1)
+        features = self.planes(torch.cat([position[rows], times], dim=1))
         raw = (self.layers(features) - self.layers(torch.zeros_like(features[:1])))[:, 0]
         fade = ((1 - edge[rows]) / FADE).clamp(max=1)
-        some = 1 + STRENGTH * fade * torch.tanh(GAIN * raw)
-        return Shadow(torch.ones_like(edge).index_put((rows,), some), reached)
+        factor = 1 + STRENGTH * fade * torch.tanh(GAIN * raw)
+        return Shadow(torch.ones_like(edge).index_put((rows,), factor), is_inside)
 
-    def departure(self, xyz: Tensor, time: float) -> Tensor:
-        """Mean squared difference from 1 of the factors on those of the points (N, 3) that are reached; () tensor."""
+    def mean_squared_deviation(self, xyz: Tensor, time: float) -> Tensor:
+        """Mean of (factor - 1)^2 over the points (N, 3) that lie inside the field; scalar."""
         shadow = self(xyz, time)
-        return (shadow.factor - 1).square().sum() / shadow.reached.sum().clamp(min=1)
+        return (shadow.factor - 1).square().sum() / shadow.is_inside.sum().clamp(min=1)

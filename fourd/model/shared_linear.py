@@ -1,4 +1,4 @@
-"""Linear layers that read the same features, computed as one product: memory-bound, each would read them anew."""
+"""Linear layers over the same input, computed as one matrix product: separate layers would each read the input."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from torch.autograd.function import once_differentiable
 
 
 def shared_linear(features: Tensor, layers: Sequence[nn.Linear]) -> list[Tensor]:
-    """What each of the layers makes of ``features`` (N, F): (N, its width), views of one array.
+    """Outputs of all ``layers`` for ``features`` (N, F): (N, width of the layer) each, views of one array.
 
-    The same sums as of the layers one by one, in another order. Differentiable once in everything.
+    Equal to the separate layers up to the order of the sums. Differentiable once in features, weights and biases.
     """
-    return list(_SharedLinear.apply(features, *(part for layer in layers for part in (layer.weight, layer.bias))))
+    parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]
+    return list(_SharedLinear.apply(features, *parameters))
 
 
 class _SharedLinear(torch.autograd.Function):

@@ -1,4 +1,4 @@
-"""Source views: the images around a viewing camera, and what a point sees in them."""
+"""Source views: the images nearest to a viewing camera, and their samples at points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from fourd.ops.sources import op as ops
 from fourd.ops.sources import reference
 
 OCCLUSION_FALLOFF_SPACINGS = 1.0
-"""A hidden point loses its say over so many distances to its neighbours, once it is twice as far behind."""
+"""Scale of the exponential decay of an occluded point's visibility, in spacings; the decay starts at twice this depth
+behind the surface."""
 
 
 @dataclass(frozen=True)
@@ -22,10 +23,10 @@ class SourceViews:
     Attributes:
         images: (V, 3, H, W) float32 in [0, 1]; H and W are multiples of 8.
         mattes: (V, H, W) float32 in [0, 1], 1 where the object covers the pixel.
-        depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there
-            is none; None when occlusion is not tested.
+        depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there is none; None when
+            occlusion is not tested.
         cameras: the V cameras of the crops.
-        encoded: (V, C, h, w) what the image CNN makes of the images, where that is known; else it is asked.
+        encoded: (V, C, h, w) cached features of the image encoder; None where the encoder has to run.
     """
 
     images: Tensor
@@ -37,15 +38,15 @@ class SourceViews:
 
 @dataclass(frozen=True)
 class SourceSamples:
-    """What V source views hold at N points.
+    """Samples of V source views at N points.
 
     Attributes:
         channels: (V, N, C) image features and RGB (the last three), differentiable.
-        trust: (V, N) in [0, 1]: the matte squared times visibility; no gradient.
+        visibility: (V, N) visibility weights in [0, 1]: the squared matte times the occlusion's decay; no gradient.
     """
 
     channels: Tensor
-    trust: Tensor
+    visibility: Tensor
 
     @property
     def colours(self) -> Tensor:
@@ -56,25 +57,24 @@ class SourceSamples:
 def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor) -> SourceSamples:
     """Project points into every source view and sample it bilinearly.
 
+    The matte is squared: a pixel on the silhouette mixes in background, so the visibility weight has to fall faster
+    than coverage. In float32, on the CPU or a CUDA device with kernels, one kernel computes everything.
+
     Args:
         xyz: (N, 3) world points; gradients flow through the projection.
         sources: the views.
-        features: (V, C, h, w) of the image CNN over the same views, at its own resolution, or None
-            for RGB alone.
-        softness: (N,) depth in world units over which a hidden point loses its say, once it lies twice that
-            behind what a view sees there; no gradient.
-
-    The matte is squared: a pixel on the silhouette mixes in background, so that trust must fall
-    faster than coverage does. In float32, on the CPU or a CUDA device with kernels, all is one kernel.
+        features: (V, C, h, w) of the image encoder over the same views, at its own resolution, or None for RGB alone.
+        softness: (N,) scale, in world units, of the exponential decay of the visibility weight of points behind the
+            view's surface; the decay starts at a depth of twice the scale. No gradient.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)
-    channels, trust = ops.sample_sources(xyz, features, *views, cameras, softness)
-    return SourceSamples(channels.transpose(1, 2), trust)
+    channels, visibility = ops.sample_sources(xyz, features, *views, cameras, softness)
+    return SourceSamples(channels.transpose(1, 2), visibility)
 
 
 def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Tensor]:
-    """World points (N, 3) in V cameras -> pixels (V, N, 2) and depth (V, N) in world units.
+    """Project world points (N, 3) into V cameras: pixels (V, N, 2) and depth (V, N) in world units.
 
     Points at or behind a camera get pixels far outside its image.
     """

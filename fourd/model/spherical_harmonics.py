@@ -1,4 +1,4 @@
-"""Real spherical harmonics of degree 3, the field's order and constants (PlenOctrees, 3DGS)."""
+"""Real spherical harmonics up to degree 3, in the order and with the constants of PlenOctrees and 3DGS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The training loop: steps, progress, validation, checkpoints, and going on where a run stopped."""
+"""The training loop: steps, progress, validation, checkpoints and resuming."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from safetensors import SafetensorError
@@ -18,7 +17,6 @@ from safetensors.torch import save_file
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
-from fourd.training.background_seed import BACKGROUND
 from fourd.training.cameras.calibration import write_corrected
 from fourd.training.checkpoints import (
     checkpoint_path,
@@ -33,21 +31,23 @@ from fourd.training.config import TrainConfig
 from fourd.training.evaluation.render import Renderer
 from fourd.training.evaluation.scores import score_view
 from fourd.training.log import MetricsLog
-from fourd.training.losses.image import ImageLoss
 from fourd.training.losses.lpips import LPIPS
-from fourd.training.memory import FULL_RESIDENT_BYTES, RESIDENT_BYTES, HeapTrimmer, retain_freed_memory
+from fourd.training.memory import HeapTrimmer, retain_freed_memory
 from fourd.training.run import Run, drop_stale_points, points_folder
+from fourd.training.scenes.build import build_scene
 from fourd.training.schedule import StepSampler, budget_spent, rate_factor
 from fourd.training.step import Stepper
 
-LOG_EVERY = 10
-SMOOTHING = 0.97
-VALIDATED = 4
+LOG_INTERVAL = 10
+"""Steps between two records of metrics."""
+PSNR_SMOOTHING = 0.97
+"""Decay of the moving average of the PSNR, per step."""
+MAX_VALIDATION_VIEWS = 4
 
 
 @dataclass(frozen=True)
 class TrainSummary:
-    """How training ended."""
+    """The end of training: steps and seconds in all, and the smoothed PSNR in dB."""
 
     steps: int
     seconds: float
@@ -58,19 +58,24 @@ class Trainer:
     """Trains a run from its newest checkpoint, or from the start, until its budget is spent."""
 
     def __init__(self, run: Run, lpips: LPIPS | None, console: Console, budget: TrainConfig) -> None:
-        """``budget`` gives max_steps and max_seconds: a resumed run may be given more of either."""
+        """Load the run's newest checkpoint, if there is one.
+
+        Args:
+            run: the run folder.
+            lpips: the network of the perceptual loss; None replaces it by SSIM.
+            console: shows progress.
+            budget: the config with max_steps and max_seconds; a resumed run may get more of either.
+        """
         if budget.max_steps is None and budget.max_seconds is None:
-            raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; say when to stop")
+            raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a limit")
         self.run = run
         self.config = budget
         self.console = console
-        self.model = run.new_model()
-        self.views = run.view_store()
-        self.background = run.background(_newest_points(run))
+        model = run.new_model()
+        background = run.background(_newest_points(run))
+        self.scene = build_scene(budget, model, run.view_store(), background)
         self.refinement = run.new_refinement()
-        self.stepper = Stepper(
-            self.model, budget, ImageLoss(budget.loss, lpips), self.views, self.background, self.refinement
-        )
+        self.stepper = Stepper(self.scene, budget, lpips, self.refinement)
         self.sampler = StepSampler(budget, run.capture.cameras, run.training, run.capture.frame_count, run.focus)
         self.done = 0
         self.seconds = 0.0
@@ -78,11 +83,11 @@ class Trainer:
         saved = self._restore()
         drop_stale_points(run.checkpoints)
         self.frames = run.frame_store(saved, "trainer")
-        self.renderer = Renderer(self.model, self.views, run.training, run.focus, self.background)
+        self.renderer = Renderer(self.scene, run.training, run.focus)
         self._saved_step = self.done if saved is not None else -1
 
     def train(self) -> TrainSummary:
-        """Run to the end of the budget; Ctrl-C saves a checkpoint and leaves a run to resume."""
+        """Train until the budget is spent; Ctrl-C saves a checkpoint from which the run can be resumed."""
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done)
         try:
@@ -96,7 +101,7 @@ class Trainer:
         return TrainSummary(self.done, self.seconds, self.psnr)
 
     def _loop(self, log: MetricsLog, show: Callable[[str], None]) -> None:
-        trimmer = HeapTrimmer(RESIDENT_BYTES if self.background is None else FULL_RESIDENT_BYTES)
+        trimmer = HeapTrimmer(self.scene.resident_bytes)
         last_save, last_validation = self.seconds, self.seconds
         while self._spent() < 1.0:
             started = time.monotonic()
@@ -108,7 +113,7 @@ class Trainer:
             trimmer.after_step()
             self.seconds += time.monotonic() - started
             show(f"step {self.done}  {self.psnr:.2f} dB")
-            if self._save_due(self.seconds - last_save):
+            if self._is_checkpoint_due(self.seconds - last_save):
                 trimmer.trim()
                 self._checkpoint()
                 last_save = self.seconds
@@ -118,15 +123,15 @@ class Trainer:
                 last_validation = self.seconds
 
     def _step(self, log: MetricsLog) -> None:
-        choice = self.sampler.choose(self.done)
+        sample = self.sampler.sample(self.done)
         factor = rate_factor(self.config.rates, self.done, self._spent())
-        points = self.frames.get(choice.frame)
-        moment = self.run.capture.time(choice.frame)
-        result = self.stepper.step(points, moment, choice, factor, self.done)
-        self.stepper.grow(points, choice, self._spent())
-        self.psnr = result.psnr if self.done == 0 else SMOOTHING * self.psnr + (1 - SMOOTHING) * result.psnr
+        points = self.frames.get(sample.frame)
+        frame_time = self.run.capture.time(sample.frame)
+        result = self.stepper.step(points, frame_time, sample, factor, self.done)
+        self.scene.densify(points, sample, self._spent())
+        self.psnr = result.psnr if self.done == 0 else PSNR_SMOOTHING * self.psnr + (1 - PSNR_SMOOTHING) * result.psnr
         self.done += 1
-        if self.done % LOG_EVERY == 0:
+        if self.done % LOG_INTERVAL == 0:
             log.scalars(
                 self.done,
                 {
@@ -139,20 +144,18 @@ class Trainer:
             )
 
     def _validate(self, log: MetricsLog) -> None:
-        """Mean PSNR in the mattes' boxes of held-out (or else training) views at the middle frame; a picture of one."""
+        """Log the mean PSNR of held-out (or else training) views at the middle frame, in the mattes' boxes."""
         frame = self.run.capture.frame_count // 2
         points = self.frames.get(frame)
         values = []
         pair = np.zeros((1, 1, 3), np.uint8)
-        for judged in (self.run.test or self.run.training)[:VALIDATED]:
-            view = self.views.view(judged, frame)
-            picture = self.renderer.render(points, frame, view.camera, self.config.layers, exclude=judged)
-            truth: NDArray[np.float32] = view.target()[0].numpy()
-            if self.background is not None:
-                truth = (view.rgb / np.float32(255)).astype(np.float32)
-            image, box = score_view(picture.rgb, truth, view.matte, None)
+        for index in (self.run.test or self.run.training)[:MAX_VALIDATION_VIEWS]:
+            view = self.scene.views.view(index, frame)
+            rendered = self.renderer.render(points, frame, view.camera, self.config.layers, exclude=index)
+            truth = self.scene.reference_picture(view)
+            image, box = score_view(rendered.rgb, truth, view.matte, None)
             values.append((box or image).psnr)
-            pair = (np.concatenate([truth, picture.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
+            pair = (np.concatenate([truth, rendered.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
         log.scalars(self.done, {"validation/psnr": float(np.mean(values)), "seconds": self.seconds})
         log.image(self.done, "validation", pair)
         path = self.run.folder / "validation" / f"{self.done:07d}.png"
@@ -160,14 +163,13 @@ class Trainer:
             cv2.imwrite(str(temporary), cv2.cvtColor(pair, cv2.COLOR_RGB2BGR))
 
     def _checkpoint(self) -> None:
-        """Points first, then the model's file, whose presence makes the checkpoint whole."""
+        """Save points first, then the model's file, whose presence marks the checkpoint as complete."""
         if self.done == self._saved_step:
             return
         target = checkpoint_path(self.run.checkpoints, self.done)
         self._save_points(points_folder(target))
-        tensors = {f"model.{name}": value for name, value in self.model.state_dict().items()}
-        if self.background is not None:
-            tensors.update({f"background.{name}": value for name, value in self.background.model.state_dict().items()})
+        models = self.scene.models.items()
+        tensors = {f"{prefix}.{name}": value for prefix, model in models for name, value in model.state_dict().items()}
         if self.refinement is not None:
             tensors.update({f"refinement.{name}": value for name, value in self.refinement.state_dict().items()})
         tensors.update(pack_optimizer(self.stepper.optimizer, "optimizer."))
@@ -176,16 +178,15 @@ class Trainer:
         drop_stale_points(self.run.checkpoints)
         if self.refinement is not None:
             write_corrected(self.run.folder, self.run.capture, self.refinement.rig())
-        if self.background is not None:
-            self.background.forget()
+        self.scene.clear_caches()
         self._saved_step = self.done
 
     def _save_points(self, folder: Path) -> None:
         try:
             self.frames.save(folder)
-            if self.background is not None:
-                with atomic_path(folder / f"{BACKGROUND}.safetensors") as temporary:
-                    save_file(self.background.points.tensors(), temporary)
+            for name, cloud in self.scene.static_clouds.items():
+                with atomic_path(folder / f"{name}.safetensors") as temporary:
+                    save_file(cloud.tensors(), temporary)
         except (OSError, SafetensorError) as error:
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(
@@ -194,18 +195,18 @@ class Trainer:
             ) from error
 
     def _restore(self) -> Path | None:
+        """Load the newest checkpoint, and return the folder of its points; None where there is no checkpoint."""
         found, note = latest_checkpoint(self.run.checkpoints)
         if note:
             self.console.print(note, style="yellow")
         if found is None:
             return None
         self.done, tensors, state = load_checkpoint(found)
-        restore(self.model, tensors, "model.", found)
-        if self.background is not None:
-            restore(self.background.model, tensors, "background.", found)
+        for prefix, model in self.scene.models.items():
+            restore(model, tensors, f"{prefix}.", found)
         if self.refinement is not None:
             restore(self.refinement, tensors, "refinement.", found)
-            self.stepper.aim()
+            self.stepper.update_cameras()
         unpack_optimizer(self.stepper.optimizer, tensors, "optimizer.", found)
         self.seconds = float(state["seconds"])
         self.psnr = float(state["psnr"])
@@ -214,7 +215,7 @@ class Trainer:
     def _spent(self) -> float:
         return budget_spent(self.config, self.done, self.seconds)
 
-    def _save_due(self, seconds: float) -> bool:
+    def _is_checkpoint_due(self, seconds: float) -> bool:
         if self.config.checkpoint_steps is not None:
             return self.done % self.config.checkpoint_steps == 0
         return seconds >= self.config.checkpoint_seconds

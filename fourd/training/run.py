@@ -35,7 +35,9 @@ from fourd.training.cameras.rig import Rig
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
 from fourd.training.evaluation.render import Renderer
-from fourd.training.points.frame_store import FramePoints, FrameStore
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.points.frame_store import FrameStore
+from fourd.training.scenes.build import build_scene
 from fourd.training.views import ViewStore
 
 CONFIG_NAME = "config.yaml"
@@ -281,8 +283,6 @@ def load_run(folder: Path) -> TrainedRun:
         )
     step, tensors, _ = load_checkpoint(found)
     model = run.new_model()
-    restore(model, tensors, "model.", found)
-    model.requires_grad_(False)
     rig = Rig(run.capture.cameras)
     refinement = run.new_refinement()
     if refinement is not None:
@@ -290,15 +290,13 @@ def load_run(folder: Path) -> TrainedRun:
         rig = refinement.rig()
         run = replace(run, capture=run.capture.with_cameras(rig.cameras))
     background = run.background(points_folder(found))
-    if background is not None:
-        restore(background.model, tensors, "background.", found)
-        background.model.requires_grad_(False)
-        background.rig = rig
+    scene = build_scene(run.config.train, model, run.view_store(), background)
+    for prefix, each in scene.models.items():
+        restore(each, tensors, f"{prefix}.", found)
+        each.requires_grad_(False)
+    scene.set_rig(rig)
     frames = run.frame_store(points_folder(found), "reader")
-    views = run.view_store()
-    views.rig = rig
-    renderer = Renderer(model, views, run.training, run.focus, background)
-    return TrainedRun(run, step, model, frames, renderer)
+    return TrainedRun(run, step, model, frames, Renderer(scene, run.training, run.focus))
 
 
 def points_folder(checkpoint: Path) -> Path:

@@ -71,4 +71,4 @@ def test_visibility_falls_where_conventions_say() -> None:
     xyz = torch.stack([torch.zeros(5), behind, torch.zeros(5)], dim=1)
     samples = sources.sample_sources(xyz, views, None, torch.full((5,), spacing))
     expected = torch.tensor([1.0, 1.0, 1.0, np.exp(-1.0), np.exp(-2.0)], dtype=torch.float32)
-    torch.testing.assert_close(samples.trust[0], expected, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(samples.visibility[0], expected, atol=1e-4, rtol=1e-4)

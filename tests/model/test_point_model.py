@@ -79,7 +79,7 @@ def test_hidden_points_and_background_are_not_trusted() -> None:
     depth = torch.full((1, 32, 32), 2.0)
     sources = SourceViews(torch.rand(1, 3, 32, 32), matte, depth, (camera,))
     xyz = torch.tensor([[0.1, 0, 2.0], [0.1, 0, 3.0], [-0.2, 0, 2.0], [0.1, 0, -2.0]])
-    trust = sample_sources(xyz, sources, None, torch.full((len(xyz),), 0.01)).trust[0]
+    trust = sample_sources(xyz, sources, None, torch.full((len(xyz),), 0.01)).visibility[0]
     torch.testing.assert_close(trust, torch.tensor([1.0, 0, 0, 0]), atol=1e-4, rtol=0)
 
 
@@ -107,7 +107,7 @@ def test_a_point_is_hidden_by_its_own_measure() -> None:
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     sources = SourceViews(torch.rand(1, 3, 32, 32), torch.ones(1, 32, 32), torch.full((1, 32, 32), 2.0), (camera,))
     xyz = torch.tensor([[0.0, 0, 2.1]]).expand(3, 3)
-    trust = sample_sources(xyz, sources, None, torch.tensor([0.1, 0.01, 0.0])).trust[0]
+    trust = sample_sources(xyz, sources, None, torch.tensor([0.1, 0.01, 0.0])).visibility[0]
     torch.testing.assert_close(trust, torch.tensor([1.0, float(np.exp(-8)), 0.0]), atol=1e-5, rtol=0)
 
 
@@ -148,10 +148,10 @@ def test_features_of_another_resolution_are_those_of_the_same_place(rng: np.rand
 
 def test_radius_and_density_start_where_the_config_says() -> None:
     made = model(SMALL)
-    radius, density = made.geometry(made.point_features(points(), 0.5), torch.full((20,), 0.02))
-    torch.testing.assert_close(radius, torch.full((20,), 1.3 * 0.02), atol=1e-4, rtol=0)
-    assert density.min() > 0.98
-    assert density.max() < 1
+    evaluated = made.evaluate(points(), torch.full((20,), 0.02), 0.5)
+    torch.testing.assert_close(evaluated.radius, torch.full((20,), 1.3 * 0.02), atol=1e-4, rtol=0)
+    assert evaluated.density.min() > 0.98
+    assert evaluated.density.max() < 1
 
 
 @pytest.mark.parametrize(
@@ -177,15 +177,12 @@ def test_every_switch_gives_a_model_whose_parameters_all_learn(config: ModelConf
         for parameter in made.parameters():
             parameter += 0.05 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(7))
     xyz = points().requires_grad_()
-    features = made.point_features(xyz, 0.4)
     explicit = torch.rand(20, 48, requires_grad=True) if config.sh == "explicit" else None
-    displacement = made.displacement(xyz, 0.4)
-    placed = xyz if displacement is None else xyz + displacement
+    evaluated = made.evaluate(xyz, torch.full((20,), 0.02), 0.4, explicit_sh=explicit)
     sources = None if config.appearance == "sh" else views()
-    colour = made.colour(placed, features, ring(7)[1], sources, torch.full((20,), 0.02), explicit)
-    radius, density = made.geometry(features, torch.full((20,), 0.02))
+    colour = made.colour(evaluated, ring(7)[1], sources)
     assert colour.shape == (20, 3)
-    (colour.square().sum() + radius.sum() + density.sum()).backward()
+    (colour.square().sum() + evaluated.radius.sum() + evaluated.density.sum()).backward()
     silent = [n for n, p in made.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
     assert silent == []
     assert explicit is None or explicit.grad is not None
@@ -196,7 +193,6 @@ def test_only_continuous_blending_sees_the_viewer() -> None:
     xyz, sources = points(), views()
     for continuous in (False, True):
         made = model(replace(SMALL, appearance="ibr", continuous=continuous))
-        features = made.point_features(xyz, 0.1)
-        spacing = torch.full((20,), 0.02)
-        first, second = (made.colour(xyz, features, viewer, sources, spacing) for viewer in ring(5)[1:3])
+        evaluated = made.evaluate(xyz, torch.full((20,), 0.02), 0.1)
+        first, second = (made.colour(evaluated, viewer, sources) for viewer in ring(5)[1:3])
         assert torch.equal(first, second) is not continuous

@@ -28,7 +28,7 @@ def test_an_untrained_field_changes_nothing(rng: np.random.Generator) -> None:
     """Catches a start that is near 1: with it a background begins in twilight."""
     shadow = field(0)(places(rng), 0.3)
     assert torch.equal(shadow.factor, torch.ones(500))
-    assert 0 < int(shadow.reached.sum()) < 500
+    assert 0 < int(shadow.is_inside.sum()) < 500
 
 
 def test_shadows_end_softly_around_what_moves(rng: np.random.Generator) -> None:
@@ -38,7 +38,7 @@ def test_shadows_end_softly_around_what_moves(rng: np.random.Generator) -> None:
     with torch.no_grad():
         shadow = made(xyz, 0.6)
     beyond = ((xyz < torch.tensor([-1.5, -1.5, -1.0])) | (xyz > torch.tensor([1.5, 1.5, 3.0]))).any(1)
-    assert torch.equal(shadow.reached, ~beyond)
+    assert torch.equal(shadow.is_inside, ~beyond)
     assert bool((shadow.factor[beyond] == 1).all())
     inside = shadow.factor[~beyond]
     assert float(inside.min()) > 0
@@ -56,9 +56,9 @@ def test_points_out_of_reach_cost_and_change_nothing(xyz: torch.Tensor) -> None:
     """Catches a mean over no points, and NaN that a point far away brings."""
     made = field(1.0)
     assert torch.equal(made(xyz, 0.5).factor, torch.ones(len(xyz)))
-    departure = made.departure(xyz, 0.5)
-    assert departure.item() == 0
-    departure.backward()
+    deviation = made.mean_squared_deviation(xyz, 0.5)
+    assert deviation.item() == 0
+    deviation.backward()
 
 
 def test_what_is_in_reach_teaches_the_shadow_alone() -> None:
@@ -66,9 +66,9 @@ def test_what_is_in_reach_teaches_the_shadow_alone() -> None:
     colour = torch.rand(2, 3, requires_grad=True)
     factor = torch.tensor([0.5, 1.0], requires_grad=True)
     shadow = Shadow(factor, torch.tensor([True, False]))
-    cast = shadow.cast(colour)
+    cast = shadow.apply(colour)
     torch.testing.assert_close(cast, colour * torch.tensor([[0.5], [1.0]]))
-    (cast.sum() + shadow.kept(colour).sum()).backward()
+    (cast.sum() + shadow.detach_inside(colour).sum()).backward()
     assert colour.grad is not None
     assert factor.grad is not None
     assert colour.grad.tolist() == [[0, 0, 0], [2, 2, 2]]
@@ -79,7 +79,7 @@ def test_every_part_of_the_field_learns(rng: np.random.Generator) -> None:
     """Catches planes or layers that are built and never asked, and the time left out."""
     made = field(0.1)
     xyz = 0.3 * places(rng)
-    made.departure(xyz, 0.4).backward()
+    made.mean_squared_deviation(xyz, 0.4).backward()
     silent = [name for name, value in made.named_parameters() if value.grad is None or not value.grad.abs().sum() > 0]
     assert silent == []
     assert not torch.equal(made(xyz, 0.0).factor, made(xyz, 1.0).factor)

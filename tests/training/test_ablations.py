@@ -39,7 +39,7 @@ def parameters(name: str, ball_capture: Path, tmp_path: Path) -> set[str]:
     run = trained_run(ball_capture, tmp_path / name, config)
     state = load_run(run.folder)
     assert all(torch.isfinite(value).all() for value in state.model.state_dict().values())
-    return {key.split(".")[0] for key in state.model.state_dict()} | set(state.frames.get(0).free)
+    return {key.split(".")[0] for key in state.model.state_dict()} | set(state.frames.get(0).parameters)
 
 
 def test_switches_remove_what_they_say(ball_capture: Path, tmp_path: Path) -> None:

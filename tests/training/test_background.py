@@ -14,9 +14,10 @@ import torch
 from fourd.cameras import look_at
 from fourd.errors import UserError
 from fourd.model.appearance import blend
-from fourd.training.background import KEPT_STEPS, hiding_depth, out_of_sight, surface_depth
-from fourd.training.points.frame_store import FramePoints
-from fourd.training.rendering import Part, composite, visible_points
+from fourd.training.background import CACHED_STEPS, outside_all_images
+from fourd.training.occlusion import occlusion_depth, surface_depth
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.rendering import RenderablePoints, composite, visible_points
 from fourd.training.run import Run, create_run, load_run
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
@@ -40,22 +41,26 @@ def run(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
     return trained_run(ball_capture, folder / "run", replace(full_config(folder / "shell.ply"), max_steps=30))
 
 
-def _sheet(distance: float, colour: tuple[float, float, float], side: float) -> Part:
+def _sheet(distance: float, side: float) -> FramePoints:
     """A dense square sheet across the x axis, seen by the first camera of a ring."""
     steps = torch.linspace(-side, side, 41)
     y, z = torch.meshgrid(steps, steps, indexing="ij")
     xyz = torch.stack([torch.full_like(y, distance), y, z], -1).reshape(-1, 3)
     count = len(xyz)
     spacing = torch.full((count,), 2 * side / 40)
-    points = FramePoints.fresh(xyz, spacing, 1.5, explicit_sh=False)
-    colours = torch.tensor(colour).expand(count, 3)
-    return Part(points, torch.arange(count), points.free, xyz, points.radius, points.density, colours, None, None)
+    return FramePoints.fresh(xyz, spacing, 1.5, explicit_sh=False)
+
+
+def _painted(points: FramePoints, colour: tuple[float, float, float]) -> RenderablePoints:
+    colours = torch.tensor(colour).expand(len(points.xyz), 3)
+    return RenderablePoints(points.xyz, points.radius, points.density, colours)
 
 
 def test_parts_hide_each_other_whichever_is_first() -> None:
     """Catches parts drawn one over the other: a thing of the background before the subject must hide it."""
     viewer = ring_cameras(8, 64)[0]
-    near, far = _sheet(0.5, (1.0, 0.0, 0.0), 0.2), _sheet(-1.0, (0.0, 0.0, 1.0), 3.0)
+    near = _painted(_sheet(0.5, 0.2), (1.0, 0.0, 0.0))
+    far = _painted(_sheet(-1.0, 3.0), (0.0, 0.0, 1.0))
     for parts, first in (([near, far], 1.0), ([far, near], 0.0)):
         picture = composite(parts, viewer, 15).features
         assert picture[32, 32, :3].tolist() == pytest.approx([1, 0, 0], abs=0.05)
@@ -67,7 +72,7 @@ def test_parts_hide_each_other_whichever_is_first() -> None:
 def test_rows_in_sight_leave_out_what_the_other_cloud_hides() -> None:
     """Catches clouds that are looked at apart, so that what the subject hides is trained on."""
     viewer = ring_cameras(8, 64)[0]
-    near, far = _sheet(0.5, (1.0, 0.0, 0.0), 1.2).points, _sheet(-1.0, (0.0, 0.0, 1.0), 0.3).points
+    near, far = _sheet(0.5, 1.2), _sheet(-1.0, 0.3)
     assert len(visible_points([far], viewer, 15, 0.05)[0]) > 0
     both = visible_points([near, far], viewer, 15, 0.05)
     assert [len(rows) > 0 for rows in both] == [True, False]
@@ -91,7 +96,7 @@ def test_a_full_run_shows_what_is_around_the_subject(run: Run) -> None:
     truth = run.capture.image(run.test[0], 1) / 255
     matte = run.capture.mask(run.test[0], 1) / 255
     assert np.abs(picture.rgb[:8, :8] - truth[:8, :8]).max() < 0.15
-    assert np.abs(picture.moving - matte).mean() < 0.15
+    assert np.abs(picture.foreground - matte).mean() < 0.15
     assert picture.alpha.mean() > 0.9
     alone = trained.renderer.render_background(camera, 15)
     assert np.abs(alone.rgb - 0.35).mean() < 0.1
@@ -109,10 +114,10 @@ def test_a_floor_at_a_grazing_angle_hides_nothing_of_itself() -> None:
     pixels, depth = viewer.project(xyz.double().numpy())
     shown = ((pixels > 8) & (pixels < size - 8)).all(axis=1) & (depth > 0)
     column, row = np.clip(pixels, 0, size - 1).astype(int).T
-    behind = depth - hiding_depth(floor, viewer)[row, column]
+    behind = depth - occlusion_depth(floor, viewer)[row, column]
     assert (behind[shown] < 2 * 0.02).mean() > 0.95
     assert ((depth - surface_depth(floor, viewer)[row, column])[shown] < 2 * 0.02).mean() < 0.9
-    assert (hiding_depth(floor, viewer)[row, column] < 1.3 * depth)[shown].mean() > 0.95
+    assert (occlusion_depth(floor, viewer)[row, column] < 1.3 * depth)[shown].mean() > 0.95
 
 
 def test_what_a_wall_hides_goes_and_a_floor_stays(run: Run) -> None:
@@ -127,9 +132,9 @@ def test_what_a_wall_hides_goes_and_a_floor_stays(run: Run) -> None:
     xyz = torch.cat([around.xyz, floor, beyond])
     spacing = torch.cat([around.spacing, torch.full((len(floor),), 0.1), torch.full((200,), 0.01)])
     background.points = FramePoints.fresh(xyz, spacing, 1.3, explicit_sh=False, rgb=torch.zeros(len(xyz), 3))
-    hidden = background.hidden()
+    hidden = background.hidden_points()
     pictures = [background.camera(index) for index in background.plates]
-    seen = ~out_of_sight(floor, pictures)
+    seen = ~outside_all_images(floor, pictures)
     assert float(hidden[len(around.xyz) : -200][seen].float().mean()) < 0.02
     assert hidden[-200:].all()
 
@@ -145,7 +150,7 @@ def test_parts_apart_learn_nothing_of_each_other(ball_capture: Path, tmp_path: P
     assert int(background.points.age) == 0
     assert len(background.points.xyz) == 1200
     picture = trained.renderer.render(trained.frames.get(1), 1, run.capture.cameras[run.test[0]], 15)
-    assert 0 < picture.moving.mean() < 0.9
+    assert 0 < picture.foreground.mean() < 0.9
     assert picture.alpha.mean() > 0.9
 
 
@@ -155,19 +160,21 @@ def test_what_is_kept_of_plates_is_renewed(run: Run) -> None:
     assert background is not None
     indices = list(background.plates)[:2]
     first = background.sources(indices)
-    background.points.free["xyz"] *= 0.5
-    background.advance()
+    background.points.parameters["xyz"] *= 0.5
+    background.count_step()
     kept = background.sources(indices)
     assert first.depth is not None
     assert kept.depth is not None
     assert torch.equal(first.depth, kept.depth)
-    for _ in range(KEPT_STEPS):
-        background.advance()
+    for _ in range(CACHED_STEPS):
+        background.count_step()
     renewed = background.sources(indices)
     assert renewed.depth is not None
-    torch.testing.assert_close(renewed.depth[0], torch.from_numpy(hiding_depth(background.points, renewed.cameras[0])))
+    torch.testing.assert_close(
+        renewed.depth[0], torch.from_numpy(occlusion_depth(background.points, renewed.cameras[0]))
+    )
     assert not torch.equal(renewed.depth, first.depth)
-    assert background.sources(indices, fresh=True).encoded is None
+    assert background.sources(indices, train_encoder=True).encoded is None
 
 
 def test_held_out_views_give_no_plate(run: Run) -> None:

@@ -20,7 +20,8 @@ from safetensors.torch import load_file
 from fourd.errors import UserError
 from fourd.ply import read_ply, write_ply
 from fourd.training.loop import Trainer
-from fourd.training.losses.image import ImageLoss
+from fourd.training.losses.mask import MaskTerm
+from fourd.training.losses.term import RenderedStep
 from fourd.training.run import create_run, load_run, open_run
 from fourd.training.step import StepResult
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
@@ -69,15 +70,12 @@ def test_a_value_that_is_not_finite_stops_and_names_step_and_term(
 ) -> None:
     """Catches a run that trains on with NaN weights, or overwrites its last good checkpoint with them."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
-    plain = ImageLoss.terms
-    calls = []
+    value = MaskTerm.value
 
-    def poisoned(self: ImageLoss, *arguments: torch.Tensor) -> dict[str, torch.Tensor]:
-        terms = plain(self, *arguments)
-        calls.append(1)
-        return terms if len(calls) < 5 else terms | {"mask": terms["mask"] * float("nan")}
+    def poisoned(self: MaskTerm, step: RenderedStep) -> torch.Tensor:
+        return value(self, step) * (float("nan") if step.number == 4 else 1)
 
-    monkeypatch.setattr(ImageLoss, "terms", poisoned)
+    monkeypatch.setattr(MaskTerm, "value", poisoned)
     with pytest.raises(UserError, match=r"step 4: expected a finite loss, got nan in the term 'mask'") as caught:
         train(run, SMALL)
     assert "\n" not in str(caught.value)

@@ -22,7 +22,7 @@ library = ctypes.CDLL(None)
 library.malloc.restype = ctypes.c_void_p
 retain_freed_memory()
 before = resident_bytes()
-trimmer = HeapTrimmer(before + 64 * 2**20, least_growth=0)
+trimmer = HeapTrimmer(before + 64 * 2**20, min_growth=0)
 use_and_free(library, 32)
 trimmer.after_step()
 kept = resident_bytes() - before

@@ -28,7 +28,7 @@ def sampler(seed: int = 3) -> StepSampler:
 def test_held_out_views_and_the_target_are_never_sources() -> None:
     """Catches held-out pictures leaking into training, and a target copied from itself."""
     for step in range(80):
-        choice = sampler().choose(step)
+        choice = sampler().sample(step)
         assert choice.target not in choice.sources
         assert choice.target not in (3, 8)
         assert not {3, 8} & set(choice.sources)
@@ -37,17 +37,17 @@ def test_held_out_views_and_the_target_are_never_sources() -> None:
 
 def test_an_epoch_meets_every_view_of_every_frame_once() -> None:
     made = sampler()
-    met = {(choice.frame, choice.target) for choice in map(made.choose, range(40))}
+    met = {(choice.frame, choice.target) for choice in map(made.sample, range(40))}
     assert len(met) == 40
 
 
 def test_choices_depend_on_seed_and_step_alone() -> None:
     """Catches state carried between steps, which would make a resumed run differ."""
-    whole = [sampler().choose(step) for step in range(10)]
-    late = sampler().choose(9)
+    whole = [sampler().sample(step) for step in range(10)]
+    late = sampler().sample(9)
     assert (late.frame, late.target, late.sources) == (whole[9].frame, whole[9].target, whole[9].sources)
-    np.testing.assert_array_equal(late.background, whole[9].background)
-    other = [sampler(4).choose(step) for step in range(10)]
+    np.testing.assert_array_equal(late.background_colour, whole[9].background_colour)
+    other = [sampler(4).sample(step) for step in range(10)]
     assert [c.target for c in other] != [c.target for c in whole]
 
 
@@ -55,7 +55,7 @@ def test_choices_depend_on_seed_and_step_alone() -> None:
 def test_full_scenes_draw_more_layers(scene: Literal["object", "full"], least: int) -> None:
     """Catches few layers on a floor, whose discs then grow until it is a blur."""
     made = StepSampler(TrainConfig(seed=3, scene=scene), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
-    assert {made.choose(step).layers for step in range(200)} == set(range(least, 16))
+    assert {made.sample(step).layers for step in range(200)} == set(range(least, 16))
 
 
 def test_rates_warm_up_and_end_at_the_final_share() -> None:

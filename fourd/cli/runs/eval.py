@@ -122,7 +122,7 @@ def _as_shown(
 ) -> NDArray[np.float32]:
     """A rendered picture in the colours of the camera ``index``, as far as these are known."""
     if index in fitted and fitted[index].colours is not None:
-        return fitted[index].picture(picture.rgb, picture.alpha).clip(0, 1)
+        return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
     return trained.renderer.views.rig.camera_colours(index, rgb, alpha).clamp(0, 1).numpy()
 

@@ -1,4 +1,4 @@
-"""The cameras of a capture as they are known now: their poses and lenses, and how their colours differ."""
+"""The current cameras of a capture: poses, intrinsics and colour corrections."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Rig:
     """All cameras of a capture's selection.
 
     Attributes:
-        cameras: pinholes, in the capture's order.
-        colours: (V, 3, 4) what a camera makes of the scene's colours, ``picture = M rgb + offset`` with the offset
-            as the last column; None where all make the same.
+        cameras: pinhole cameras, in the capture's order.
+        colours: (V, 3, 4) affine map from the scene's colours to a camera's: ``picture = M rgb + offset``, the offset
+            in the last column; None where all cameras have the same colours.
     """
 
     cameras: tuple[Camera, ...]
@@ -28,14 +28,14 @@ class Rig:
         if self.colours is None:
             return picture
         matrix, offset = self.colours[index, :, :3], self.colours[index, :, 3]
-        back = torch.linalg.inv(matrix.double()).to(picture)
-        return torch.einsum("ij,jhw->ihw", back, picture - offset[:, None, None].to(picture))
+        inverse = torch.linalg.inv(matrix.double()).to(picture)
+        return torch.einsum("ij,jhw->ihw", inverse, picture - offset[:, None, None].to(picture))
 
     def camera_colours(self, index: int, rgb: Tensor, alpha: Tensor) -> Tensor:
-        """What a camera makes of composited colours (H, W, 3), where ``alpha`` (H, W) of them is there."""
-        return rgb if self.colours is None else recoloured(self.colours[index].to(rgb), rgb, alpha)
+        """Composited colours (H, W, 3), premultiplied by ``alpha`` (H, W), in a camera's colours."""
+        return rgb if self.colours is None else recolour(self.colours[index].to(rgb), rgb, alpha)
 
 
-def recoloured(colours: Tensor, rgb: Tensor, alpha: Tensor) -> Tensor:
-    """``M rgb + alpha offset`` of (H, W, 3) colours that are premultiplied by ``alpha`` (H, W); ``colours`` (3, 4)."""
+def recolour(colours: Tensor, rgb: Tensor, alpha: Tensor) -> Tensor:
+    """``M rgb + alpha offset`` for colours (H, W, 3) premultiplied by ``alpha`` (H, W); ``colours`` is (3, 4)."""
     return rgb @ colours[:, :3].T + alpha[..., None] * colours[:, 3]

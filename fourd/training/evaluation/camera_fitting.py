@@ -1,9 +1,9 @@
-"""Held-out cameras fitted to their own pictures, with the scene as it is: how refined scenes are judged.
+"""Alignment of held-out cameras to their own pictures, with a fixed scene, to evaluate scenes with refined cameras.
 
-A scene that was trained with corrected cameras lies where these say, and a held-out camera, which nothing corrected,
-looks past it. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore moves each test camera to where its picture fits the
-frozen scene before it measures. Here that is direct alignment by the rendered depth (Lucas and Kanade 1981; with the
-mean of both pictures' gradients: Benhimane and Malis, IROS 2004), from blurred pictures to sharp ones.
+A scene that was trained with corrected cameras is aligned with these, and a held-out camera, which has no correction,
+is misaligned with it. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore optimises each test camera against the frozen
+scene before it measures. This is direct image alignment with the rendered depth (Lucas and Kanade 1981; with the mean
+of both pictures' gradients: Benhimane and Malis, IROS 2004), from blurred to sharp pictures.
 """
 
 from __future__ import annotations
@@ -18,33 +18,34 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture.layout import sample_indices
-from fourd.training.cameras.rig import recoloured
-from fourd.training.evaluation.render import Renderer, picture_of
+from fourd.training.cameras.rig import recolour
+from fourd.training.evaluation.render import Renderer, render_view
 from fourd.training.points.frame_store import FrameStore
-from fourd.training.rendering import Part
+from fourd.training.rendering import RenderablePoints
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 BLURS_PX = (8.0, 4.0, 2.0, 1.0)
-STEPS = 12
-DAMPING = 1e-3
-MOST_FRAMES = 3
-SETTLED = 3e-5
-"""Radians, and shares of the distance: steps below this end a level."""
-LEAST_COVERED = 0.02
-TINT_STRENGTH = 1e-3
-"""Of the pull of fitted colours towards none, beside the pixels' mean square."""
+MAX_STEPS = 12
+INITIAL_DAMPING = 1e-3
+MAX_FRAMES = 3
+CONVERGED = 3e-5
+"""Radians, and shares of the distance: smaller steps end a level."""
+MIN_ALPHA = 0.02
+COLOUR_REGULARISATION = 1e-3
+"""Weight of the squared difference of the colour map from the identity, relative to the pixels' mean square."""
 
 
 @dataclass(frozen=True, eq=False)
 class FittedView:
-    """A held-out camera where its pictures fit the scene best.
+    """A held-out camera aligned with the scene.
 
     Attributes:
         camera: of the whole picture.
-        colours: (3, 4) what it makes of the scene's colours; None where they were not fitted.
-        degrees, distance: by how much it was turned, and moved in world units.
+        colours: (3, 4) affine map from the scene's colours to the camera's; None where it was not fitted.
+        degrees: angle of the rotation from the given camera.
+        distance: of the move from the given camera, in world units.
     """
 
     camera: Camera
@@ -52,26 +53,34 @@ class FittedView:
     degrees: float
     distance: float
 
-    def picture(self, rgb: Floats, alpha: Floats) -> Floats:
-        """Rendered colours (H, W, 3), ``alpha`` (H, W) of them, as this camera shows them."""
-        return rgb if self.colours is None else _tinted(self.colours, rgb, alpha)
+    def recolour(self, rgb: Floats, alpha: Floats) -> Floats:
+        """Rendered colours (H, W, 3), premultiplied by ``alpha`` (H, W), in the camera's colours."""
+        return rgb if self.colours is None else _recolour(self.colours, rgb, alpha)
 
 
 def fit_test_camera(renderer: Renderer, frames: FrameStore, index: int, layers: int, *, colours: bool) -> FittedView:
-    """Fit the pose of camera ``index``, the same for all frames, and its colours if asked, to up to three frames."""
+    """Fit the pose of a held-out camera to its pictures of up to three frames.
+
+    Args:
+        renderer: the trained scene.
+        frames: its points.
+        index: of the camera; all its frames share the pose.
+        layers: number of composited points, K.
+        colours: whether to fit its colours too.
+    """
     given = renderer.views.rig.cameras[index]
-    fit = _Fit(renderer, frames, index, layers, colours)
+    alignment = _Alignment(renderer, frames, index, layers, colours)
     camera = given
     for blur_px in BLURS_PX:
-        camera = fit.level(camera, blur_px)
-    turn = np.linalg.norm(cv2.Rodrigues(camera.rotation @ given.rotation.T)[0])
-    tint = fit.look(camera, BLURS_PX[-1]).colours
-    return FittedView(camera, tint, float(np.degrees(turn)), float(np.linalg.norm(camera.centre - given.centre)))
+        camera = alignment.optimize(camera, blur_px)
+    rotation = np.linalg.norm(cv2.Rodrigues(camera.rotation @ given.rotation.T)[0])
+    fitted = alignment.linearize(camera, BLURS_PX[-1]).colours
+    return FittedView(camera, fitted, float(np.degrees(rotation)), float(np.linalg.norm(camera.centre - given.centre)))
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
-    """What a pose gives: its mean squared error, the normal equations (6, 6) and (6,), and the fitted colours."""
+class _NormalEquations:
+    """At a pose: the mean squared error, J^T J (6, 6), -J^T r (6,), and the fitted colours."""
 
     error: float
     matrix: Array
@@ -79,66 +88,64 @@ class _Look:
     colours: Floats | None
 
 
-class _Fit:
+class _Alignment:
     def __init__(self, renderer: Renderer, frames: FrameStore, index: int, layers: int, colours: bool) -> None:
         self.renderer = renderer
         self.frames = frames
         self.index = index
         self.layers = layers
-        self.colours = colours
-        self.chosen = sample_indices(frames.frames, MOST_FRAMES)
-        self.parts: dict[int, list[Part]] = {}
+        self.fits_colours = colours
+        self.selected = sample_indices(frames.frames, MAX_FRAMES)
+        self.clouds: dict[int, list[RenderablePoints]] = {}
         self.distance = float(np.linalg.norm(renderer.views.rig.cameras[index].centre - renderer.focus))
 
-    def level(self, camera: Camera, blur_px: float) -> Camera:
-        """The camera after some steps of Levenberg and Marquardt's on pictures blurred by ``blur_px``.
+    def optimize(self, camera: Camera, blur_px: float) -> Camera:
+        """The camera after Levenberg-Marquardt steps on pictures blurred by ``blur_px``.
 
-        Colours are evaluated once, for where the camera is at first: they change little by what it moves.
+        Colours are evaluated once, for the initial camera: the steps are small.
         """
-        for frame in self.chosen:
-            self.parts[frame] = self.renderer.parts(self.frames.get(frame), frame, camera, self.index)
-        damping, now = DAMPING, self.look(camera, blur_px)
-        for _ in range(STEPS):
-            grown = now.matrix + np.diag(damping * np.diag(now.matrix) + 1e-12)
-            step = np.asarray(np.linalg.solve(grown, now.right), np.float64)
-            trial = self._moved(camera, step)
-            after = self.look(trial, blur_px)
-            if after.error < now.error:
-                camera, now, damping = trial, after, damping / 5
+        for frame in self.selected:
+            self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)
+        damping, current = INITIAL_DAMPING, self.linearize(camera, blur_px)
+        for _ in range(MAX_STEPS):
+            damped = current.matrix + np.diag(damping * np.diag(current.matrix) + 1e-12)
+            step = np.asarray(np.linalg.solve(damped, current.right), np.float64)
+            trial = self._move(camera, step)
+            after = self.linearize(trial, blur_px)
+            if after.error < current.error:
+                camera, current, damping = trial, after, damping / 5
             else:
                 damping *= 20
-            if float(np.abs(step).max()) < SETTLED:
+            if float(np.abs(step).max()) < CONVERGED:
                 break
         return camera
 
-    def look(self, camera: Camera, blur_px: float) -> _Look:
-        """Render the chosen frames and compare."""
-        pairs = [self._pair(camera, frame, blur_px) for frame in self.chosen]
-        tint = _tint(pairs) if self.colours else None
+    def linearize(self, camera: Camera, blur_px: float) -> _NormalEquations:
+        """Render the selected frames and build the normal equations."""
+        pairs = [self._render_pair(camera, frame, blur_px) for frame in self.selected]
+        colours = _fit_colours(pairs) if self.fits_colours else None
         matrix, right, error, count = np.zeros((6, 6)), np.zeros(6), 0.0, 0
         for pair in pairs:
-            shown = pair.rgb if tint is None else _tinted(tint, pair.rgb, pair.alpha)
+            shown = pair.rgb if colours is None else _recolour(colours, pair.rgb, pair.alpha)
             residual = shown - pair.truth
             jacobian = _jacobian(shown, pair, self.distance)
             matrix += np.einsum("ihwc,jhwc->ij", jacobian, jacobian, optimize=True)
             right -= np.einsum("ihwc,hwc->i", jacobian, residual, optimize=True)
             error, count = error + float(np.square(residual).sum()), count + residual.size
-        return _Look(error / count, matrix, right, tint)
+        return _NormalEquations(error / count, matrix, right, colours)
 
-    def _pair(self, camera: Camera, frame: int, blur_px: float) -> _Pair:
+    def _render_pair(self, camera: Camera, frame: int, blur_px: float) -> _Pair:
         view = self.renderer.views.view(self.index, frame)
         height, width = view.matte.shape
         part = camera.crop(view.left, view.top, width, height)
-        picture = picture_of(self.parts[frame], part, self.layers)
-        truth = view.target()[0].numpy()
-        if self.renderer.background is not None:
-            truth = (view.rgb / np.float32(255)).astype(np.float32)
-        alpha = _blurred(picture.alpha, blur_px)
-        depth = _blurred(picture.depth * picture.alpha, blur_px) / np.maximum(alpha, 1e-6)
-        rgb = _blurred(picture.rgb, blur_px)
-        return _Pair(rgb, alpha, np.where(alpha > LEAST_COVERED, depth, 0), _blurred(truth, blur_px), part)
+        rendered = render_view(self.clouds[frame], part, self.layers)
+        truth = self.renderer.scene.reference_picture(view)
+        alpha = _blur(rendered.alpha, blur_px)
+        depth = _blur(rendered.depth * rendered.alpha, blur_px) / np.maximum(alpha, 1e-6)
+        rgb = _blur(rendered.rgb, blur_px)
+        return _Pair(rgb, alpha, np.where(alpha > MIN_ALPHA, depth, 0), _blur(truth, blur_px), part)
 
-    def _moved(self, camera: Camera, step: Array) -> Camera:
+    def _move(self, camera: Camera, step: Array) -> Camera:
         rotation = cv2.Rodrigues(step[:3])[0]
         translation = rotation @ camera.translation + self.distance * step[3:]
         return replace(camera, rotation=rotation @ camera.rotation, translation=translation)
@@ -146,7 +153,7 @@ class _Fit:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A rendered picture and the true one, both blurred (H, W, 3); depth (H, W) is 0 where nothing is."""
+    """A rendered and a true picture, blurred (H, W, 3), with alpha and depth (H, W); depth is 0 outside surfaces."""
 
     rgb: Floats
     alpha: Floats
@@ -156,7 +163,7 @@ class _Pair:
 
 
 def _jacobian(shown: Floats, pair: _Pair, distance: float) -> Floats:
-    """(6, H, W, 3) how the picture changes as the camera turns (radians) and moves (shares of ``distance``)."""
+    """(6, H, W, 3) derivative of the picture by rotation (radians) and translation (shares of ``distance``)."""
     height, width = pair.depth.shape
     rows, columns = np.indices((height, width)) + 0.5
     k = pair.camera.intrinsics
@@ -167,9 +174,9 @@ def _jacobian(shown: Floats, pair: _Pair, distance: float) -> Floats:
     by_x = np.stack([-x * y, 1 + x * x, -y, distance / z * one, zero, -distance / z * x])
     by_y = np.stack([-1 - y * y, x * y, x, zero, distance / z * one, -distance / z * y])
     flow_x, flow_y = k[0, 0] * by_x + k[0, 1] * by_y, k[1, 1] * by_y
-    # What moves along the flow shows at a pixel what was before it on the way.
-    along_x, along_y = ((_slope(shown, axis) + _slope(pair.truth, axis)) / 2 for axis in (1, 0))
-    change = -(along_x * flow_x[..., None] + along_y * flow_y[..., None])
+    # Brightness constancy: a pixel takes the value from where the flow comes, hence the minus.
+    slope_x, slope_y = ((_slope(shown, axis) + _slope(pair.truth, axis)) / 2 for axis in (1, 0))
+    change = -(slope_x * flow_x[..., None] + slope_y * flow_y[..., None])
     return np.where((pair.depth > 0)[..., None], change, 0).astype(np.float32)
 
 
@@ -177,21 +184,21 @@ def _slope(picture: Floats, axis: int) -> Floats:
     return np.asarray(np.gradient(picture, axis=axis), np.float32)
 
 
-def _blurred(picture: Floats, sigma_px: float) -> Floats:
+def _blur(picture: Floats, sigma_px: float) -> Floats:
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _tint(pairs: Sequence[_Pair]) -> Floats:
-    """(3, 4) affine colours that fit the rendered pictures to the true ones; none of it where nothing speaks for it."""
+def _fit_colours(pairs: Sequence[_Pair]) -> Floats:
+    """(3, 4) affine colour map from rendered to true pictures, by regularised least squares."""
     matrix, right, count = np.zeros((4, 4)), np.zeros((4, 3)), 0
     for pair in pairs:
         given = np.concatenate([pair.rgb, pair.alpha[..., None]], axis=-1).reshape(-1, 4).astype(np.float64)
-        off = (pair.truth - pair.rgb).reshape(-1, 3)
-        matrix, right, count = matrix + given.T @ given, right + given.T @ off, count + len(given)
-    change = np.linalg.solve(matrix + TINT_STRENGTH * count * np.eye(4), right)
+        difference = (pair.truth - pair.rgb).reshape(-1, 3)
+        matrix, right, count = matrix + given.T @ given, right + given.T @ difference, count + len(given)
+    change = np.linalg.solve(matrix + COLOUR_REGULARISATION * count * np.eye(4), right)
     return (np.eye(3, 4) + change.T).astype(np.float32)
 
 
-def _tinted(colours: Floats, rgb: Floats, alpha: Floats) -> Floats:
-    shown = recoloured(torch.from_numpy(colours), torch.from_numpy(rgb), torch.from_numpy(alpha))
+def _recolour(colours: Floats, rgb: Floats, alpha: Floats) -> Floats:
+    shown = recolour(torch.from_numpy(colours), torch.from_numpy(rgb), torch.from_numpy(alpha))
     return np.asarray(shown.numpy(), np.float32)

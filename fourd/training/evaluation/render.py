@@ -1,19 +1,20 @@
-"""Rendering a trained frame from any camera, without gradients: for validation, evaluation and pictures."""
+"""Rendering of a trained scene from any camera, without gradients: for validation, evaluation and images."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera, nearest_views
-from fourd.model import PointModel
 from fourd.training.background import StaticBackground
-from fourd.training.points.frame_store import FramePoints
-from fourd.training.rendering import Part, composite, evaluate
-from fourd.training.step import with_depth
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.rendering import RenderablePoints, composite
+from fourd.training.scenes.full_scene import FullScene
+from fourd.training.scenes.scene import Scene
 from fourd.training.views import ViewStore
 
 
@@ -22,90 +23,78 @@ class RenderedView:
     """A rendered view, all float32.
 
     Attributes:
-        rgb: (H, W, 3) on black.
-        alpha, depth: (H, W).
-        moving: (H, W) how much of the light is from what moves: alpha, where there is no background.
+        rgb: (H, W, 3) on black, clamped to [0, 1].
+        alpha: (H, W).
+        depth: (H, W) in world units.
+        foreground: (H, W) the part of alpha that belongs to the foreground.
     """
 
     rgb: NDArray[np.float32]
     alpha: NDArray[np.float32]
     depth: NDArray[np.float32]
-    moving: NDArray[np.float32]
+    foreground: NDArray[np.float32]
 
 
 class Renderer:
-    """Renders frames of a model; source views are the nearest of ``training`` cameras."""
+    """Renders frames of a scene; source views are the training cameras nearest to the viewer."""
 
-    def __init__(
-        self,
-        model: PointModel,
-        views: ViewStore,
-        training: list[int],
-        focus: NDArray[np.float64],
-        background: StaticBackground | None = None,
-    ) -> None:
-        self.model = model
-        self.views = views
+    def __init__(self, scene: Scene, training: list[int], focus: NDArray[np.float64]) -> None:
+        """Make a renderer.
+
+        Args:
+            scene: the models and pictures.
+            training: indices of the training cameras.
+            focus: (3,) the point where angles between cameras are measured.
+        """
+        self.scene = scene
         self.training = training
         self.focus = focus
-        self.background = background
+
+    @property
+    def views(self) -> ViewStore:
+        return self.scene.views
+
+    @property
+    def background(self) -> StaticBackground | None:
+        """The background of a full scene; None of an object."""
+        return self.scene.background
 
     def render(
         self, points: FramePoints, frame: int, camera: Camera, layers: int, exclude: int | None = None
     ) -> RenderedView:
-        """Render a frame (index into the selection) from ``camera`` with K = ``layers``.
+        """Render a frame.
 
-        ``exclude`` names a source camera that must not be used, so that a training view can be
-        judged without copying from itself.
+        Args:
+            points: of the frame.
+            frame: index into the selected frames.
+            camera: the viewing camera.
+            layers: number of composited points, K.
+            exclude: a source camera that is not used, so that a training view is not blended from itself.
         """
-        return picture_of(self.parts(points, frame, camera, exclude), camera, layers)
+        return render_view(self.evaluate(points, frame, camera, exclude), camera, layers)
 
-    def parts(self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None) -> list[Part]:
-        """What a frame shows to ``camera``, evaluated; arguments as :meth:`render`."""
-        with torch.no_grad():
-            parts = [self._moving(points, frame, camera, exclude)]
-            if self.background is not None:
-                parts.append(self._static(self.background, camera, exclude, self.views.capture.time(frame)))
-            return parts
+    def evaluate(
+        self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None
+    ) -> list[RenderablePoints]:
+        """The renderable points of a frame for ``camera``; arguments as for :meth:`render`."""
+        return self.scene.evaluate_frame(points, frame, camera, self._nearest(camera, exclude))
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
-        """The background alone, without shadows, of which a full scene has one."""
-        assert self.background is not None, "an object scene has no background"
-        with torch.no_grad():
-            parts = [self._static(self.background, camera, exclude)]
-        return picture_of(parts, camera, layers)
-
-    def _moving(self, points: FramePoints, frame: int, camera: Camera, exclude: int | None) -> Part:
-        time = self.views.capture.time(frame)
-        features = self.model.point_features(points.xyz, time)
-        radius, density = self.model.geometry(features, points.spacing)
-        sources = None
-        if self.model.config.appearance != "sh":
-            chosen = self.views.sources(self._nearest(camera, exclude), frame)
-            displacement = self.model.displacement(points.xyz, time)
-            placed = points.xyz if displacement is None else points.xyz + displacement
-            seen = replace(points, radius=radius, density=density, free={**points.free, "xyz": placed})
-            sources = with_depth(chosen, seen, self.model.config.occlusion)
-        return evaluate(self.model, points, None, time, camera, sources)
-
-    def _static(
-        self, background: StaticBackground, camera: Camera, exclude: int | None, shadow_at: float | None = None
-    ) -> Part:
-        plates = None
-        if background.model.config.appearance != "sh":
-            plates = background.sources(self._nearest(camera, exclude))
-        return evaluate(background.model, background.points, None, 0.0, camera, plates, shadow_at=shadow_at)
+        """Render the background of a full scene alone, without shadows."""
+        assert isinstance(self.scene, FullScene), "an object scene has no background"
+        points = self.scene.evaluate_background(camera, self._nearest(camera, exclude))
+        return render_view([points], camera, layers)
 
     def _nearest(self, camera: Camera, exclude: int | None) -> list[int]:
         candidates = [index for index in self.training if index != exclude]
         cameras = [self.views.rig.cameras[index] for index in candidates]
-        nearest = nearest_views(camera, cameras, self.model.config.neighbours, self.focus)
-        return [candidates[i] for i in nearest]
+        neighbours = self.scene.models["model"].config.neighbours
+        return [candidates[i] for i in nearest_views(camera, cameras, neighbours, self.focus)]
 
 
-def picture_of(parts: list[Part], camera: Camera, layers: int) -> RenderedView:
-    """What was evaluated for a camera, as it or one near it sees it."""
+def render_view(clouds: Sequence[RenderablePoints], camera: Camera, layers: int) -> RenderedView:
+    """Render points whose colours were evaluated for ``camera`` or for one near it."""
     with torch.no_grad():
-        render = composite(parts, camera, layers)
-    rgb, moving = render.features[..., :3].clamp(0, 1), render.features[..., 3]
-    return RenderedView(rgb.numpy(), render.alpha.numpy(), render.depth.numpy(), moving.numpy())
+        render = composite(clouds, camera, layers)
+    rgb, foreground = render.features[..., :3].clamp(0, 1), render.features[..., 3]
+    return RenderedView(rgb.numpy(), render.alpha.numpy(), render.depth.numpy(), foreground.numpy())

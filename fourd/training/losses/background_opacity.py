@@ -1,9 +1,9 @@
-"""What closes a background: it is opaque from wherever a viewer may stand, and not from its plates' cameras alone."""
+"""Background opacity term: a background without holes from viewpoints between the training cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,34 +12,65 @@ from torch import Tensor
 from fourd.cameras import Camera
 from fourd.raster import render_points
 from fourd.training.background import StaticBackground
+from fourd.training.config import TrainConfig
+from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""Of a picture that is asked for holes: more than lie over one another on a floor seen at a grazing angle. Where the
-last of too few layers leaves light, a gradient asks for larger discs, of which still fewer fit."""
-ASTRAY = 0.15
-"""A viewer stands so far beside the line between two cameras, at most, as a share of the line's length."""
+"""More points than overlap on a floor at a grazing angle. Where too few layers end before the transmittance is 0, the
+gradient enlarges the discs, of which fewer fit into the layers."""
+MAX_LATERAL_OFFSET = 0.15
+"""Distance of a viewpoint from the line between two cameras, at most, as a share of the line's length."""
+RNG_STREAM = 4
+"""Second entry of the seeds of viewpoints, which no other draw of a run has."""
 
 
-def vantage(camera: Camera, others: Sequence[Camera], side_px: int, draw: np.random.Generator) -> Camera:
-    """Part of a picture, at most ``side_px`` square, seen as ``camera`` does from somewhere on the way to another."""
-    way = others[int(draw.integers(len(others)))].centre - camera.centre
-    beside = draw.normal(size=3)
-    beside *= ASTRAY * np.linalg.norm(way) * draw.random() / np.linalg.norm(beside)
-    centre = camera.centre + draw.random() * way + beside
+@dataclass(frozen=True, eq=False)
+class BackgroundOpacityTerm:
+    """Mean squared transmittance of the background from an interpolated viewpoint, in steps whose target is a plate."""
+
+    weight: float
+    background: StaticBackground
+    config: TrainConfig
+    name: str = "closed"
+
+    def applies_to(self, step: RenderedStep) -> bool:
+        return step.sample.is_plate
+
+    def value(self, step: RenderedStep) -> Tensor:
+        cameras = [self.background.camera(index) for index in self.background.plates]
+        rng = np.random.default_rng([self.config.seed, RNG_STREAM, step.number])
+        target = self.background.camera(step.sample.target)
+        viewer = interpolate_viewpoint(target, cameras, self.config.background.window_px // 2, rng)
+        return mean_squared_transmittance(self.background, viewer, self.config.hidden_weight)
+
+
+def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int, rng: np.random.Generator) -> Camera:
+    """A camera like ``camera``, at a random point near the line to another, cropped to at most ``side_px`` square."""
+    line = others[int(rng.integers(len(others)))].centre - camera.centre
+    offset = rng.normal(size=3)
+    offset *= MAX_LATERAL_OFFSET * np.linalg.norm(line) * rng.random() / np.linalg.norm(offset)
+    centre = camera.centre + rng.random() * line + offset
     width, height = min(side_px, camera.width), min(side_px, camera.height)
-    left, top = draw.integers(camera.width - width + 1), draw.integers(camera.height - height + 1)
+    left, top = rng.integers(camera.width - width + 1), rng.integers(camera.height - height + 1)
     return replace(camera, translation=-camera.rotation @ centre).crop(int(left), int(top), width, height)
 
 
-def transparency(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
-    """The mean square of what is left to see behind a background, differentiable in its model alone.
+def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
+    """Mean of (1 - alpha)^2 of a background's picture, differentiable in its model alone.
 
-    Points keep their places: those are for the plates to say.
+    Positions get no gradient: the plates determine them.
     """
-    points, model = background.points, background.model
+    points = background.points
     rows = visible_points([points], viewer, LAYERS, hidden_weight)[0]
-    xyz = points.xyz[rows]
-    radius, density = model.geometry(model.point_features(xyz, 0.0), points.spacing[rows])
-    alpha = render_points(xyz, torch.ones(len(rows), 1), radius, density, viewer, layers=LAYERS, near=NEAR).alpha
+    evaluated = background.model.evaluate(points.xyz[rows], points.spacing[rows], 0.0)
+    alpha = render_points(
+        evaluated.xyz,
+        torch.ones(len(rows), 1),
+        evaluated.radius,
+        evaluated.density,
+        viewer,
+        layers=LAYERS,
+        near=NEAR,
+    ).alpha
     return (1 - alpha).square().mean()

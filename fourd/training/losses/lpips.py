@@ -168,7 +168,7 @@ def _files_of(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise UserError(f"{path}: expected a file or folder with weights, got none; mend --lpips-weights")
+        raise UserError(f"{path}: expected a file or folder with weights, got none; fix --lpips-weights")
     names = [entry for entry in sorted(path.iterdir()) if entry.is_file() and entry.suffix in SUFFIXES]
     files = [file for file in names if re.fullmatch(r"vgg16(?!_?bn).*|vgg|.*lpips.*", file.stem.lower())]
     if not files:

@@ -1,1 +1,1 @@
-"""Each frame's points: storage, densification, spacing."""
+"""Points of frames: parameters, optimizer, storage and densification."""

@@ -1,4 +1,4 @@
-"""More points where the error is: points that pull hardest are halved, points that never show give way."""
+"""Densification: points with large gradients are split, and unobserved points are removed."""
 
 from __future__ import annotations
 
@@ -11,77 +11,79 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from fourd.training.config import DensifyConfig
-from fourd.training.points.frame_store import FramePoints
-from fourd.training.points.spacing import spacings
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.points.spacing import point_spacings
 
-NEAREST = 3
-"""A new point lies between its parent and one of so many neighbours: on the surface, that is, more or less."""
+NEIGHBOURS = 3
+"""A new point lies midway between its parent and one of this many neighbours, and so close to the surface."""
 
 
 @dataclass(frozen=True)
-class Densified:
-    """What a round did to a cloud: how many points came, and how many went."""
+class Densification:
+    """Numbers of points that a densification round added and removed."""
 
-    born: int
-    gone: int
+    added: int
+    removed: int
 
 
 def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
-    """Keep what a step's gradient of the positions (M, 3) says of ``rows`` (M,): how hard they pull, if they show.
+    """Add a step's gradient of the positions (M, 3) to the history of points ``rows`` (M,).
 
-    The measure is the change of the loss for a step as long as the point's spacing: without a unit, for near points
-    and far ones (after the view-space gradient of Kerbl et al. 2023, sec. 5.2).
+    The magnitude is the gradient's norm times the point's spacing, the change of the loss for a move by one spacing: it
+    has no unit, so that near and far points compare (after the view-space gradient of Kerbl et al. 2023, sec. 5.2).
     """
-    pull = gradient.norm(dim=1) * points.spacing[rows]
-    points.error[rows] += pull
-    points.shown[rows] += (pull > 0).float()
+    magnitude = gradient.norm(dim=1) * points.spacing[rows]
+    points.gradient_sum[rows] += magnitude
+    points.visible_steps[rows] += (magnitude > 0).float()
     points.age += 1
 
 
 def unobserved_points(points: FramePoints, patience: int) -> Tensor:
-    """(N,) bool, which points have had ``patience`` steps of the cloud to show in and did in none."""
-    return (points.shown == 0) & (points.age - points.born >= patience)
+    """(N,) bool, points that existed for at least ``patience`` steps of the cloud and had no gradient in any."""
+    return (points.visible_steps == 0) & (points.age - points.created_at >= patience)
 
 
-def densify(points: FramePoints, config: DensifyConfig, idle: Tensor, seed: list[int]) -> Densified:
-    """Halve the points whose mean pull is largest, at most ``config.share`` of them, into two; drop the idle.
+def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed: list[int]) -> Densification:
+    """Split the points with the largest mean gradient magnitudes and remove unobserved points, in place.
 
-    The count stays below ``config.growth`` times what it was first. The cloud is changed in place; new points have
-    the means of their two parents, no moments and no history.
+    At most ``config.share`` of the points are split, and the count stays below ``config.growth`` times the initial
+    count. New points get the mean parameters of their two parents, initial optimizer state and no history.
 
     Args:
-        idle: (N,) bool, points that show nowhere; they go, but for those that last.
+        points: the cloud.
+        config: limits.
+        unobserved: (N,) bool, points to remove, except permanent ones.
         seed: of the choice among neighbours.
     """
     count = points.xyz.shape[0]
-    kept = torch.nonzero(~idle | points.lasting)[:, 0]
-    room = int(config.growth * float(points.first)) - len(kept)
-    pull = (points.error / points.shown.clamp(min=1))[kept]
-    wanted = max(0, min(room, int(config.share * len(kept)), int((pull > 0).sum())))
-    if len(kept) <= NEAREST:
-        return Densified(0, 0)
-    if wanted == 0:
-        points.take(kept)
-        return Densified(0, count - len(kept))
-    parents = kept[pull.topk(wanted).indices.sort().values]
-    parents, partners = _pairs(points.xyz, kept, parents, np.random.default_rng(seed))
-    points.take(kept, parents, partners)
+    kept = torch.nonzero(~unobserved | points.is_permanent)[:, 0]
+    room = int(config.growth * float(points.initial_count)) - len(kept)
+    magnitude = (points.gradient_sum / points.visible_steps.clamp(min=1))[kept]
+    split_count = max(0, min(room, int(config.share * len(kept)), int((magnitude > 0).sum())))
+    if len(kept) <= NEIGHBOURS:
+        return Densification(0, 0)
+    if split_count == 0:
+        points.keep_and_insert(kept)
+        return Densification(0, count - len(kept))
+    parents = kept[magnitude.topk(split_count).indices.sort().values]
+    parents, partners = _choose_partners(points.xyz, kept, parents, np.random.default_rng(seed))
+    points.keep_and_insert(kept, parents, partners)
     changed = np.append(np.searchsorted(kept.numpy(), parents.numpy()), np.arange(len(kept), points.xyz.shape[0]))
-    _draw_together(points, changed)
-    return Densified(len(parents), count - len(kept))
+    _reduce_spacings(points, changed)
+    return Densification(len(parents), count - len(kept))
 
 
-def _draw_together(points: FramePoints, rows: NDArray[np.intp]) -> None:
-    """Give points that have nearer neighbours now the spacing, and for the time being the radius, that goes with it."""
-    nearer = torch.minimum(points.spacing[rows], torch.from_numpy(spacings(points.xyz.numpy(), rows)))
-    points.radius[rows] *= nearer / points.spacing[rows]
-    points.spacing[rows] = nearer
+def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
+    """Reduce spacing and radius of points whose neighbours are closer since the split."""
+    spacing = torch.minimum(points.spacing[rows], torch.from_numpy(point_spacings(points.xyz.numpy(), rows)))
+    points.radius[rows] *= spacing / points.spacing[rows]
+    points.spacing[rows] = spacing
 
 
-def _pairs(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Parents and one of the nearest kept points of each; of two that have chosen each other, one alone."""
-    _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEAREST + 2)))
-    drawn = near[np.arange(len(parents)), rng.integers(0, NEAREST, len(parents))]
+def _choose_partners(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
+    """Pairs of each parent and one of its nearest kept points; a pair that is chosen from both sides counts once."""
+    _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEIGHBOURS + 2)))
+    drawn = near[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
     pairs = torch.stack([parents, kept[torch.from_numpy(drawn)]], 1)
     pairs = torch.from_numpy(np.unique(pairs.sort(dim=1).values.numpy(), axis=0))
     return pairs[:, 0], pairs[:, 1]

@@ -27,8 +27,7 @@ from fourd.training.cameras.rig import Rig
 from fourd.training.config import RefineConfig, TrainConfig
 from fourd.training.evaluation.camera_fitting import fit_test_camera
 from fourd.training.loop import Trainer
-from fourd.training.points.frame_store import FramePoints
-from fourd.training.rendering import Part
+from fourd.training.rendering import RenderablePoints
 from fourd.training.run import create_run, load_run, open_run
 from fourd.training.step import StepResult
 from tests.captures import ring_cameras
@@ -39,7 +38,7 @@ EVERYTHING = RefineConfig(poses=True, focal=True, colours=True)
 OFF = RefineConfig()
 
 
-def _cloud(rng: np.random.Generator, camera: Camera, count: int = 60) -> Part:
+def _cloud(rng: np.random.Generator, camera: Camera, count: int = 60) -> RenderablePoints:
     """Points at depths apart before ``camera``, so that no small change puts one before another."""
     depths = 1.6 + 0.8 * rng.permutation(count)[:, None] / count
     in_camera = np.hstack([rng.uniform(-0.4, 0.4, (count, 2)), depths])
@@ -47,11 +46,10 @@ def _cloud(rng: np.random.Generator, camera: Camera, count: int = 60) -> Part:
     radius = torch.full((count,), 0.12, dtype=torch.float64)
     density = torch.full((count,), 0.6, dtype=torch.float64)
     colour = torch.from_numpy(rng.uniform(0, 1, (count, 3)))
-    points = FramePoints.fresh(xyz.float(), radius.float(), 1.0, explicit_sh=False)
-    return Part(points, torch.arange(count), {}, xyz, radius, density, colour, None, None)
+    return RenderablePoints(xyz, radius, density, colour)
 
 
-def _render(part: Part, camera: Camera) -> Tensor:
+def _render(part: RenderablePoints, camera: Camera) -> Tensor:
     shown = render_points(part.xyz, part.colour, part.radius, part.density, camera, layers=64, backend="reference")
     return shown.features
 
@@ -82,7 +80,7 @@ def test_gradients_of_a_camera_are_those_of_the_picture(rng: np.random.Generator
         ahead, behind = (loss(pose + sign * change[:6], zoom + sign * change[6]) for sign in (1, -1))
         expected.append((ahead - behind) / (2 * step))
     _set(refinement, 1, pose, zoom)
-    (_render(refinement.seen([part], 1)[0], refinement.rig().cameras[1]) * weight).sum().backward()
+    (_render(refinement.attach_camera_gradient([part], 1)[0], refinement.rig().cameras[1]) * weight).sum().backward()
     poses, zooms = refinement.poses[1].grad, refinement.zooms[1].grad
     assert poses is not None
     assert zooms is not None
@@ -104,11 +102,11 @@ def test_no_correction_is_exactly_none(rng: np.random.Generator) -> None:
             parameter.copy_(torch.from_numpy(rng.normal(0, 0.3, parameter.shape)))
     part = _cloud(rng, cameras[3])
     part = replace(part, xyz=part.xyz.float(), radius=part.radius.float())
-    seen = refinement.seen([part], 3)[0]
+    seen = refinement.attach_camera_gradient([part], 3)[0]
     assert torch.equal(seen.xyz, part.xyz)
     assert torch.equal(seen.radius, part.radius)
     colour, alpha = torch.rand(4, 5, 3), torch.rand(4, 5)
-    assert torch.equal(refinement.recoloured(colour, alpha, 1), colour)
+    assert torch.equal(refinement.recolour(colour, alpha, 1), colour)
     picture = torch.rand(3, 4, 5)
     assert torch.equal(rig.scene_colours(1, picture), picture)
 
@@ -125,7 +123,7 @@ def test_colours_have_no_mean_and_are_undone_in_sources(rng: np.random.Generator
     assert torch.equal(rig.colours[1], torch.eye(3, 4))
     rgb = torch.rand(5, 6, 3)
     seen = rig.camera_colours(2, rgb, torch.ones(5, 6))
-    torch.testing.assert_close(seen, refinement.recoloured(rgb, torch.ones(5, 6), 2))
+    torch.testing.assert_close(seen, refinement.recolour(rgb, torch.ones(5, 6), 2))
     torch.testing.assert_close(rig.scene_colours(2, seen.permute(2, 0, 1)).permute(1, 2, 0), rgb, atol=1e-5, rtol=0)
 
 

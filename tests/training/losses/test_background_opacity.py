@@ -11,8 +11,12 @@ import torch
 
 from fourd.cameras import look_at
 from fourd.training.background import StaticBackground
-from fourd.training.losses.background_opacity import ASTRAY, transparency, vantage
-from fourd.training.points.frame_store import FramePoints
+from fourd.training.losses.background_opacity import (
+    MAX_LATERAL_OFFSET,
+    interpolate_viewpoint,
+    mean_squared_transmittance,
+)
+from fourd.training.points.frame_points import FramePoints
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 
@@ -33,12 +37,12 @@ def test_viewers_stand_between_the_cameras(rng: np.random.Generator) -> None:
     """Catches viewers outside the room, all in one place, or with pictures larger than what they are part of."""
     cameras = ring_cameras(8, 64)
     farthest = max(float(np.linalg.norm(camera.centre)) for camera in cameras)
-    viewers = [vantage(cameras[k % 8], cameras, 48, rng) for k in range(200)]
+    viewers = [interpolate_viewpoint(cameras[k % 8], cameras, 48, rng) for k in range(200)]
     centres = np.array([viewer.centre for viewer in viewers])
-    assert np.linalg.norm(centres, axis=1).max() < (1 + 2 * ASTRAY) * farthest
+    assert np.linalg.norm(centres, axis=1).max() < (1 + 2 * MAX_LATERAL_OFFSET) * farthest
     assert (centres.std(axis=0)[:2] > 0.2 * farthest).all()
     assert {(viewer.width, viewer.height) for viewer in viewers} == {(48, 48)}
-    assert (vantage(cameras[0], cameras, 500, rng).width, cameras[0].width) == (64, 64)
+    assert (interpolate_viewpoint(cameras[0], cameras, 500, rng).width, cameras[0].width) == (64, 64)
     for k, viewer in enumerate(viewers):
         np.testing.assert_array_equal(viewer.rotation, cameras[k % 8].rotation)
 
@@ -51,12 +55,12 @@ def test_a_floor_of_many_layers_is_not_asked_for_larger_discs(background: Static
     dense = StaticBackground(background.model, points, background.plates)
     viewer = look_at(np.array([3.0, 0, 0.2]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 64)
     radius_bias = dense.model.geometry_head.layers[-1].bias
-    asked = torch.autograd.grad(transparency(dense, viewer, 0.0), radius_bias)[0][0]
+    asked = torch.autograd.grad(mean_squared_transmittance(dense, viewer, 0.0), radius_bias)[0][0]
     with torch.no_grad():
         radius_bias[0] += 0.05
-        larger = transparency(dense, viewer, 0.0)
+        larger = mean_squared_transmittance(dense, viewer, 0.0)
         radius_bias[0] -= 0.1
-        smaller = transparency(dense, viewer, 0.0)
+        smaller = mean_squared_transmittance(dense, viewer, 0.0)
         radius_bias[0] += 0.05
     assert float(asked) == pytest.approx(float(larger - smaller) / 0.1, rel=0.2, abs=1e-4)
 
@@ -72,7 +76,7 @@ def test_a_wall_with_holes_closes(background: StaticBackground) -> None:
     optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)
     left = []
     for _ in range(60):
-        loss = transparency(holed, viewer, 0.0)
+        loss = mean_squared_transmittance(holed, viewer, 0.0)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()

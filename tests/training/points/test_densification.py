@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from safetensors.torch import load_file
 
-from fourd.training.background import out_of_sight
+from fourd.training.background import outside_all_images
 from fourd.training.config import DensifyConfig
 from fourd.training.points.densification import accumulate_gradient_magnitudes, densify, unobserved_points
-from fourd.training.points.frame_store import FramePoints
+from fourd.training.points.frame_points import FramePoints
 from fourd.training.run import points_folder
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
@@ -41,18 +41,21 @@ def test_new_points_lie_among_those_that_pull_hardest() -> None:
     hard = points.xyz[:, 0] > 0.175
     pulled(points, hard)
     done = densify(points, CONFIG, unobserved_points(points, 40), [0])
-    assert 30 <= done.born <= 40
-    assert done.gone == 0
+    assert 30 <= done.added <= 40
+    assert done.removed == 0
     new = points.xyz[400:]
-    assert len(torch.unique(new, dim=0)) == len(new) == done.born
+    assert len(torch.unique(new, dim=0)) == len(new) == done.added
     assert (new[:, 0] > 0.16).all()
     assert (new[:, 2] == 0).all()
-    torch.testing.assert_close(points.free["rgb"][400:], new / 0.19)
+    torch.testing.assert_close(points.parameters["rgb"][400:], new / 0.19)
     assert (points.spacing[400:] < 0.0081).all()
     assert (points.spacing[400:] > 0.003).all()
-    assert {name: len(value) for name, value in points.free.items()} == {"xyz": len(points.xyz), "rgb": len(points.xyz)}
-    assert points.moments["xyz"].shape == (2, len(points.xyz), 3)
-    assert float(points.moments["xyz"][:, 400:].abs().max()) == 0
+    assert {name: len(value) for name, value in points.parameters.items()} == {
+        "xyz": len(points.xyz),
+        "rgb": len(points.xyz),
+    }
+    assert points.optimizer.moments["xyz"].shape == (2, len(points.xyz), 3)
+    assert float(points.optimizer.moments["xyz"][:, 400:].abs().max()) == 0
 
 
 def test_the_count_is_bounded() -> None:
@@ -68,13 +71,13 @@ def test_what_never_shows_goes_and_what_stands_for_the_unseen_stays() -> None:
     """Catches pruning before a point could show, of points that came late, and of those that no camera can see."""
     points = sheet(colours=False)
     shows = points.xyz[:, 1] > 0.095
-    points.lasting[:7] = True
+    points.is_permanent[:7] = True
     for _ in range(5):
         accumulate_gradient_magnitudes(points, torch.nonzero(shows)[:, 0], torch.full((int(shows.sum()), 3), 0.1))
-    assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 6), [0]).gone == 0
-    assert densify(points, CONFIG, unobserved_points(points, 5), [0]).gone == 193
+    assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 6), [0]).removed == 0
+    assert densify(points, CONFIG, unobserved_points(points, 5), [0]).removed == 193
     kept = len(points.xyz)
-    assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 1), [1]).gone == 0, (
+    assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 1), [1]).removed == 0, (
         "new points had no step to show in"
     )
     assert kept > 207
@@ -98,17 +101,17 @@ def test_history_survives_a_file(tmp_path: Path) -> None:
     pulled(points, points.xyz[:, 0] > 0.1)
     named = points.tensors()
     again = FramePoints.from_tensors(named)
-    assert torch.equal(again.error, points.error)
+    assert torch.equal(again.gradient_sum, points.gradient_sum)
     assert int(again.age) == 1
     old = {name: value for name, value in named.items() if name not in ("error", "shown", "born", "age", "first")}
-    assert int(FramePoints.from_tensors(old).first) == 400
+    assert int(FramePoints.from_tensors(old).initial_count) == 400
 
 
-def test_out_of_sight_is_what_no_picture_holds() -> None:
+def test_outside_all_images_is_what_no_picture_holds() -> None:
     """Catches a shell that is pruned since no step shows it."""
     cameras = ring_cameras(4, 64)
     xyz = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 50.0], [0.0, 0.0, -50.0]])
-    assert out_of_sight(xyz, cameras).tolist() == [False, True, True]
+    assert outside_all_images(xyz, cameras).tolist() == [False, True, True]
 
 
 def test_a_run_grows_and_its_points_are_saved(ball_capture: Path, tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 
 from fourd.cameras import Camera
-from fourd.training.points.frame_store import FramePoints, FrameStore
-from fourd.training.rendering import ROWS, select_heaviest
-from fourd.training.step import keep_in_hull
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.points.frame_store import FrameStore
+from fourd.training.points.silhouette import revert_moves_out_of_silhouettes
+from fourd.training.rendering import COUNT_STEP, select_heaviest
 
 
 def fresh_points(xyz: torch.Tensor, spacing: float, explicit_sh: bool = False) -> FramePoints:
@@ -32,7 +33,7 @@ def test_adam_on_rows_is_torch_adam_on_those_rows() -> None:
         gradient = torch.randn(2, 3, generator=torch.Generator().manual_seed(step))
         twin.grad = gradient
         optimizer.step()
-        points.update(rows, {"xyz": gradient}, {"xyz": 0.01})
+        points.optimizer.step(points.parameters, rows, {"xyz": gradient}, {"xyz": 0.01})
     torch.testing.assert_close(points.xyz[rows], twin.detach())
     others = [0, 2, 3, 5]
     assert torch.equal(points.xyz[others], before[others])
@@ -44,16 +45,16 @@ def test_colours_that_have_no_say_stay(rng: np.random.Generator) -> None:
     points = FramePoints.fresh(xyz, torch.full((2,), 0.01), 1.0, explicit_sh=False, rgb=torch.full((2, 3), 0.5))
     for _ in range(300):
         noise = torch.from_numpy(rng.normal(size=3)).float()
-        gradient = torch.stack([1e-8 * noise, 1e-5 * (points.free["rgb"][1] - 0.3)])
-        points.update(torch.tensor([0, 1]), {"rgb": gradient}, {"rgb": 0.005})
-    torch.testing.assert_close(points.free["rgb"], torch.tensor([[0.5] * 3, [0.3] * 3]), atol=0.02, rtol=0)
+        gradient = torch.stack([1e-8 * noise, 1e-5 * (points.parameters["rgb"][1] - 0.3)])
+        points.optimizer.step(points.parameters, torch.tensor([0, 1]), {"rgb": gradient}, {"rgb": 0.005})
+    torch.testing.assert_close(points.parameters["rgb"], torch.tensor([[0.5] * 3, [0.3] * 3]), atol=0.02, rtol=0)
 
 
 def test_tensors_round_trip() -> None:
     points = fresh_points(torch.rand(4, 3), 0.01, explicit_sh=True)
     again = FramePoints.from_tensors(points.tensors())
-    assert set(again.free) == {"xyz", "sh"}
-    assert torch.equal(again.moments["sh"], points.moments["sh"])
+    assert set(again.parameters) == {"xyz", "sh"}
+    assert torch.equal(again.optimizer.moments["sh"], points.optimizer.moments["sh"])
 
 
 def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path: Path) -> None:
@@ -61,7 +62,7 @@ def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path
     store = FrameStore(tmp_path / "scratch", 20, lambda frame: fresh(20_000, frame), 2, None)
     for frame in range(20):
         store.get(frame).xyz[0] = frame
-    assert store.kept <= 2
+    assert store.cached_count <= 2
     assert [float(store.get(frame).xyz[0, 0]) for frame in range(20)] == list(range(20))
 
 
@@ -83,7 +84,7 @@ def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Pat
         for frame in range(5):
             store.get(frame).xyz[0] = 10 * turn + frame
         store.save(tmp_path / f"saved{turn}")
-    assert store.kept == 1
+    assert store.cached_count == 1
     again = FrameStore(tmp_path / "other", 6, lambda frame: fresh(20_000, frame), 1, tmp_path / "saved2")
     assert [float(again.get(frame).xyz[0, 0]) for frame in range(5)] == [20, 21, 22, 23, 24]
     assert torch.equal(again.get(5).xyz, fresh(20_000, 5).xyz), "never trained"
@@ -91,10 +92,10 @@ def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Pat
 
 def test_rows_in_sight_come_in_few_numbers() -> None:
     """Catches a visible point left out, and hidden ones taken before heavier ones."""
-    weight = torch.rand(3 * ROWS + 5, generator=torch.Generator().manual_seed(1))
+    weight = torch.rand(3 * COUNT_STEP + 5, generator=torch.Generator().manual_seed(1))
     rows = select_heaviest(weight, 0.5)
     assert rows.tolist() == sorted(set(rows.tolist()))
-    assert len(rows) == -(-int((weight > 0.5).sum()) // ROWS) * ROWS
+    assert len(rows) == -(-int((weight > 0.5).sum()) // COUNT_STEP) * COUNT_STEP
     left_out = torch.ones_like(weight, dtype=torch.bool).index_fill(0, rows, False)
     assert float(weight[left_out].max()) <= min(0.5, float(weight[rows].min()))
     assert len(select_heaviest(weight, 0.0)) == len(weight), "never more than there are"
@@ -109,8 +110,8 @@ def test_points_may_not_leave_a_silhouette() -> None:
     moved = torch.tensor([[0.1, 0, 1], [0.4, 0, 1], [-0.4, 0, 1], [5.0, 0, 1], [0.0, 0, -1]])
     points = fresh_points(torch.zeros(9, 3), 0.1)
     rows = torch.tensor([1, 3, 4, 6, 8])
-    points.free["xyz"][rows] = moved
-    keep_in_hull(points, rows, before, [(camera, matte)])
+    points.parameters["xyz"][rows] = moved
+    revert_moves_out_of_silhouettes(points, rows, before, [(camera, matte)])
     got = points.xyz[rows]
     assert torch.equal(got[0], moved[0]), "a move within the silhouette"
     assert torch.equal(got[1], before[1]), "a move out of it"

@@ -1,0 +1,30 @@
+"""Residual field: a learnt displacement of the points."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from fourd.model.config import ModelConfig, PlanesConfig
+from fourd.model.kplanes import KPlanes
+
+
+class ResidualField(nn.Module):
+    """A small K-Planes and an MLP that displace points by at most ``residual_range`` of the scene's size."""
+
+    def __init__(self, config: ModelConfig, sides: tuple[float, float, float], frame_count: int) -> None:
+        super().__init__()
+        planes = PlanesConfig(levels=2, features=config.planes.features, time=config.planes.time)
+        self.planes = KPlanes(planes, sides, frame_count)
+        self.range = config.residual_range * max(sides)
+        self.layers = nn.Sequential(
+            nn.Linear(self.planes.out_features, config.hidden), nn.ReLU(), nn.Linear(config.hidden, 3)
+        )
+        last = self.layers[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.uniform_(last.weight, -1e-4, 1e-4)
+        nn.init.zeros_(last.bias)
+
+    def forward(self, coordinates: Tensor) -> Tensor:
+        """(N, 4) in [-1, 1] -> (N, 3) displacement in world units."""
+        return self.range * torch.tanh(self.layers(self.planes(coordinates)))

@@ -1,0 +1,25 @@
+"""Perceptual term: LPIPS between the rendered and the true picture (4K4D, eq. 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from fourd.training.losses.lpips import LPIPS
+from fourd.training.losses.term import RenderedStep
+
+
+@dataclass(frozen=True, eq=False)
+class PerceptualTerm:
+    """LPIPS (VGG-16)."""
+
+    weight: float
+    network: LPIPS
+    name: str = "lpips"
+
+    def applies_to(self, step: RenderedStep) -> bool:
+        return True
+
+    def value(self, step: RenderedStep) -> Tensor:
+        return self.network(step.prediction, step.truth)

@@ -1,0 +1,25 @@
+"""Refinement term: small corrections of the target camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from fourd.training.cameras.refinement import Refinement
+from fourd.training.losses.term import RenderedStep
+
+
+@dataclass(frozen=True, eq=False)
+class RefinementTerm:
+    """Squared corrections of the target camera, in units of their standard deviations."""
+
+    weight: float
+    refinement: Refinement
+    name: str = "refinement"
+
+    def applies_to(self, step: RenderedStep) -> bool:
+        return True
+
+    def value(self, step: RenderedStep) -> Tensor:
+        return self.refinement.penalty(step.sample.target)

@@ -1,0 +1,25 @@
+"""Residual term: small displacements."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from fourd.training.losses.term import RenderedStep
+
+
+@dataclass(frozen=True)
+class ResidualTerm:
+    """Mean square of the learnt displacement's components, in units of the point spacing."""
+
+    weight: float
+    spacing: float
+    name: str = "residual"
+
+    def applies_to(self, step: RenderedStep) -> bool:
+        return step.displacement is not None
+
+    def value(self, step: RenderedStep) -> Tensor:
+        assert step.displacement is not None
+        return (step.displacement / self.spacing).square().mean()

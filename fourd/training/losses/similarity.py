@@ -1,0 +1,26 @@
+"""Similarity term: 1 - SSIM, in place of LPIPS where its weights are missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from fourd.ops.similarity.op import structural_similarity
+from fourd.training.losses.term import RenderedStep
+
+WINDOW_PX = 11
+
+
+@dataclass(frozen=True)
+class SimilarityTerm:
+    """1 - SSIM of pictures that hold at least one window."""
+
+    weight: float
+    name: str = "ssim"
+
+    def applies_to(self, step: RenderedStep) -> bool:
+        return min(step.truth.shape[:2]) >= WINDOW_PX
+
+    def value(self, step: RenderedStep) -> Tensor:
+        return 1 - structural_similarity(step.prediction, step.truth)

@@ -1,0 +1,51 @@
+"""The list of loss terms of each kind of scene."""
+
+from __future__ import annotations
+
+from fourd.training.background import StaticBackground
+from fourd.training.cameras.refinement import Refinement
+from fourd.training.config import TrainConfig
+from fourd.training.losses.background_opacity import BackgroundOpacityTerm
+from fourd.training.losses.image import ImageTerm
+from fourd.training.losses.lpips import LPIPS
+from fourd.training.losses.mask import MaskTerm
+from fourd.training.losses.perceptual import PerceptualTerm
+from fourd.training.losses.refinement import RefinementTerm
+from fourd.training.losses.residual import ResidualTerm
+from fourd.training.losses.shadow import ShadowTerm
+from fourd.training.losses.similarity import SimilarityTerm
+from fourd.training.losses.term import LossTerm
+
+
+def common_terms(
+    config: TrainConfig, spacing: float, lpips: LPIPS | None, refinement: Refinement | None
+) -> tuple[LossTerm, ...]:
+    """Terms of every scene. The order decides the order of the gradients' sums, so new terms go last.
+
+    Args:
+        config: of the run.
+        spacing: mean distance between neighbouring points of the foreground.
+        lpips: the network of the perceptual term; without it, SSIM replaces that term.
+        refinement: camera corrections, if they are learnt.
+    """
+    weights = config.loss
+    terms: list[LossTerm] = [ImageTerm(weights.image)]
+    terms.append(SimilarityTerm(weights.stand_in) if lpips is None else PerceptualTerm(weights.perceptual, lpips))
+    terms.append(MaskTerm(weights.mask))
+    terms.append(ResidualTerm(weights.residual, spacing))
+    if refinement is not None:
+        terms.append(RefinementTerm(config.refine.weight, refinement))
+    return _enabled(terms)
+
+
+def full_scene_terms(config: TrainConfig, background: StaticBackground) -> tuple[LossTerm, ...]:
+    """Terms of the background of a full scene, which follow the common ones."""
+    terms: list[LossTerm] = []
+    if config.background.joint and background.model.shadow is not None:
+        terms.append(ShadowTerm(config.loss.shadow, background, background.model.shadow))
+    terms.append(BackgroundOpacityTerm(config.loss.closed, background, config))
+    return _enabled(terms)
+
+
+def _enabled(terms: list[LossTerm]) -> tuple[LossTerm, ...]:
+    return tuple(term for term in terms if term.weight > 0)

@@ -1,0 +1,71 @@
+"""Depth maps of points, with which source views test occlusion."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.model.sources import SourceViews
+from fourd.ops.points.arrays import render_points_numpy
+from fourd.training.rendering import NEAR
+
+SURFACE_LAYERS = 4
+MAX_DILATION_PX = 16
+
+
+class SizedPoints(Protocol):
+    """N points with positions (N, 3) and radii (N,) in world units and densities (N,)."""
+
+    @property
+    def xyz(self) -> Tensor: ...
+    @property
+    def radius(self) -> Tensor: ...
+    @property
+    def density(self) -> Tensor: ...
+
+
+def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
+    """(H, W) depth of the nearest surface in world units, infinite where alpha is at most 0.5."""
+    ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
+    _, alpha, depth = render_points_numpy(
+        points.xyz.numpy(),
+        ones,
+        points.radius.numpy(),
+        points.density.numpy(),
+        camera,
+        layers=SURFACE_LAYERS,
+        near=NEAR,
+    )
+    return np.where(alpha > 0.5, depth, np.float32(np.inf)).astype(np.float32)
+
+
+def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
+    """(H, W) depth behind which points of the same surface count as occluded: surface depth, dilated by a point's size.
+
+    Points are discs. On a floor at a grazing angle each disc covers those behind it, and the undilated depth would
+    occlude half of the points that a camera sees. Hence each pixel takes the farthest depth within the median disc
+    radius.
+    """
+    pixels, depth = camera.project(points.xyz.double().numpy())
+    inside = camera.is_in_image(pixels, depth) & (depth > NEAR)
+    surface = surface_depth(points, camera)
+    if not inside.any():
+        return surface
+    radius_px = camera.intrinsics[0, 0] * points.radius.numpy()[inside] / depth[inside]
+    reach = min(int(np.ceil(np.median(radius_px))), MAX_DILATION_PX)
+    farthest = maximum_filter(np.where(np.isfinite(surface), surface, 0), 2 * reach + 1)
+    return np.where(farthest > 0, farthest, np.float32(np.inf)).astype(np.float32)
+
+
+def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool) -> SourceViews:
+    """The same views with the points' surface depth in each; unchanged where ``occlusion`` is not tested."""
+    if not occlusion:
+        return sources
+    depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]
+    return SourceViews(sources.images, sources.mattes, torch.stack(depths), sources.cameras)

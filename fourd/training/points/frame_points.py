@@ -1,0 +1,155 @@
+"""The points of one frame, or of the background: optimised parameters, optimizer state and gradient history."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fourd.training.memory import tensor_outside_heap
+from fourd.training.points.selective_adam import SelectiveAdam
+
+INITIAL_DENSITY = 0.99
+HISTORY = {
+    "gradient_sum": "error",
+    "visible_steps": "shown",
+    "created_at": "born",
+    "is_permanent": "lasting",
+    "age": "age",
+    "initial_count": "first",
+}
+"""Attributes of the gradient history, and their names in files."""
+
+
+@dataclass
+class FramePoints:
+    """N points, float32 except where noted.
+
+    Attributes:
+        spacing: (N,) distance to neighbouring points in world units, the unit of radii.
+        radius: (N,) world units, from the last evaluation; for occlusion tests.
+        density: (N,) in (0, 1), likewise.
+        parameters: optimised tensors by name: "xyz" (N, 3) in world units, explicit "sh" (N, 48), and "rgb" (N, 3) of
+            a background.
+        optimizer: Adam's state of the parameters.
+        gradient_sum: (N,) sum of gradient magnitudes, see ``accumulate_gradient_magnitudes``.
+        visible_steps: (N,) number of steps with a gradient.
+        created_at: (N,) the cloud's age when the point was created.
+        is_permanent: (N,) bool, points that stay although no step sees them.
+        age: scalar, steps of the cloud.
+        initial_count: scalar, number of points at the start of training.
+    """
+
+    spacing: Tensor
+    radius: Tensor
+    density: Tensor
+    parameters: dict[str, Tensor]
+    optimizer: SelectiveAdam
+    gradient_sum: Tensor
+    visible_steps: Tensor
+    created_at: Tensor
+    is_permanent: Tensor
+    age: Tensor
+    initial_count: Tensor
+
+    @property
+    def xyz(self) -> Tensor:
+        return self.parameters["xyz"]
+
+    @classmethod
+    def fresh(
+        cls, xyz: Tensor, spacing: Tensor, radius: float, *, explicit_sh: bool, rgb: Tensor | None = None
+    ) -> FramePoints:
+        """Untrained points.
+
+        Args:
+            xyz: (N, 3) positions.
+            spacing: (N,) distances to neighbouring points.
+            radius: of all points, in spacings.
+            explicit_sh: whether SH coefficients are optimised, from zero.
+            rgb: (N, 3) initial colours of a background's points.
+        """
+        count = xyz.shape[0]
+        parameters = {"xyz": xyz.clone()}
+        if explicit_sh:
+            parameters["sh"] = torch.zeros(count, 48)
+        if rgb is not None:
+            parameters["rgb"] = rgb.clone()
+        return cls(
+            spacing=spacing.clone(),
+            radius=radius * spacing,
+            density=torch.full((count,), INITIAL_DENSITY),
+            parameters=parameters,
+            optimizer=SelectiveAdam.initial(parameters),
+            **_empty_history(count),
+        )
+
+    def keep_and_insert(self, kept: Tensor, parents: Tensor | None = None, partners: Tensor | None = None) -> None:
+        """Keep points ``kept`` (K,) alone and append new ones midway between pairs of points, in place.
+
+        New points have the mean of both parameters, and spacing, radius and density of the first.
+
+        Args:
+            kept: (K,) indices.
+            parents: (P,) indices of the first points of the pairs.
+            partners: (P,) indices of the second points.
+        """
+        first = kept[:0] if parents is None else parents
+        second = first if partners is None else partners
+        zeros = torch.zeros(len(first))
+        for name, value in self.parameters.items():
+            mean = (value[first] + value[second]) / 2
+            self.parameters[name] = tensor_outside_heap(torch.cat([value[kept], mean]))
+        self.optimizer.keep_rows(kept, len(first))
+        for name in ("spacing", "radius", "density"):
+            value = getattr(self, name)
+            setattr(self, name, tensor_outside_heap(torch.cat([value[kept], value[first]])))
+        for name in ("gradient_sum", "visible_steps"):
+            setattr(self, name, tensor_outside_heap(torch.cat([getattr(self, name)[kept], zeros])))
+        self.created_at = torch.cat([self.created_at[kept], zeros + self.age])
+        self.is_permanent = torch.cat([self.is_permanent[kept], self.is_permanent[first]])
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All tensors by their names in files."""
+        named = {name: getattr(self, name) for name in ("spacing", "radius", "density")}
+        named["steps"] = self.optimizer.steps
+        named.update({stored: getattr(self, name) for name, stored in HISTORY.items()})
+        named.update({f"free.{name}": value for name, value in self.parameters.items()})
+        named.update({f"moments.{name}": value for name, value in self.optimizer.moments.items()})
+        return named
+
+    @classmethod
+    def from_tensors(cls, named: Mapping[str, Tensor]) -> FramePoints:
+        """The inverse of :meth:`tensors`. Files without a gradient history get an empty one."""
+        history = _empty_history(named["steps"].shape[0])
+        history.update({name: named[stored] for name, stored in HISTORY.items() if stored in named})
+        return cls(
+            spacing=named["spacing"],
+            radius=named["radius"],
+            density=named["density"],
+            parameters=_strip_prefix("free.", named),
+            optimizer=SelectiveAdam(_strip_prefix("moments.", named), named["steps"]),
+            **history,
+        )
+
+    def copy_outside_heap(self) -> FramePoints:
+        """A copy in memory of its own, for points that stay in memory for many steps."""
+        return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
+
+    @property
+    def nbytes(self) -> int:
+        return sum(value.numel() * value.element_size() for value in self.tensors().values())
+
+
+def _empty_history(count: int) -> dict[str, Tensor]:
+    history = {name: torch.zeros(count) for name in ("gradient_sum", "visible_steps", "created_at")}
+    history["is_permanent"] = torch.zeros(count, dtype=torch.bool)
+    history["age"] = torch.zeros(())
+    history["initial_count"] = torch.tensor(float(count))
+    return history
+
+
+def _strip_prefix(prefix: str, named: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in named.items() if name.startswith(prefix)}

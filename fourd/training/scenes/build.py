@@ -1,0 +1,18 @@
+"""The choice between the kinds of scenes."""
+
+from __future__ import annotations
+
+from fourd.model import PointModel
+from fourd.training.background import StaticBackground
+from fourd.training.config import TrainConfig
+from fourd.training.scenes.full_scene import FullScene
+from fourd.training.scenes.object_scene import ObjectScene
+from fourd.training.scenes.scene import Scene
+from fourd.training.views import ViewStore
+
+
+def build_scene(config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None) -> Scene:
+    """A full scene where there is a background, else an object."""
+    if background is None:
+        return ObjectScene(config, model, views)
+    return FullScene(config, model, views, background)

@@ -1,0 +1,170 @@
+"""Full scenes: the foreground of the mattes before a static background, which the clean plates show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.model import PointModel
+from fourd.training.background import StaticBackground
+from fourd.training.cameras.refinement import Refinement
+from fourd.training.cameras.rig import Rig
+from fourd.training.config import TrainConfig
+from fourd.training.losses.lpips import LPIPS
+from fourd.training.losses.term import LossTerm
+from fourd.training.losses.terms import full_scene_terms
+from fourd.training.memory import FULL_RESIDENT_BYTES
+from fourd.training.points.densification import densify, unobserved_points
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.rendering import RenderablePoints, visible_points
+from fourd.training.scenes.object_scene import ObjectScene
+from fourd.training.scenes.scene import OptimizedPoints, Target
+from fourd.training.schedule import StepSample
+from fourd.training.views import View, ViewStore
+
+RNG_STREAM = 3
+"""Second entry of the seeds of densification, which no other draw of a run has."""
+BACKGROUND_SEED = 2**31
+"""Takes the place of the frame in the seed of the background's densification; no frame has this index."""
+
+
+class FullScene:
+    """A foreground and a static background; see :class:`fourd.training.scenes.scene.Scene`.
+
+    Steps render either a frame or a clean plate. With ``config.background.joint`` the background is part of a frame's
+    picture; without it a frame's step trains the foreground alone.
+    """
+
+    resident_bytes = FULL_RESIDENT_BYTES
+
+    def __init__(self, config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground) -> None:
+        self.config = config
+        self.views = views
+        self.background = background
+        self.foreground = ObjectScene(config, model, views)
+        self.models: Mapping[str, PointModel] = {**self.foreground.models, "background": background.model}
+
+    @property
+    def static_clouds(self) -> Mapping[str, FramePoints]:
+        return {"background": self.background.points}
+
+    def loss_terms(self, lpips: LPIPS | None, refinement: Refinement | None) -> tuple[LossTerm, ...]:
+        return self.foreground.loss_terms(lpips, refinement) + full_scene_terms(self.config, self.background)
+
+    def set_rig(self, rig: Rig) -> None:
+        self.foreground.set_rig(rig)
+        self.background.rig = rig
+
+    def target(self, sample: StepSample) -> Target:
+        if sample.is_plate:
+            return self._plate_target(sample)
+        if not self.config.background.joint:
+            return self.foreground.target(sample)
+        margin_px = int(sample.position[0] * (self.config.background.margin_px + 1))
+        view = self.views.widened(sample.target, sample.frame, margin_px)
+        rgb = torch.tensor(view.rgb).float() / 255
+        matte = torch.tensor(view.matte).float() / 255
+        return Target(view.camera, rgb, matte, torch.ones_like(matte), fills_picture=True)
+
+    def evaluate_step(
+        self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
+    ) -> list[OptimizedPoints]:
+        if not (sample.is_plate or self.config.background.joint):
+            return self.foreground.evaluate_step(points, time, sample, camera, step)
+        clouds = [] if sample.is_plate else [points]
+        rows = visible_points([*clouds, self.background.points], camera, self.config.layers, self.config.hidden_weight)
+        evaluated = []
+        if not sample.is_plate:
+            evaluated.append(self.foreground.evaluate_visible(points, rows[0], time, sample, camera, step))
+        evaluated.append(self._evaluate_background(rows[-1], time, sample, camera, step))
+        return evaluated
+
+    def xyz_rate(self, points: OptimizedPoints, factor: float) -> float | Tensor:
+        if points.cloud is not self.background.points:
+            return self.foreground.xyz_rate(points, factor)
+        return self.config.background.xyz_rate * factor * points.cloud.spacing[points.rows][:, None]
+
+    def finish_step(self) -> None:
+        self.background.count_step()
+
+    def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
+        config = self.config.densify
+        if not config.on or spent > config.until:
+            return
+        seed = [self.config.seed, RNG_STREAM]
+        with torch.no_grad():
+            if not sample.is_plate and int(points.age) % config.frame_every == 0:
+                unobserved = unobserved_points(points, config.frame_every)
+                densify(points, config, unobserved, [*seed, sample.frame, int(points.age)])
+            static = self.background.points
+            is_in_picture = sample.is_plate or self.config.background.joint
+            if is_in_picture and int(static.age) % config.background_every == 0:
+                hidden = self.background.hidden_points()
+                densify(static, config, hidden, [*seed, BACKGROUND_SEED, int(static.age)])
+                self.background.clear_cache()
+
+    def clear_caches(self) -> None:
+        self.background.clear_cache()
+
+    def evaluate_frame(
+        self, points: FramePoints, frame: int, camera: Camera, sources: list[int]
+    ) -> list[RenderablePoints]:
+        foreground = self.foreground.evaluate_frame(points, frame, camera, sources)
+        return [*foreground, self.evaluate_background(camera, sources, self.views.capture.time(frame))]
+
+    def evaluate_background(
+        self, camera: Camera, sources: list[int], shadow_time: float | None = None
+    ) -> RenderablePoints:
+        """All points of the background; ``shadow_time`` is the time of the shadows on it, None for no shadows."""
+        model, points = self.background.model, self.background.points
+        with torch.no_grad():
+            plates = None if model.config.appearance == "sh" else self.background.sources(sources)
+            evaluated = model.evaluate(points.xyz, points.spacing, 0.0, rgb=points.parameters.get("rgb"))
+            shadow = None
+            if model.shadow is not None and shadow_time is not None:
+                shadow = model.shadow(evaluated.xyz, shadow_time)
+            return RenderablePoints.of(evaluated, model.colour(evaluated, camera, plates, shadow=shadow))
+
+    def reference_picture(self, view: View) -> NDArray[np.float32]:
+        return (view.rgb / np.float32(255)).astype(np.float32)
+
+    def _plate_target(self, sample: StepSample) -> Target:
+        plate = self.background.plates[sample.target]
+        camera = self.background.camera(sample.target)
+        window = place_window(camera, self.config.background.window_px, sample.position[1:])
+        left, top, width, height = window
+        rows, columns = slice(top, top + height), slice(left, left + width)
+        rgb = torch.tensor(plate.rgb[rows, columns]).float() / 255
+        seen = torch.tensor(plate.seen[rows, columns]).float()
+        return Target(camera.crop(*window), rgb * seen[..., None], None, seen, fills_picture=True)
+
+    def _evaluate_background(
+        self, rows: Tensor, time: float, sample: StepSample, camera: Camera, step: int
+    ) -> OptimizedPoints:
+        model, points = self.background.model, self.background.points
+        sources = None
+        if self.config.model.appearance != "sh":
+            train_encoder = sample.is_plate and step % self.config.background.encoder_every == 0
+            sources = self.background.sources(sample.sources, train_encoder=train_encoder)
+        leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
+        evaluated = model.evaluate(leaves["xyz"], points.spacing[rows], 0.0, rgb=leaves.get("rgb"))
+        shadow = None if model.shadow is None or sample.is_plate else model.shadow(evaluated.xyz, time)
+        colour = model.colour(evaluated, camera, sources, shadow=shadow)
+        return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
+
+
+def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> tuple[int, int, int, int]:
+    """(left, top, width, height) of a square window in the picture, smaller where the picture is.
+
+    ``position`` (x, y) in [0, 1) places the window's centre anywhere in the picture; the window is then moved inside,
+    so that corners are drawn as often as the middle.
+    """
+    width, height = min(side_px, camera.width), min(side_px, camera.height)
+    left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)
+    top = np.clip(round(position[1] * camera.height - height / 2), 0, camera.height - height)
+    return int(left), int(top), width, height

@@ -1,0 +1,107 @@
+"""Scenes of an object on black: the content of the mattes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.model import PointModel
+from fourd.model.sources import SourceViews
+from fourd.training.background import StaticBackground
+from fourd.training.cameras.refinement import Refinement
+from fourd.training.cameras.rig import Rig
+from fourd.training.config import TrainConfig
+from fourd.training.losses.lpips import LPIPS
+from fourd.training.losses.term import LossTerm
+from fourd.training.losses.terms import common_terms
+from fourd.training.memory import RESIDENT_BYTES
+from fourd.training.occlusion import with_surface_depth
+from fourd.training.points.frame_points import FramePoints
+from fourd.training.rendering import RenderablePoints, visible_points
+from fourd.training.scenes.scene import OptimizedPoints, Target
+from fourd.training.schedule import StepSample
+from fourd.training.views import View, ViewStore
+
+
+class ObjectScene:
+    """The foreground alone; see :class:`fourd.training.scenes.scene.Scene`."""
+
+    background: StaticBackground | None = None
+    resident_bytes = RESIDENT_BYTES
+
+    def __init__(self, config: TrainConfig, model: PointModel, views: ViewStore) -> None:
+        self.config = config
+        self.model = model
+        self.views = views
+        self.models: Mapping[str, PointModel] = {"model": model}
+        self._size = float((model.upper - model.lower).max())
+
+    @property
+    def static_clouds(self) -> Mapping[str, FramePoints]:
+        return {}
+
+    def loss_terms(self, lpips: LPIPS | None, refinement: Refinement | None) -> tuple[LossTerm, ...]:
+        return common_terms(self.config, self.model.spacing, lpips, refinement)
+
+    def set_rig(self, rig: Rig) -> None:
+        self.views.rig = rig
+
+    def target(self, sample: StepSample) -> Target:
+        view = self.views.view(sample.target, sample.frame)
+        rgb, matte = view.premultiplied()
+        return Target(view.camera, rgb, matte, matte, fills_picture=False)
+
+    def evaluate_step(
+        self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
+    ) -> list[OptimizedPoints]:
+        rows = visible_points([points], camera, self.config.layers, self.config.hidden_weight)[0]
+        return [self.evaluate_visible(points, rows, time, sample, camera, step)]
+
+    def evaluate_visible(
+        self, points: FramePoints, rows: Tensor, time: float, sample: StepSample, camera: Camera, step: int
+    ) -> OptimizedPoints:
+        """The points ``rows`` (M,) of a frame, for training."""
+        sources = None
+        if self.config.model.appearance != "sh":
+            views = self.views.sources(sample.sources, sample.frame)
+            sources = with_surface_depth(views, points, self.config.model.occlusion)
+        leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
+        evaluated = self.model.evaluate(leaves["xyz"], points.spacing[rows], time, explicit_sh=leaves.get("sh"))
+        train_encoder = step % self.config.encoder_every == 0
+        colour = self.model.colour(evaluated, camera, sources, train_encoder=train_encoder)
+        return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
+
+    def xyz_rate(self, points: OptimizedPoints, factor: float) -> float | Tensor:
+        return self.config.rates.xyz * self._size * factor
+
+    def finish_step(self) -> None:
+        pass
+
+    def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
+        """An object's points are neither split nor removed."""
+
+    def clear_caches(self) -> None:
+        pass
+
+    def evaluate_frame(
+        self, points: FramePoints, frame: int, camera: Camera, sources: list[int]
+    ) -> list[RenderablePoints]:
+        with torch.no_grad():
+            evaluated = self.model.evaluate(
+                points.xyz,
+                points.spacing,
+                self.views.capture.time(frame),
+                explicit_sh=points.parameters.get("sh"),
+            )
+            views: SourceViews | None = None
+            if self.model.config.appearance != "sh":
+                views = with_surface_depth(self.views.sources(sources, frame), evaluated, self.model.config.occlusion)
+            return [RenderablePoints.of(evaluated, self.model.colour(evaluated, camera, views))]
+
+    def reference_picture(self, view: View) -> NDArray[np.float32]:
+        return view.premultiplied()[0].numpy()
