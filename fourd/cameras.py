@@ -1,8 +1,7 @@
-"""One camera type, OpenCV's convention: x right, y down, z forward; pixels for intrinsics.
+"""The camera type, in OpenCV's convention: x right, y down, z forward, intrinsics in pixels.
 
-``x_camera = R_camera_world @ x_world + T`` and the centre of pixel (row i, column j) lies
-at ``(j + 0.5, i + 0.5)``. Everything here is NumPy in float64, so that a scene can be
-opened and rendered without torch.
+``x_camera = R_camera_world @ x_world + T``, and the centre of pixel (row i, column j) is at ``(j + 0.5, i + 0.5)``.
+Everything is NumPy in float64, so that scenes can be opened and rendered without torch.
 """
 
 from __future__ import annotations
@@ -25,12 +24,12 @@ class Camera:
         translation: (3,) T_camera_world, in world units.
         width: image width in pixels, at least 1.
         height: image height in pixels, at least 1.
-        distortion: OpenCV coefficients (k1, k2, p1, p2, k3, ...; 4, 5, 8, 12 or 14 of them), or None
-            for an ideal pinhole. The renderers take pinholes alone: undistort images first.
+        distortion: OpenCV coefficients (k1, k2, p1, p2, k3, ...; 4, 5, 8, 12 or 14 of them), or None for an ideal
+            pinhole. The renderers require ideal pinholes: undistort images first.
 
     Raises:
-        ValueError: naming the field, when a shape is wrong, a value is not finite, or the
-            rotation is no rotation (to 1e-3).
+        ValueError: naming the field, for a wrong shape, a value that is not finite, or a matrix that is not a
+            rotation (tolerance 1e-3).
     """
 
     intrinsics: Array
@@ -41,18 +40,18 @@ class Camera:
     distortion: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "intrinsics", _checked("intrinsics", self.intrinsics, (3, 3)))
-        object.__setattr__(self, "rotation", _checked("rotation", self.rotation, (3, 3)))
-        object.__setattr__(self, "translation", _checked("translation", self.translation, (3,)))
+        object.__setattr__(self, "intrinsics", _as_array("intrinsics", self.intrinsics, (3, 3)))
+        object.__setattr__(self, "rotation", _as_array("rotation", self.rotation, (3, 3)))
+        object.__setattr__(self, "translation", _as_array("translation", self.translation, (3,)))
         if self.width < 1 or self.height < 1:
             raise ValueError(f"width and height: expected at least 1 pixel, got {self.width} x {self.height}")
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
-        # So phrased that a product that overflows to infinity or NaN fails.
+        # Written so that a product that overflows to infinity or NaN fails.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
-                f"rotation: expected an orthonormal matrix of determinant +1, got one that is off by "
+                f"rotation: expected an orthonormal matrix of determinant +1, got one with an error of "
                 f"{error:.3g} with determinant {determinant:.3g}"
             )
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:
@@ -82,8 +81,8 @@ class Camera:
         """Project world points (N, 3) as an ideal pinhole (distortion is not applied).
 
         Returns:
-            pixels (N, 2) as (x, y), and camera depth z (N,) in world units. Points with
-            z <= 0 get pixels that mean nothing; test z first.
+            pixels (N, 2) as (x, y), and camera depth z (N,) in world units. The pixels of points with z <= 0 are
+            meaningless: test z first.
         """
         xyz_camera = np.asarray(xyz, dtype=np.float64) @ self.rotation.T + self.translation
         depth = xyz_camera[:, 2]
@@ -92,21 +91,21 @@ class Camera:
         return pixels, depth
 
     def is_in_image(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """(N,) whether points as :meth:`project` gives them lie before the camera and within its picture."""
-        within = (pixels >= 0).all(axis=1) & (pixels <= (self.width, self.height)).all(axis=1)
-        return np.asarray((depth > 0) & within)
+        """Whether points, as returned by :meth:`project`, lie in front of the camera and inside its image; (N,)."""
+        inside = (pixels >= 0).all(axis=1) & (pixels <= (self.width, self.height)).all(axis=1)
+        return np.asarray((depth > 0) & inside)
 
     def rescale(self, scale: float) -> Camera:
-        """The same view at ``scale`` times the size (rounded to whole pixels, K follows exactly)."""
+        """Return the same view at ``scale`` times the size, rounded to whole pixels; K is adapted exactly."""
         return self.resize(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
     def resize(self, width: int, height: int) -> Camera:
-        """The same view sampled at ``width`` x ``height`` pixels."""
+        """Return the same view sampled at ``width`` x ``height`` pixels."""
         zoom = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, intrinsics=zoom @ self.intrinsics, width=width, height=height)
 
     def crop(self, left: int, top: int, width: int, height: int) -> Camera:
-        """The view of the pixel rectangle that begins at (``left``, ``top``)."""
+        """Return the view of the pixel rectangle whose top left corner is (``left``, ``top``)."""
         intrinsics = self.intrinsics.copy()
         intrinsics[0, 2] -= left
         intrinsics[1, 2] -= top
@@ -114,9 +113,9 @@ class Camera:
 
 
 def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: int, height: int) -> Camera:
-    """A camera at ``centre`` that looks at ``target``, with the world's ``up`` towards the image's top.
+    """Return a camera at ``centre`` that points at ``target``, with ``up`` towards the top of the image.
 
-    All points are (3,) in world units. Raises ValueError when ``up`` is parallel to the view.
+    Points and directions are (3,) in world units. Raises ValueError if ``up`` is parallel to the viewing direction.
     """
     forward = np.asarray(target, dtype=np.float64) - centre
     forward = forward / np.linalg.norm(forward)
@@ -130,22 +129,21 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
 
 
 def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Array) -> list[int]:
-    """Indices of the ``count`` source cameras that see ``focus`` from the angles nearest to ``camera``.
+    """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    ``focus`` is a (3,) world point, usually the scene's centre. The angle between the rays
-    from ``focus`` to the camera centres is what matters: it is the choice of views that
-    4K4D (sec. 3.2) ties to the viewing direction. Ties go to the lower index.
+    The angle is measured at ``focus``, a (3,) world point, between the rays to the camera centres. This is the
+    view-dependent choice of source views in 4K4D (sec. 3.2). Ties go to the lower index.
     """
-    direction = _unit(camera.centre - focus)
-    cosines = np.array([float(_unit(source.centre - focus) @ direction) for source in sources])
+    direction = _normalize(camera.centre - focus)
+    cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])
     return [int(i) for i in np.argsort(-cosines, kind="stable")[:count]]
 
 
-def _unit(vector: Array) -> Array:
+def _normalize(vector: Array) -> Array:
     return vector / max(float(np.linalg.norm(vector)), 1e-12)
 
 
-def _checked(name: str, value: object, shape: tuple[int, ...]) -> Array:
+def _as_array(name: str, value: object, shape: tuple[int, ...]) -> Array:
     array = np.array(value, dtype=np.float64)
     if array.shape != shape:
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")

@@ -1,26 +1,27 @@
-"""An order of points in which neighbours in space are mostly neighbours in memory."""
+"""Morton order: neighbours in space become neighbours in memory."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-BITS = 10  # a side: three of them fit 32 bits
+BITS = 10
+"""Bits per axis; three of them fit 32 bits."""
 
 
 def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Indices (N,) that put points (N, 3), finite, in Morton order (Morton 1966); ties stay as they are."""
+    """Return the indices (N,) that sort finite points (N, 3) in Morton order (Morton 1966); the sort is stable."""
     if len(xyz) == 0:
         return np.zeros(0, np.int64)
     lower = xyz.min(axis=0).astype(np.float64)
     side = max(float((xyz.max(axis=0) - lower).max()), 1e-30)
     cells = ((xyz - lower) * ((2**BITS - 1) / side)).astype(np.uint32)
-    codes = _spread(cells[:, 0]) | _spread(cells[:, 1]) << 1 | _spread(cells[:, 2]) << 2
+    codes = _spread_bits(cells[:, 0]) | _spread_bits(cells[:, 1]) << 1 | _spread_bits(cells[:, 2]) << 2
     return np.argsort(codes, kind="stable")
 
 
-def _spread(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Ten bits, with two zeros before each."""
+def _spread_bits(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Insert two zeros before each of the ten low bits."""
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         values = (values | values << np.uint32(shift)) & np.uint32(mask)
     return values

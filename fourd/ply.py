@@ -1,4 +1,4 @@
-"""Points with colours in PLY files: written binary little endian, read in any of the three formats."""
+"""Coloured points in PLY files: written as binary little endian, read in any of the three formats."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ TYPES = {
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 
-LONGEST_HEADER = 1 << 16
-"""Bytes; a header that has not ended by then is no PLY header."""
+MAX_HEADER_BYTES = 1 << 16
 
 
 class ColouredPoints(NamedTuple):
@@ -39,7 +38,7 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
     """Write points (N, 3) and their colours (N, 3) uint8 as binary PLY, atomically.
 
     Raises:
-        ValueError: when a shape or the colours' dtype is wrong, or a coordinate is not finite.
+        ValueError: for a wrong shape or colour dtype, or a coordinate that is not finite.
     """
     if xyz.ndim != 2 or xyz.shape[1] != 3 or not np.isfinite(xyz).all():
         raise ValueError(f"xyz: expected finite (N, 3), got shape {xyz.shape}")
@@ -56,14 +55,14 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
 
 
 def read_ply(path: Path | str) -> ColouredPoints:
-    """Read the vertices of a PLY file: ascii or binary of either byte order.
+    """Read the vertices of a PLY file: ascii, or binary of either byte order.
 
-    Colours may be uchar, or float in [0, 1]; without any the points are mid grey. Other
-    properties, and elements after the vertices, are skipped.
+    Colours are uchar, or float in [0, 1]; points without colours are mid grey. Other properties, and elements after
+    the vertices, are skipped.
 
     Raises:
-        UserError: naming the file, when it is missing, no PLY, shorter than its header says,
-            has no x, y, z, or holds coordinates that are not finite.
+        UserError: naming the file, if it is missing, not a PLY file, shorter than its header declares, lacks x, y or
+            z, or holds coordinates that are not finite.
     """
     path = Path(path)
     try:
@@ -92,27 +91,27 @@ def _read_header(path: Path, stream: BinaryIO) -> _Header:
             order = words[1]
         elif words[0] == "element" and len(words) == 3:
             if count < 0 and words[1] != "vertex":
-                raise _bad(path, "vertices as its first element", f"element {words[1]}")
+                raise _invalid(path, "vertices as its first element", f"element {words[1]}")
             element = words[1]
             count = _count(path, words[2]) if element == "vertex" else count
         elif words[0] == "property" and element == "vertex":
             if len(words) != 3 or words[1] not in TYPES or words[2] in dict(properties):
-                raise _bad(path, "scalar vertex properties, each once", f"'{' '.join(words)}'")
+                raise _invalid(path, "scalar vertex properties, each once", f"'{' '.join(words)}'")
             properties.append((words[2], TYPES[words[1]]))
     orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
     if order not in orders:
-        raise _bad(path, f"a format of {', '.join(orders)}", f"'{order}'")
+        raise _invalid(path, f"a format of {', '.join(orders)}", f"'{order}'")
     if count < 0 or not {"x", "y", "z"} <= set(dict(properties)):
-        raise _bad(path, "an element 'vertex' with properties x, y, z", f"{[name for name, _ in properties]}")
+        raise _invalid(path, "an element 'vertex' with properties x, y, z", f"{[name for name, _ in properties]}")
     return _Header(orders[order], count, tuple(properties))
 
 
 def _header_lines(path: Path, stream: BinaryIO) -> list[list[str]]:
     if stream.readline(8).strip() != b"ply":
-        raise _bad(path, "a PLY file that begins with 'ply'", "other content")
+        raise _invalid(path, "a PLY file that starts with 'ply'", "other content")
     lines: list[list[str]] = []
     size = 0
-    while size < LONGEST_HEADER:
+    while size < MAX_HEADER_BYTES:
         line = stream.readline(4096)
         size += len(line)
         words = line.decode("latin-1").split()
@@ -123,20 +122,20 @@ def _header_lines(path: Path, stream: BinaryIO) -> list[list[str]]:
     else:
         line = b""
     if not line:
-        raise _bad(path, "a header that ends with 'end_header'", "none")
+        raise _invalid(path, "a header that ends with 'end_header'", "none")
     return lines
 
 
 def _count(path: Path, word: str) -> int:
     if not word.isascii() or not word.isdigit() or len(word) > 15:
-        raise _bad(path, "a whole number of vertices", f"'{word[:40]}'")
+        raise _invalid(path, "a whole number of vertices", f"'{word[:40]}'")
     return int(word)
 
 
 def _binary_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
     kind = np.dtype([(name, f"{header.order}{code}") for name, code in header.properties])
     if len(body) < header.count * kind.itemsize:
-        raise _short(path, header.count, len(body) // kind.itemsize)
+        raise _truncated(path, header.count, len(body) // kind.itemsize)
     return np.frombuffer(body, dtype=kind, count=header.count)
 
 
@@ -144,12 +143,12 @@ def _ascii_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
     lines = body.split(b"\n", header.count)[: header.count] if header.count <= len(body) else body.split(b"\n")
     lines = [line for line in lines if line.strip()]
     if len(lines) < header.count:
-        raise _short(path, header.count, len(lines))
+        raise _truncated(path, header.count, len(lines))
     width = len(header.properties)
     try:
         values = np.array([line.split()[:width] for line in lines], dtype=np.float64).reshape(-1, width)
     except ValueError as error:
-        raise _bad(path, f"{width} numbers on every vertex line", "a line that is short or no number") from error
+        raise _invalid(path, f"{width} numbers on every vertex line", "a line that is short or not numeric") from error
     kind = np.dtype([(name, code if code in ("f4", "u1") else "f8") for name, code in header.properties])
     rows = np.empty(len(values), dtype=kind)
     for i, (name, code) in enumerate(header.properties):
@@ -160,7 +159,9 @@ def _ascii_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
 def _points(path: Path, header: _Header, rows: NDArray[Any]) -> ColouredPoints:
     xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
     if not np.isfinite(xyz).all():
-        raise _bad(path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points that are not")
+        raise _invalid(
+            path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points that are not finite"
+        )
     rgb = np.full(xyz.shape, 128, dtype=np.uint8)
     if {"red", "green", "blue"} <= set(dict(header.properties)):
         colours = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
@@ -170,11 +171,12 @@ def _points(path: Path, header: _Header, rows: NDArray[Any]) -> ColouredPoints:
     return ColouredPoints(xyz, rgb)
 
 
-def _short(path: Path, said: int, held: int) -> UserError:
+def _truncated(path: Path, declared: int, found: int) -> UserError:
     return UserError(
-        f"{path}: expected {said} vertices as the header says, got {held}; the file is cut short, write it again"
+        f"{path}: expected {declared} vertices as the header declares, got {found}; the file is truncated: "
+        "write it again"
     )
 
 
-def _bad(path: Path, expected: str, got: str) -> UserError:
+def _invalid(path: Path, expected: str, got: str) -> UserError:
     return UserError(f"{path}: expected {expected}, got {got}; write it again as a PLY point cloud")

@@ -1,4 +1,4 @@
-"""Camera: the conventions that every room relies on."""
+"""The camera conventions that the whole package relies on."""
 
 import numpy as np
 import pytest
@@ -9,21 +9,21 @@ INTRINSICS = np.array([[100.0, 0, 32], [0, 110, 24], [0, 0, 1]])
 
 
 def test_point_on_the_axis_projects_to_the_principal_point() -> None:
-    """Catches a swapped rotation (world-to-camera taken for camera-to-world)."""
+    """Catches world-to-camera and camera-to-world rotations mixed up."""
     camera = look_at(np.array([3.0, -2, 1]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 48)
     pixels, depth = camera.project(np.zeros((1, 3)))
     np.testing.assert_allclose(pixels[0], [32, 24], atol=1e-9)
     np.testing.assert_allclose(depth[0], np.sqrt(14))
 
 
-def test_up_in_the_world_is_up_in_the_image() -> None:
+def test_world_up_is_image_up() -> None:
     """Catches a flipped y axis (OpenGL's convention)."""
     camera = look_at(np.array([3.0, 0, 0]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 48)
     pixels, _ = camera.project(np.array([[0.0, 0, 0.5]]))
     assert pixels[0, 1] < 24
 
 
-def test_scaling_keeps_the_pixel_under_a_point() -> None:
+def test_rescaling_scales_the_projection() -> None:
     """Catches the half-pixel error of scaling K as if pixel centres were integers."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 64, 48)
     point = np.array([[0.1, 0.05, 1.0]])
@@ -32,7 +32,8 @@ def test_scaling_keeps_the_pixel_under_a_point() -> None:
     np.testing.assert_allclose(half, full / 2)
 
 
-def test_cropping_shifts_pixels() -> None:
+def test_cropping_shifts_the_projection() -> None:
+    """Catches an offset applied to the wrong axis or with the wrong sign."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 64, 48)
     point = np.array([[0.1, 0.05, 1.0]])
     full, _ = camera.project(point)
@@ -52,7 +53,8 @@ def test_cropping_shifts_pixels() -> None:
         ("distortion", np.zeros(3), "distortion: expected 4, 5"),
     ],
 )
-def test_wrong_fields_are_named(field: str, value: object, words: str) -> None:
+def test_invalid_fields_are_named(field: str, value: object, words: str) -> None:
+    """Catches a camera that is built from values that no camera can have."""
     fields = {
         "intrinsics": INTRINSICS,
         "rotation": np.eye(3),
@@ -65,8 +67,8 @@ def test_wrong_fields_are_named(field: str, value: object, words: str) -> None:
         Camera(**{**fields, field: value})
 
 
-def test_nearest_views_go_by_angle_not_distance() -> None:
-    """Catches choosing the physically nearest camera when a farther one sees the same side."""
+def test_nearest_views_are_chosen_by_angle_not_distance() -> None:
+    """Catches choosing the nearest camera by position when a farther one sees the same side."""
     up = np.array([0.0, 0, 1])
     target = look_at(np.array([2.0, 0, 0]), np.zeros(3), up, INTRINSICS, 64, 48)
     same_side_far = look_at(np.array([9.0, 0.1, 0]), np.zeros(3), up, INTRINSICS, 64, 48)

@@ -1,4 +1,4 @@
-"""The order of points in memory."""
+"""Morton order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from fourd.morton import morton_order
 
 
 def test_neighbours_in_memory_are_neighbours_in_space(rng: np.random.Generator) -> None:
-    """Catches axes whose bits do not interleave: an order along one axis alone is half as near."""
+    """Catches bits that are not interleaved: an order along one axis doubles the distances."""
     xyz = rng.uniform(-1, 1, (20_000, 3)).astype(np.float32)
     order = morton_order(xyz)
     assert np.array_equal(np.sort(order), np.arange(20_000))
@@ -17,7 +17,7 @@ def test_neighbours_in_memory_are_neighbours_in_space(rng: np.random.Generator) 
     assert np.median(steps) < 1.5 * spacing
 
 
-def test_points_that_coincide_and_none_at_all() -> None:
-    """Catches a division by a side of nothing."""
+def test_coincident_points_and_an_empty_cloud() -> None:
+    """Catches a division by a side of zero."""
     assert np.array_equal(morton_order(np.ones((5, 3), np.float32)), np.arange(5))
     assert morton_order(np.zeros((0, 3), np.float32)).shape == (0,)

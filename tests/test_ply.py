@@ -1,4 +1,4 @@
-"""PLY files: ours, those of other programs, and broken ones."""
+"""PLY files: written by fourd, written by other programs, and damaged."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def test_round_trip(count: int, tmp_path: Path, rng: np.random.Generator) -> Non
     assert np.array_equal(read.rgb, rgb)
 
 
-def test_trimesh_and_fourd_read_each_other(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a dialect of our own."""
+def test_trimesh_and_fourd_read_each_others_files(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches files that only fourd can read."""
     xyz, rgb = cloud(rng, 50)
     write_ply(tmp_path / "ours.ply", xyz, rgb)
     theirs = trimesh.load(tmp_path / "ours.ply")
@@ -39,8 +39,8 @@ def test_trimesh_and_fourd_read_each_other(tmp_path: Path, rng: np.random.Genera
     assert np.array_equal(read.rgb, rgb)
 
 
-def test_ascii_with_other_properties(tmp_path: Path) -> None:
-    """Catches readers that count columns: scanners add normals and confidences."""
+def test_ascii_with_additional_properties(tmp_path: Path) -> None:
+    """Catches a reader that relies on the column order: scanners add normals and confidences."""
     (tmp_path / "a.ply").write_text(
         "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 2\nproperty float nx\nproperty double x\n"
         "property float y\nproperty float z\nproperty uchar blue\nproperty uchar green\nproperty uchar red\n"
@@ -68,8 +68,8 @@ XYZ = b"property float x\nproperty float y\nproperty float z\n"
         b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n" * 9000,
     ],
 )
-def test_broken_files(content: bytes, tmp_path: Path) -> None:
-    """Catches a crash, or memory taken on a header's word."""
+def test_damaged_files_are_user_errors(content: bytes, tmp_path: Path) -> None:
+    """Catches a crash, and memory allocated for a count that only the header claims."""
     path = tmp_path / "bad.ply"
     path.write_bytes(content)
     with pytest.raises(UserError, match=r"bad\.ply: ") as caught:
@@ -77,8 +77,8 @@ def test_broken_files(content: bytes, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_every_cut_of_a_file(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a prefix that passes for a file."""
+def test_truncated_files_are_user_errors(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches a prefix that is accepted as a whole file."""
     path = tmp_path / "bad.ply"
     write_ply(path, *cloud(rng, 20))
     whole = path.read_bytes()

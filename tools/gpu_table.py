@@ -21,7 +21,7 @@ def main() -> int:
     rows = []
     for case in gpu_cases():
         console.print(case.name, soft_wrap=True)
-        rows.append(Row.of(case, clock, rivals=True))
+        rows.append(Row.measure(case, clock, rivals=True))
     print(markdown(rows, this_machine()))
     return 0
 

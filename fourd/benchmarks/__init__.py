@@ -1,1 +1,1 @@
-"""Speed of kernels and stages, against their references and against other programs found installed."""
+"""Timings of kernels and stages, compared with their references and with other installed programs."""

@@ -1,4 +1,4 @@
-"""What is timed: each case is a kernel or a stage, and what else does the same work."""
+"""Benchmark cases: each is a kernel or a stage, with other implementations of the same work."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fourd.ops.sources.reference import sample_sources_reference
 from fourd.raster import render_points
 
 CPU = torch.device("cpu")
-Lookup = Callable[[Tensor, list[Tensor], list[int]], Tensor]
+SamplePlanes = Callable[[Tensor, list[Tensor], list[int]], Tensor]
 
 
 @dataclass(frozen=True)
@@ -33,32 +33,33 @@ class Case:
     """One row of the table.
 
     Attributes:
-        name: what is done, with its size.
-        work: does it once.
-        rivals: others that do the same work, by name; timed where they are not too slow.
-        parts: how often the work is done at a time.
+        name: the work and its size.
+        work: runs it, ``repeats`` times.
+        rivals: other implementations of the same work, by name.
+        repeats: runs per call of ``work``; timings are per run.
     """
 
     name: str
     work: Work
     rivals: dict[str, Work] = field(default_factory=dict)
-    parts: int = 1
+    repeats: int = 1
 
 
 def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
-    """All cases, each made when it is asked for; ``resources`` cleans up after them.
+    """Yield all cases, each created on demand; ``resources`` cleans up after them.
 
-    ``steps`` also times whole training steps, on a synthetic capture that is made first.
+    Args:
+        steps: include whole training steps, on a synthetic capture that is created first.
     """
-    # The reference's memory grows with points times pixels: it is compared where both are few.
+    # The reference's memory grows with points times pixels: it is only compared where both are small.
     yield _composite(2_048, camera(96, 96), 15, True, reference=True)
     for backward in (False, True):
         yield _composite(65_536, camera(512, 512), 15, backward)
     yield _play(262_144, camera(1920, 1080), 12)
     yield _play(262_144, camera(1920, 1080), 12, ordered=True)
     yield _play(1_000_000, camera(1920, 1080), 12)
-    yield lookup(65_536, CPU)
-    yield sampling(65_536, CPU)
+    yield plane_case(65_536, CPU)
+    yield sampling_case(65_536, CPU)
     yield _similarity(512)
     if steps:
         for name, work in training_steps(resources):
@@ -66,7 +67,7 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
 
 
 def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool, backend: str = "auto") -> Work:
-    """Rendering of a cloud, and with ``backward`` the gradients of all its arrays."""
+    """Return work that renders a cloud and, with ``backward``, computes the gradients of all its arrays."""
 
     def work() -> object:
         free = {name: array.requires_grad_(backward) for name, array in cloud.items()}
@@ -78,26 +79,26 @@ def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: boo
     return work
 
 
-def lookup(count: int, device: torch.device) -> Case:
-    """K-Planes at random points, with the planes' gradient."""
-    made, axes = planes()
-    leaves = [plane.to(device).requires_grad_() for plane in made]
-    levels, features = len(made) // 6, made[0].shape[2]
+def plane_case(count: int, device: torch.device) -> Case:
+    """Sample K-Planes at random points, with the planes' gradient."""
+    tensors, axes = planes()
+    leaves = [plane.to(device).requires_grad_() for plane in tensors]
+    levels, features = len(tensors) // 6, tensors[0].shape[2]
     generator = torch.Generator().manual_seed(count)
     coordinates = torch.rand(count, 4, generator=generator) * 2 - 1
     coordinates[:, 3] = 0.3
-    upstream = torch.randn(count, len(made) * features, generator=generator).to(device)
+    upstream = torch.randn(count, len(tensors) * features, generator=generator).to(device)
     coordinates = coordinates.to(device)
 
-    def both(look: Lookup) -> Work:
-        return lambda: torch.autograd.grad(look(coordinates, leaves, axes), leaves, upstream)
+    def both(sample: SamplePlanes) -> Work:
+        return lambda: torch.autograd.grad(sample(coordinates, leaves, axes), leaves, upstream)
 
     name = f"K-Planes, {levels} levels x 6 x {features} features, {count:,} points, forward + backward"
     return Case(name, both(sample_planes), {"torch grid_sample": both(sample_planes_reference)})
 
 
-def sampling(count: int, device: torch.device) -> Case:
-    """The figure's points sampled in four source views, with the gradient of points and features."""
+def sampling_case(count: int, device: torch.device) -> Case:
+    """Sample points in four source views, with the gradients of points and features."""
     generator = torch.Generator().manual_seed(count)
 
     def random(*shape: int) -> Tensor:
@@ -136,7 +137,7 @@ def _play(count: int, view: Camera, layers: int, *, ordered: bool = False) -> Ca
     frame, scene = baked_cloud(count, ordered=ordered)
     player = Player()
     out = player.draw(frame, view, scene, layers=layers)
-    order = ", in the order of space" if ordered else ""
+    order = ", in Morton order" if ordered else ""
     name = f"play {count:,} points{order}, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
     return Case(name, lambda: player.draw(frame, view, scene, layers=layers, out=out))
 

@@ -1,4 +1,4 @@
-"""What is timed on a CUDA device: pictures and gradients put on its stream one after another, as in use."""
+"""Benchmark cases on a CUDA device: pictures and gradients are queued on its stream back to back, as in real use."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Iterator
 import torch
 
 from fourd.baking.gpu_player import GpuFrame, GpuPlayer
-from fourd.benchmarks.cases import Case, composite, lookup, sampling
+from fourd.benchmarks.cases import Case, composite, plane_case, sampling_case
 from fourd.benchmarks.machine import has_gpu
 from fourd.benchmarks.peers import gsplat_rasterizer
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import baked_cloud, camera, figure
 from fourd.cameras import Camera
 
-PARTS = 20
-"""Runs between two waits for the device."""
+REPEATS = 20
+"""Runs between two synchronizations with the device."""
 
 SIZES = ((1920, 1080), (3840, 2160))
 
 
 def gpu_cases() -> Iterator[Case]:
-    """All cases; none where there is no CUDA device, or no kernels for it."""
+    """Yield all cases; none without a CUDA device and kernels for it."""
     if not has_gpu():
         return
     device = torch.device("cuda", torch.cuda.current_device())
@@ -31,15 +31,15 @@ def gpu_cases() -> Iterator[Case]:
     for count in (262_144, 1_000_000):
         for size in SIZES:
             yield _play(device, count, camera(*size), 12)
-    yield _on_gpu(lookup(65_536, device))
-    yield _on_gpu(sampling(65_536, device))
+    yield _on_gpu(plane_case(65_536, device))
+    yield _on_gpu(sampling_case(65_536, device))
 
 
-def repeated(work: Work) -> Work:
-    """The work :data:`PARTS` times, and then one wait for the device."""
+def repeat(work: Work) -> Work:
+    """Return work that runs :data:`REPEATS` times and then synchronizes with the device."""
 
     def run() -> None:
-        for _ in range(PARTS):
+        for _ in range(REPEATS):
             work()
         torch.cuda.synchronize()
 
@@ -51,8 +51,8 @@ def _composite(device: torch.device, count: int, view: Camera, layers: int, back
     passes = "forward + backward" if backward else "forward"
     name = f"GPU: composite {count:,} points, {view.width} x {view.height}, K = {layers}, {passes}"
     peer = gsplat_rasterizer(cloud, view, backward)
-    rivals = {} if peer is None else {"gsplat": repeated(peer)}
-    return Case(name, repeated(composite(cloud, view, layers, backward)), rivals, PARTS)
+    rivals = {} if peer is None else {"gsplat": repeat(peer)}
+    return Case(name, repeat(composite(cloud, view, layers, backward)), rivals, REPEATS)
 
 
 def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
@@ -60,10 +60,10 @@ def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
     player, held = GpuPlayer(device), GpuFrame.from_frame(frame, device)
     out = player.draw(held, view, scene, layers=layers)
     name = f"GPU: play {count:,} points, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
-    return Case(name, repeated(lambda: player.draw(held, view, scene, layers=layers, out=out)), parts=PARTS)
+    return Case(name, repeat(lambda: player.draw(held, view, scene, layers=layers, out=out)), repeats=REPEATS)
 
 
 def _on_gpu(case: Case) -> Case:
-    """A case whose work and rivals run on the device."""
-    rivals = {name: repeated(work) for name, work in case.rivals.items()}
-    return Case(f"GPU: {case.name}", repeated(case.work), rivals, PARTS)
+    """Repeat a case whose work and rivals run on the device."""
+    rivals = {name: repeat(work) for name, work in case.rivals.items()}
+    return Case(f"GPU: {case.name}", repeat(case.work), rivals, REPEATS)

@@ -1,4 +1,4 @@
-"""What a benchmark ran on."""
+"""Description of the machine that a benchmark runs on."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from fourd.ops.loading import load_native, simd_name, thread_count
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine and the programs, in words and numbers."""
+    """The machine, its settings and the versions of the programs."""
 
     processor: str
     gpu: str | None
-    """The CUDA device that has kernels here."""
+    """The CUDA device, if this build has kernels for it."""
     threads: int
     simd: str
     system: str
@@ -28,7 +28,7 @@ class Machine:
     torch: str
     fourd: str
     commit: str | None
-    """Of the source folder, with "+" where files were changed since; None when there is none."""
+    """Git commit of the source folder, with "+" for uncommitted changes; None outside a repository."""
 
     def __str__(self) -> str:
         built = self.fourd if self.commit is None else f"{self.fourd} ({self.commit})"
@@ -37,7 +37,7 @@ class Machine:
 
 
 def this_machine() -> Machine:
-    """Describe where this program runs."""
+    """Describe the machine that this program runs on."""
     return Machine(
         processor=_processor(),
         gpu=torch.cuda.get_device_name() if has_gpu() else None,
@@ -52,7 +52,7 @@ def this_machine() -> Machine:
 
 
 def has_gpu() -> bool:
-    """Whether CUDA kernels can be timed here."""
+    """Return whether CUDA kernels can run here."""
     return torch.cuda.is_available() and not cuda_unavailable_reason()
 
 

@@ -1,4 +1,4 @@
-"""Other programs that composite points, where they are installed: none is required."""
+"""Other programs that composite points, where they are installed; none is required."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.cameras import Camera
 
 
 def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool) -> Work | None:
-    """PyTorch3D's point rasteriser and alpha compositor on the same points; None where it is not installed."""
+    """PyTorch3D's point rasterizer and alpha compositor on the same points; None if it is not installed."""
     try:
         rasterizer: Any = import_module("pytorch3d.renderer.points.rasterize_points")
         structures: Any = import_module("pytorch3d.structures")
@@ -30,10 +30,10 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
         xyz_camera = free["xyz"] @ rotation.T + translation
         depth = xyz_camera[:, 2:]
         pixels = xyz_camera @ torch.from_numpy(view.intrinsics[:2].T).float() / depth
-        # Its normalised coordinates point left and up, and are scaled by the shorter side.
-        placed = torch.cat([(size - 2 * pixels) / size.min(), depth], dim=1)
+        # PyTorch3D: normalized coordinates point left and up and are scaled by the shorter side.
+        normalized = torch.cat([(size - 2 * pixels) / size.min(), depth], dim=1)
         radius = (2 * focal / size.min()) * free["radius"] / depth[:, 0]
-        clouds = structures.Pointclouds(points=[placed], features=[free["features"]])
+        clouds = structures.Pointclouds(points=[normalized], features=[free["features"]])
         found, _, squares = rasterizer.rasterize_points(
             clouds, (view.height, view.width), radius.detach(), points_per_pixel=layers
         )
@@ -48,9 +48,9 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
 
 
 def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:
-    """gsplat's rasteriser on round Gaussians that reach as far, which is other work of the same kind.
+    """gsplat's rasterizer on isotropic Gaussians of the same extent, which is comparable work; None if not installed.
 
-    None where it is not installed. The cloud is on a CUDA device: gsplat knows no other.
+    The cloud is on a CUDA device: gsplat supports no other.
     """
     try:
         rendering: Any = import_module("gsplat.rendering")
@@ -61,15 +61,15 @@ def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) ->
     view_matrix[:3, :3] = torch.from_numpy(view.rotation)
     view_matrix[:3, 3] = torch.from_numpy(view.translation)
     intrinsics = torch.from_numpy(view.intrinsics).float().to(device)
-    unturned = torch.tensor([1.0, 0, 0, 0], device=device).expand(count, 4)
+    identity_quaternion = torch.tensor([1.0, 0, 0, 0], device=device).expand(count, 4)
 
     def work() -> object:
         free = {name: array.requires_grad_(backward) for name, array in cloud.items()}
-        # It ends a Gaussian at three standard deviations.
+        # gsplat truncates a Gaussian at three standard deviations.
         scales = (free["radius"] / 3)[:, None].expand(count, 3)
         image, alpha, _ = rendering.rasterization(
             free["xyz"],
-            unturned,
+            identity_quaternion,
             scales,
             free["density"],
             free["features"],

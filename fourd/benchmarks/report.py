@@ -17,44 +17,44 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class Row:
-    """A case that was timed, with those that do the same work."""
+    """A timed case, with the timings of its rivals by name."""
 
     name: str
     timing: Timing
     rivals: dict[str, Timing]
 
     @classmethod
-    def of(cls, case: Case, clock: Clock, *, rivals: bool) -> Row:
-        """Time a case, and where wanted its rivals."""
-        others = {name: clock.time(work, case.parts) for name, work in case.rivals.items()} if rivals else {}
-        return cls(case.name, clock.time(case.work, case.parts), others)
+    def measure(cls, case: Case, clock: Clock, *, rivals: bool) -> Row:
+        """Time a case and, if ``rivals``, its rivals."""
+        others = {name: clock.time(work, case.repeats) for name, work in case.rivals.items()} if rivals else {}
+        return cls(case.name, clock.time(case.work, case.repeats), others)
 
 
 def table(rows: Iterable[Row]) -> Table:
-    """For a terminal."""
+    """Format rows for a terminal."""
     shown = Table(box=None, pad_edge=False)
     shown.add_column("work", max_width=70)
     for title in ("ms", "units", "against"):
         shown.add_column(title, justify="right" if title != "against" else "left")
     for row in rows:
-        shown.add_row(row.name, f"{row.timing.ms:.1f}", f"{row.timing.units:.3f}", _against(row))
+        shown.add_row(row.name, f"{row.timing.ms:.1f}", f"{row.timing.units:.3f}", _format_rivals(row))
     return shown
 
 
 def markdown(rows: Iterable[Row], machine: Machine) -> str:
-    """For a document."""
+    """Format rows for a document."""
     lines = [str(machine), "", "| work | ms | units | against |", "|---|---|---|---|"]
-    lines += [f"| {row.name} | {row.timing.ms:.1f} | {row.timing.units:.3f} | {_against(row)} |" for row in rows]
+    lines += [f"| {row.name} | {row.timing.ms:.1f} | {row.timing.units:.3f} | {_format_rivals(row)} |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
 def to_json(rows: Iterable[Row], machine: Machine) -> str:
-    """For programs: milliseconds, units and runs of every row and rival."""
+    """Format milliseconds, units and runs of every row and rival as JSON."""
     content = {"format": "fourd-bench", "version": FORMAT_VERSION, "machine": asdict(machine)}
     return json.dumps({**content, "rows": [asdict(row) for row in rows]}, indent=1) + "\n"
 
 
-def _against(row: Row) -> str:
+def _format_rivals(row: Row) -> str:
     return "; ".join(
         f"{name} {rival.ms:,.0f} ms ({rival.units / row.timing.units:,.1f} x)" for name, rival in row.rivals.items()
     )

@@ -1,4 +1,4 @@
-"""Times that can be compared although the machine is shared: medians, paired with a unit of work."""
+"""Timings that are comparable although the machine is shared: medians, paired with a unit of work."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ UNIT_SIDE = 2048
 
 @dataclass(frozen=True)
 class Timing:
-    """Medians of several runs, each next to one of the unit.
+    """Medians of several runs, each paired with a run of the unit.
 
     Attributes:
-        ms: of the work.
-        units: of the work's time over the unit's in the same round; the unit is a matrix product of
-            2048 x 2048 float32 by torch.
-        runs: how many.
+        ms: time of the work.
+        units: ratio of the work's time to the unit's in the same round. The unit is a 2048 x 2048 float32 matrix
+            product by torch.
+        runs: number of runs.
     """
 
     ms: float
@@ -30,31 +30,31 @@ class Timing:
 
 
 class Clock:
-    """Times work in rounds, each with the unit beside it."""
+    """Times work in rounds, each paired with a run of the unit."""
 
-    def __init__(self, seconds: float, least: int = 3, most: int = 50) -> None:
-        """``seconds`` is about how long one kind of work is timed; it runs ``least`` to ``most`` times."""
+    def __init__(self, seconds: float, min_runs: int = 3, max_runs: int = 50) -> None:
+        """``seconds`` is the approximate time to spend on one work, within the limits on its runs."""
         generator = torch.Generator().manual_seed(0)
         self._square = torch.randn(UNIT_SIDE, UNIT_SIDE, generator=generator)
         self._seconds = seconds
-        self._least = least
-        self._most = most
+        self._min_runs = min_runs
+        self._max_runs = max_runs
 
-    def time(self, work: Work, parts: int = 1) -> Timing:
-        """Time ``work``, which is run once before to warm up, as a mean of the ``parts`` that it does."""
-        first = _ms(work)
-        runs = max(self._least, min(self._most, int(1000 * self._seconds / max(first, 0.1))))
+    def time(self, work: Work, repeats: int = 1) -> Timing:
+        """Time ``work`` after one warm-up run. A work that repeats itself is reported per repeat."""
+        first = _time_ms(work)
+        runs = max(self._min_runs, min(self._max_runs, int(1000 * self._seconds / max(first, 0.1))))
         units, times = [], []
         for _ in range(runs):
-            units.append(_ms(lambda: self._square @ self._square))
-            # The product's threads spin for a while after it, and would slow the first run of what follows.
+            units.append(_time_ms(lambda: self._square @ self._square))
+            # The product's threads spin for a while afterwards and would slow down the first run after it.
             work()
-            times.append(_ms(work) / parts)
+            times.append(_time_ms(work) / repeats)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]
         return Timing(statistics.median(times), statistics.median(ratios), runs)
 
 
-def _ms(work: Work) -> float:
+def _time_ms(work: Work) -> float:
     started = time.perf_counter()
     work()
     return 1e3 * (time.perf_counter() - started)

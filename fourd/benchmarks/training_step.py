@@ -1,4 +1,4 @@
-"""Whole training steps on a synthetic capture: reading aside, all that a step of `fourd train` does."""
+"""Whole training steps on a synthetic capture: everything in a step of `fourd train` except reading."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ CAMERAS = 6
 
 
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
-    """Named steps: by the defaults, and on whole pictures with every point.
+    """Yield named training steps: with the default config, and on whole pictures with every point.
 
-    The capture lies in a temporary folder until ``resources`` is closed.
+    The capture is in a temporary folder until ``resources`` is closed.
     """
     retain_freed_memory()
     folder = Path(resources.enter_context(TemporaryDirectory(prefix="fourd-bench-")))
@@ -41,7 +41,7 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 
 
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
-    """The same step again and again, at rates so small that the scene stays as it is."""
+    """Return a step that can be repeated: its learning rates are too small to change the scene."""
     trainer = Trainer(run, None, Console(quiet=True), config)
     sample = trainer.sampler.sample(1)
     points = trainer.frames.get(sample.frame)

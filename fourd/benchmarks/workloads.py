@@ -1,4 +1,4 @@
-"""Synthetic inputs of any size, the same for the same size."""
+"""Synthetic inputs of any size, deterministic for a given size."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ RADIUS_IN_SPACINGS = 1.3
 
 
 def figure_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """A closed surface of even points: xyz (N, 3), radius (N,) and density (N,), with gaps and half-transparent seams.
+    """Make points on an ellipsoid: xyz (N, 3), radius (N,) and density (N,), with gaps and semi-transparent overlaps.
 
-    It fills 40% of :func:`camera`'s picture; the nearer half of its points hides the farther one.
+    It covers 40% of the picture of :func:`camera`; the nearer half of its points occludes the farther half.
     """
     rng = np.random.default_rng(SEED)
     directions = rng.standard_normal((count, 3))
@@ -30,7 +30,7 @@ def figure_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32],
 
 
 def figure(count: int) -> dict[str, Tensor]:
-    """Arguments of ``render_points``: the figure in random colours."""
+    """Make arguments of ``render_points``: the points of :func:`figure_points` in random colours."""
     xyz, radius, density = figure_points(count)
     colours = np.random.default_rng(SEED + 1).random((count, 3), dtype=np.float32)
     arrays = {"xyz": xyz, "features": colours, "radius": radius, "density": density}
@@ -38,7 +38,7 @@ def figure(count: int) -> dict[str, Tensor]:
 
 
 def camera(width: int, height: int, angle: float = 0.0) -> Camera:
-    """A camera 3 units from the origin, ``angle`` radians around it; the figure fills the picture's height."""
+    """Make a camera 3 units from the origin, at ``angle`` radians around it; the points fill the picture's height."""
     focal = 1.3 * height
     intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     centre = np.array([3 * np.sin(angle), -3 * np.cos(angle), 0.4])
@@ -46,9 +46,10 @@ def camera(width: int, height: int, angle: float = 0.0) -> Camera:
 
 
 def baked_cloud(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
-    """The figure as a baked frame that ``views`` source cameras in a ring see, and its scene.
+    """Make a baked frame of the points with ``views`` source cameras in a ring, and its manifest.
 
-    ``ordered`` points lie in the order of space, as a run's do; else in no order.
+    Args:
+        ordered: sort the points in Morton order, as those of a run are; else their order is random.
     """
     rng = np.random.default_rng(SEED + 2)
     xyz, radius, density = figure_points(count)
@@ -78,13 +79,13 @@ def baked_cloud(count: int, views: int = 17, *, ordered: bool = False) -> tuple[
 
 
 def planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
-    """Six K-Planes a level with their axes; ``side`` samples at the coarsest, twice as many a level."""
+    """Make six K-Planes per level with their axes; ``side`` samples at the coarsest level, doubled per level."""
     generator = torch.Generator().manual_seed(SEED)
     pairs = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
-    made, axes = [], []
+    tensors, axes = [], []
     for level in range(levels):
         for first, second in pairs:
             rows = frames if second == 3 else side << level
-            made.append(torch.randn(rows, side << level, features, generator=generator))
+            tensors.append(torch.randn(rows, side << level, features, generator=generator))
             axes += [first, second]
-    return made, axes
+    return tensors, axes

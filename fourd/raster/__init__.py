@@ -1,7 +1,6 @@
-"""Differentiable renderers. Points first: :func:`render_points` and :func:`point_visibility`.
+"""Differentiable renderers. For points: :func:`render_points` and :func:`point_visibility`.
 
-torch is loaded when one of this package's names is first used, not on import, so that
-:mod:`fourd.ops.points.arrays` serves programs that have no use for torch.
+torch is loaded on the first use of one of these names, not on import.
 """
 
 from __future__ import annotations

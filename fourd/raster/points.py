@@ -1,4 +1,4 @@
-"""The public, differentiable point renderer for torch tensors."""
+"""The differentiable point renderer for torch tensors (public API)."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from torch import Tensor
 
 from fourd.cameras import Camera
 from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.ops.points import op
+from fourd.ops.points.reference import point_visibility_reference, render_points_reference
 from fourd.ops.points.validation import check_background, check_points, pack_camera
 
 Backend = Literal["auto", "reference", "cpu", "cuda"]
@@ -20,10 +22,9 @@ class PointRender:
     """A rendered image.
 
     Attributes:
-        features: (H, W, C) composited features, over the background where one was given.
+        features: (H, W, C) composited features, over the background if one is given.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) mean camera depth of the composited points by their weights, in world units;
-            0 where alpha is 0.
+        depth: (H, W) weighted mean of the composited points' camera depths, in world units; 0 where alpha is 0.
     """
 
     features: Tensor
@@ -45,35 +46,36 @@ def render_points(
     transmittance_min: float = 0.0,
     threads: int = 0,
 ) -> PointRender:
-    """Composite the nearest ``layers`` points of each pixel front to back (4K4D's differentiable peeling).
+    """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    With pixel centre p, point i at camera depth z_i, its projected centre q_i and its radius in
-    pixels rho_i = K[1, 1] * radius_i / z_i, alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0).
-    Those with alpha_i(p) > 0, by z and then by index, are composited over the background.
-    Gradients flow to xyz, features, radius, density and background from all three outputs; which
-    points were chosen counts as constant. The result has the same bits for any number of threads.
+    A point i at camera depth z_i, with projected centre q_i and a radius of rho_i = K[1, 1] * radius_i / z_i pixels,
+    has alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0) at pixel centre p. The points with alpha_i(p) > 0
+    are sorted by z, ties by index; the first ``layers`` are composited over the background.
+
+    Gradients flow from all three outputs to xyz, features, radius, density and background; the choice of points is
+    constant. On the CPU the result and its gradients have the same bits for any number of threads.
 
     Args:
-        xyz: (N, 3) world positions.
-        features: (N, C) colours or other features, C from 1 to 32. Not checked: a value that is not
-            finite appears in the pixels that composite its point.
-        radius: (N,) in world units.
-        density: (N,) peak alpha in [0, 1]; more counts as 1.
+        xyz: (N, 3) positions, world units.
+        features: (N, C) colours or other features, C from 1 to 32. Values are not checked: one that is not finite
+            appears in the pixels that composite its point.
+        radius: (N,) world units.
+        density: (N,) peak alpha in [0, 1]; larger values count as 1.
         camera: an ideal pinhole.
         layers: K, the most points that a pixel composites.
-        near: points with camera depth below it are culled, in world units. Culled too, and given
-            zero gradients, are points with radius or density not above 0 and those of which any of
-            position, radius, density or projection is not finite.
-        background: (C,) or (H, W, C), composited with 1 - alpha; black if not given.
-        backend: "reference" (plain torch, float32 or float64, slow), "cpu" (float32), "cuda", or
-            "auto" for the kernel of the tensors' device.
-        transmittance_min: a pixel ends where less light than this passes. 0 is exact; 1e-4 saves
-            time when no gradient is wanted. The reference is always exact.
-        threads: for "cpu"; 0 means FOURD_THREADS if that is set, else torch.get_num_threads().
+        near: camera depth, in world units, below which points are culled. Also culled, with zero gradients, are
+            points with a radius or density that is not positive, and points whose position, radius, density or
+            projection is not finite.
+        background: (C,) or (H, W, C), composited with 1 - alpha; None for zeros.
+        backend: "reference" (plain torch, float32 or float64, slow), "cpu" (float32), "cuda" (float32), or "auto" for
+            the kernel of the tensors' device.
+        transmittance_min: a pixel ends below this transmittance. 0 is exact and required for gradients; 1e-4 saves
+            time. The reference is always exact.
+        threads: for "cpu"; 0 uses FOURD_THREADS if set, else torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: naming the argument, what was expected and what came.
-        RuntimeError: where the backend is not built.
+        RuntimeError: if the backend is not built.
     """
     arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}
     chosen = _check(arrays, camera, layers, near, backend)
@@ -82,15 +84,10 @@ def render_points(
     if background is not None:
         check_background(background, camera, features.shape[1])
     if chosen == "reference":
-        from fourd.ops.points.reference import render_points_reference
-
         image = render_points_reference(xyz, features, radius, density, camera, layers, near)
     else:
-        from fourd.ops.points import op as native
-
-        numbers = pack_camera(camera)
-        size = (camera.width, camera.height)
-        image = native.render(xyz, features, radius, density, numbers, *size, layers, near, transmittance_min, threads)
+        view = (pack_camera(camera), camera.width, camera.height)
+        image = op.render(xyz, features, radius, density, *view, layers, near, transmittance_min, threads)
     colour, alpha, depth = image
     if background is not None:
         colour = colour + (1 - alpha)[..., None] * background.to(colour)
@@ -109,28 +106,24 @@ def point_visibility(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """The largest weight (transmittance times alpha) that each point has in any pixel of ``camera``.
+    """Compute every point's largest weight (transmittance times alpha) in any pixel of ``camera``.
 
     Arguments, culling and errors are those of :func:`render_points`.
 
     Returns:
-        (N,) weights in [0, 1] of xyz's dtype, without gradient: 0 where a point is not seen.
+        (N,) weights in [0, 1] of xyz's dtype, without gradient; 0 for points that are not visible.
     """
     chosen = _check({"xyz": xyz, "radius": radius, "density": density}, camera, layers, near, backend)
     if chosen == "reference":
-        from fourd.ops.points.reference import point_visibility_reference
-
         return point_visibility_reference(xyz, radius, density, camera, layers, near)
-    from fourd.ops.points import op as native
-
-    size = (camera.width, camera.height)
-    return native.visibility(xyz, radius, density, pack_camera(camera), *size, layers, near, threads)
+    view = (pack_camera(camera), camera.width, camera.height)
+    return op.visibility(xyz, radius, density, *view, layers, near, threads)
 
 
 def _check(
     arrays: dict[str, Tensor], camera: Camera, layers: int, near: float, backend: str
 ) -> Literal["reference", "native"]:
-    """Check the arguments and return the backend to use."""
+    """Check the arguments and select the backend."""
     for name, value in arrays.items():
         if not isinstance(value, Tensor):
             raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")
@@ -144,8 +137,8 @@ def _check(
     wanted = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
     if wanted == "cuda" and (missing := cuda_unavailable_reason()):
         raise RuntimeError(
-            f"backend: expected one that this installation has, got 'cuda', which it was built without ({missing}); "
-            "install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "
+            "backend: expected one that this installation has, got 'cuda', but fourd was built without it "
+            f"({missing}); install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "
             "backend='reference', which runs on any device"
         )
     if device != wanted:

@@ -1,4 +1,4 @@
-"""The benchmarks' inputs and reports, on small work: what is timed is tested elsewhere."""
+"""Inputs and reports of the benchmarks, on small work; the kernels have tests of their own."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from fourd.cli.main import main
 from fourd.ops.planes.op import sample_planes
 
 
-def test_the_figure_is_a_closed_surface_in_the_middle_of_the_picture() -> None:
-    """Catches a workload that misses the picture, whose speed would mean nothing."""
+def test_points_cover_the_middle_of_the_picture() -> None:
+    """Catches a workload outside the picture, whose speed would be meaningless."""
     frame, scene = baked_cloud(20_000)
     picture = Player().draw(frame, camera(192, 108), scene)
     alpha = picture[..., 3] / 255
@@ -30,25 +30,26 @@ def test_the_figure_is_a_closed_surface_in_the_middle_of_the_picture() -> None:
     assert picture[..., :3].std() > 5
 
 
-def test_works_do_what_their_names_say() -> None:
-    """Catches a backward pass that is never run."""
+def test_backward_work_computes_gradients() -> None:
+    """Catches a backward pass that is never executed."""
     cloud, view = figure(500), camera(40, 40)
     image = composite(cloud, view, 5, False)()
     gradients = composite(cloud, view, 5, True)()
     assert image.features.shape == (40, 40, 3)  # type: ignore[attr-defined]
     assert [gradient.shape for gradient in gradients] == [array.shape for array in cloud.values()]  # type: ignore[attr-defined]
     assert all(gradient.abs().max() > 0 for gradient in gradients)  # type: ignore[attr-defined]
-    made, axes = planes(side=4, levels=2, features=3, frames=5)
-    assert sample_planes(torch.zeros(2, 4), made, axes).shape == (2, 36)
+    tensors, axes = planes(side=4, levels=2, features=3, frames=5)
+    assert sample_planes(torch.zeros(2, 4), tensors, axes).shape == (2, 36)
 
 
-def test_the_clock_counts_in_units() -> None:
-    timing = Clock(seconds=0.01, least=3, most=3).time(lambda: np.linalg.norm(np.ones(10)))
+def test_clock_reports_units() -> None:
+    """Catches a ratio turned upside down, and limits on runs that are ignored."""
+    timing = Clock(seconds=0.01, min_runs=3, max_runs=3).time(lambda: np.linalg.norm(np.ones(10)))
     assert timing.runs == 3
     assert 0 < timing.units < 1
 
 
-def test_reports_hold_every_figure() -> None:
+def test_reports_contain_every_timing() -> None:
     """Catches a rival's ratio turned upside down."""
     rows = [Row("work", Timing(10.0, 0.5, 7), {"other": Timing(40.0, 2.0, 3)})]
     machine = this_machine()
@@ -62,8 +63,8 @@ def test_reports_hold_every_figure() -> None:
 
 
 @pytest.mark.slow
-def test_quick_bench_from_outside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a table without rows, and files that do not agree with it."""
+def test_quick_bench_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a table without rows, and files that disagree with it."""
     words = ["bench", "--quick", "--json", str(tmp_path / "b.json"), "--markdown", str(tmp_path / "b.md")]
     assert main(words) == 0
     shown = capsys.readouterr().out

@@ -43,7 +43,7 @@ def run(arguments: Arguments) -> None:
     with ExitStack() as resources, console.status("") as status:
         for case in chain(cases(resources, steps=not arguments.quick), gpu_cases()):
             status.update(case.name)
-            rows.append(Row.of(case, clock, rivals=not arguments.quick))
+            rows.append(Row.measure(case, clock, rivals=not arguments.quick))
     console.print(table(rows))
     if arguments.json is not None:
         write_text_atomically(arguments.json, to_json(rows, machine))
