@@ -1,4 +1,4 @@
-"""Train ablations on one capture and plot held-out PSNR over training time, with a table beside it.
+"""Train ablations on one capture; plot and tabulate held-out PSNR over training time.
 
     python tools/ablation_plot.py CAPTURE --test-views 03,09,14 --frames 0:1 --seconds 180
 
@@ -27,7 +27,7 @@ ABLATIONS = {"both": "images and SH", "ibr": "images alone", "sh": "SH alone"}
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to train on."""
+    """Options of the comparison."""
 
     capture: tyro.conf.Positional[Path]
     """The capture's folder."""
@@ -44,7 +44,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> None:
-    """Train what is missing, then draw."""
+    """Train the missing runs, then write the plot and the table."""
     curves = {name: _curve(arguments, name) for name in ABLATIONS}
     _draw(arguments, curves)
     lines = ["# Ablations", "", f"Held-out PSNR in dB over training time, frames {arguments.frames}.", ""]
@@ -61,7 +61,7 @@ def _marks(arguments: Arguments) -> list[float]:
 
 
 def _curve(arguments: Arguments, name: str) -> list[tuple[float, float]]:
-    """(seconds, held-out PSNR in the matte's box) of one ablation."""
+    """Training seconds and held-out PSNR in the matte's box, for every validation of one ablation."""
     folder = arguments.work / name
     base = TrainConfig()
     config = replace(

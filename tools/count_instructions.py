@@ -1,9 +1,10 @@
-"""Hold the kernels' instructions, counted by valgrind, to tools/instructions.json: a gate that no busy machine moves.
+"""Compare the kernels' instruction counts under valgrind with tools/instructions.json.
 
-    python tools/count_instructions.py            fails where a kernel needs 5% more than it did
-    python tools/count_instructions.py --update   accepts what is counted now
+    python tools/count_instructions.py            fail if a kernel needs 5% more instructions than accepted
+    python tools/count_instructions.py --update   accept the current counts
 
-Counts belong to a compiler: with another one nothing is compared. Valgrind knows no AVX-512: AVX2 is counted.
+Unlike times, counts do not depend on the load of the machine. They depend on the compiler; for an unknown compiler
+nothing is compared. Valgrind does not support AVX-512, so AVX2 is counted.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from fourd.files import write_text_atomically
 
 ROOT = Path(__file__).resolve().parents[1]
 ACCEPTED = ROOT / "tools" / "instructions.json"
-MOST = 1.05
+MAX_RATIO = 1.05
 WORKLOADS = {
     "render": "render 8192 256 256 15",
     "render backward": "backward 8192 256 256 15",
@@ -39,16 +40,16 @@ WORKLOADS = {
 
 @dataclass(frozen=True)
 class Arguments:
-    """Without options: compare."""
+    """Compare by default."""
 
     update: bool = False
-    """Write the counts as the ones to compare with from now on."""
+    """Accept the current counts."""
     build: Path = ROOT / "build" / "count"
     """Folder to build in."""
 
 
 def main(arguments: Arguments) -> int:
-    """Build, count, compare; returns the exit code."""
+    """Build, count and compare; return the exit code."""
     if shutil.which("valgrind") is None:
         print("count_instructions: expected valgrind, got none; install it (apt-get install valgrind)", file=sys.stderr)
         return 2
@@ -60,36 +61,38 @@ def main(arguments: Arguments) -> int:
         print(f"{ACCEPTED}: {compiler}")
         return 0
     if compiler not in accepted:
-        print(f"{compiler}: nothing to compare with; known are {', '.join(accepted) or 'none'}")
+        print(f"{compiler}: no accepted counts for this compiler; accepted compilers: {', '.join(accepted) or 'none'}")
     worse = 0
     for name, instructions in counts.items():
         before = accepted.get(compiler, {}).get(name)
         ratio = instructions / before if before else 1.0
-        worse += ratio > MOST
+        worse += ratio > MAX_RATIO
         print(
-            f"{name:18} {instructions / 1e6:8.1f} M instructions  {ratio:.3f}" + ("  TOO MANY" if ratio > MOST else "")
+            f"{name:18} {instructions / 1e6:8.1f} M instructions  {ratio:.3f}"
+            + ("  TOO MANY" if ratio > MAX_RATIO else "")
         )
     return 1 if worse else 0
 
 
 def build(folder: Path) -> tuple[str, Path]:
-    """The compiler's name and version, and the program built with it."""
+    """Build the workload; return the compiler's name and version, and the program."""
     configure = ["cmake", "-S", str(ROOT / "csrc" / "tests"), "-B", str(folder), "-DCMAKE_BUILD_TYPE=Release"]
-    quietly(configure)
-    quietly(["cmake", "--build", str(folder), "--target", "workload", "--parallel"])
-    described = quietly(["cmake", "-LA", "-N", str(folder)])
-    path = re.search(r"^CMAKE_CXX_COMPILER:\w+=(.*)$", described, re.MULTILINE)
-    version = quietly([path[1] if path else "c++", "--version"]).splitlines()[0]
+    run_quietly(configure)
+    run_quietly(["cmake", "--build", str(folder), "--target", "workload", "--parallel"])
+    cache = run_quietly(["cmake", "-LA", "-N", str(folder)])
+    path = re.search(r"^CMAKE_CXX_COMPILER:\w+=(.*)$", cache, re.MULTILINE)
+    version = run_quietly([path[1] if path else "c++", "--version"]).splitlines()[0]
     return version.split(" ", 1)[1], folder / "workload"
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Instructions of one repeat, without what setting up takes."""
-    once, thrice = (counted([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
+    """Instructions of one repeat, without the setup."""
+    once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 
 
-def counted(command: list[str]) -> int:
+def count_process(command: list[str]) -> int:
+    """Instructions of one process, counted by callgrind."""
     tool = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *command]
     output = subprocess.run(tool, capture_output=True, text=True, check=True).stderr
     found = re.search(r"Collected : (\d+)", output)
@@ -98,7 +101,8 @@ def counted(command: list[str]) -> int:
     return int(found[1])
 
 
-def quietly(command: list[str]) -> str:
+def run_quietly(command: list[str]) -> str:
+    """Run a command; return its output, or raise RuntimeError with its errors."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")

@@ -1,6 +1,6 @@
-"""The demonstration behind ``make demo``: a synthetic capture, a scene made of it, a video, a few figures.
+"""``make demo``: a synthetic capture, a scene, a video and its scores.
 
-Runs the same commands that a user would type, and prints them.
+Runs the commands that a user would type, and prints them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ TEST_VIEWS = "03,09"
 
 
 def step(*words: object) -> None:
-    """Run a fourd command as typed; stop the demonstration when it fails."""
+    """Print and run one fourd command; exit if it fails."""
     arguments = [str(word) for word in words]
     print(f"\n$ fourd {shlex.join(arguments)}", flush=True)
     code = fourd(arguments)
@@ -27,7 +27,7 @@ def step(*words: object) -> None:
 
 
 def main() -> None:
-    """Make everything below demo/; what is done already is found done."""
+    """Make everything in demo/. Finished stages are skipped."""
     started = time.monotonic()
     capture, scene, video = FOLDER / "capture", FOLDER / "scene.4dv", FOLDER / "orbit.mp4"
     figures, run = FOLDER / "eval.json", FOLDER / "scene.work" / "run"
@@ -39,7 +39,7 @@ def main() -> None:
     scores = json.loads(figures.read_text())
     megabytes = scene.stat().st_size / 2**20
     print(
-        f"\nMade in {time.monotonic() - started:.0f} s: {scene} ({megabytes:.0f} MB) and {video}."
+        f"\nFinished in {time.monotonic() - started:.0f} s: {scene} ({megabytes:.0f} MB) and {video}."
         f"\nHeld-out cameras {TEST_VIEWS}: {scores['image']['psnr']:.2f} dB PSNR on the whole image, "
         f"{scores['box']['psnr']:.2f} dB in the figure's box."
         f"\nNext: open {video}; fourd view {scene}; fourd render {scene} --path spiral --out spiral.mp4; "

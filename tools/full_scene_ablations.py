@@ -1,13 +1,13 @@
-"""What each part of a full scene gives: the same short run without it, judged on held-out views.
+"""Ablate the parts of a full scene: train short runs without each part and evaluate held-out views.
 
     python tools/full_scene_ablations.py CAPTURE OUT --test-views 03,09,14 [--frames 0:24:6] [--max-steps 600]
                                          [--plates EMPTY_STAGE/] [--only sfm apart]
 
-Each variant is a run in OUT/NAME, of the first's hull and background points where these are the same; runs that are
-there are taken as they are. Refinement has something to do where the calibration is off: its two variants are of a
-capture in OUT/disturbed, each camera off by 0.5 degrees and 1 cm, and they are judged from held-out cameras fitted to
-their own pictures, which by itself gains a little. Prints a table in Markdown and writes OUT/pictures.png: of each
-held-out view the truth and what every variant shows, at the middle frame.
+Each variant is a run in OUT/NAME. It reuses the hull and background points of the first variant unless it changes
+them. Finished runs are not repeated. The two variants of refinement use a perturbed capture in OUT/disturbed (each
+camera rotated by 0.5 degrees and moved by 1 cm) and are evaluated from held-out cameras that are fitted to their own
+pictures, which alone raises the scores slightly. Prints a Markdown table and writes OUT/pictures.png: for each
+held-out view the ground truth and every variant at the middle frame.
 """
 
 from __future__ import annotations
@@ -30,7 +30,14 @@ from fourd.training.run import load_run
 
 @dataclass(frozen=True)
 class Variant:
-    """A way to train: what the table calls it, what its config changes, and whether its calibration is off."""
+    """A training variant.
+
+    Attributes:
+        label: row title in the table.
+        changes: the config overlay.
+        own_seeds: whether it computes its own hull and background points.
+        disturbed: whether it trains on the perturbed calibration.
+    """
 
     label: str
     changes: dict[str, object] = field(default_factory=dict)
@@ -51,12 +58,12 @@ VARIANTS = {
     "unrefined": Variant("calibration off, no refinement", own_seeds=True, disturbed=True),
 }
 SIDE = 256
-"""Of a tile, pixels."""
+"""Longer side of a tile, in pixels."""
 FOURD = [sys.executable, "-c", "import sys; from fourd.cli.main import main; sys.exit(main())"]
 
 
 def train(name: str, arguments: argparse.Namespace) -> Path:
-    """The run of a variant, with its scores beside it."""
+    """Train and evaluate a variant; return its run."""
     variant = VARIANTS[name]
     run, overlay = arguments.out / name, arguments.out / f"{name}.yaml"
     overlay.write_text(yaml.safe_dump(variant.changes))
@@ -66,9 +73,9 @@ def train(name: str, arguments: argparse.Namespace) -> Path:
         if not variant.own_seeds and name != "whole" and first.exists():
             for shared in ("hull", "background"):
                 shutil.copytree(first / shared, run / shared, dirs_exist_ok=True)
-        told = ["--scene", "full", "--test-views", arguments.test_views, "--frames", arguments.frames]
-        told += ["--max-steps", str(arguments.max_steps), "--config", str(overlay)]
-        subprocess.run([*FOURD, "train", str(capture), "--out", str(run), *told], check=True)
+        flags = ["--scene", "full", "--test-views", arguments.test_views, "--frames", arguments.frames]
+        flags += ["--max-steps", str(arguments.max_steps), "--config", str(overlay)]
+        subprocess.run([*FOURD, "train", str(capture), "--out", str(run), *flags], check=True)
     scores = arguments.out / f"{name}.json"
     if not scores.exists():
         plates = [] if arguments.plates is None else ["--plates", str(arguments.plates)]
@@ -78,7 +85,7 @@ def train(name: str, arguments: argparse.Namespace) -> Path:
 
 
 def disturbed(arguments: argparse.Namespace) -> Path:
-    """The capture with a calibration that is off."""
+    """The capture with the perturbed calibration."""
     out: Path = arguments.out / "disturbed"
     if not out.exists():
         tool = Path(__file__).with_name("disturbed_capture.py")
@@ -87,7 +94,7 @@ def disturbed(arguments: argparse.Namespace) -> Path:
 
 
 def row(name: str, out: Path) -> str:
-    """A line of the table."""
+    """One row of the table."""
     scores = json.loads((out / f"{name}.json").read_text())
     backgrounds = scores.get("background")
     alone = "" if not backgrounds else f"{np.mean(list(backgrounds.values())):.2f}"
@@ -95,8 +102,8 @@ def row(name: str, out: Path) -> str:
     return f"| {VARIANTS[name].label} | {image['psnr']:.2f} | {image['ssim']:.3f} | {box['psnr']:.2f} | {alone} |"
 
 
-def shown(run: Path) -> list[NDArray[np.uint8]]:
-    """What a run shows to its held-out cameras, BGR."""
+def render_test_views(run: Path) -> list[NDArray[np.uint8]]:
+    """Renderings of a run's held-out cameras, BGR."""
     trained = load_run(run)
     capture, frame = trained.run.capture, trained.run.capture.frame_count // 2
     layers = trained.run.config.train.layers
@@ -107,8 +114,8 @@ def shown(run: Path) -> list[NDArray[np.uint8]]:
     return tiles
 
 
-def truth(run: Path) -> list[NDArray[np.uint8]]:
-    """The same in truth."""
+def test_pictures(run: Path) -> list[NDArray[np.uint8]]:
+    """Pictures of the held-out cameras, BGR."""
     opened = load_run(run).run
     frame = opened.capture.frame_count // 2
     return [_tile(opened.capture.image(camera, frame)[..., ::-1]) for camera in opened.test]
@@ -121,7 +128,7 @@ def _tile(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def main() -> None:
-    """Train, judge, tell and draw."""
+    """Train and evaluate the variants; write the table and the pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("out", type=Path)
@@ -136,7 +143,7 @@ def main() -> None:
     print("| | whole image, PSNR dB | SSIM | matte's box, PSNR dB | background alone, PSNR dB |\n|---|---|---|---|---|")
     for name in arguments.only:
         print(row(name, arguments.out))
-    columns = [truth(runs[0])] + [shown(run) for run in runs]
+    columns = [test_pictures(runs[0])] + [render_test_views(run) for run in runs]
     grid = np.concatenate([np.concatenate(column, axis=0) for column in columns], axis=1)
     if not cv2.imwrite(str(arguments.out / "pictures.png"), grid):
         raise OSError(f"{arguments.out / 'pictures.png'}: cannot be written")

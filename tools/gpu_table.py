@@ -1,4 +1,4 @@
-"""Print the benchmark table of this machine's CUDA device; part of gpu_check.sh, and needs torch and rich alone."""
+"""Print the benchmark table of this machine's CUDA device. Part of gpu_check.sh; needs only torch and rich."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.benchmarks.timing import Clock
 
 
 def main() -> int:
-    """The table in Markdown on standard output."""
+    """Print the table in Markdown on standard output."""
     if not has_gpu():
         print("gpu_table: expected a CUDA device and its kernels, found none", file=sys.stderr)
         return 2

@@ -1,8 +1,8 @@
-"""A video set of any length out of a short capture, which is shown back and forth: for tests of endurance.
+"""Make videos of any length from a short capture by playing it back and forth, for long-running tests.
 
     python tools/long_set.py CAPTURE OUT --seconds 180 --cameras 8 --size 160
 
-writes OUT/videos/CAM.mp4 and the calibration, which ``fourd import`` reads.
+Writes OUT/videos/CAM.mp4 and the calibration, for ``fourd import``.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ ENCODING = {"crf": "16", "g": "60"}
 
 
 def main() -> None:
-    """Write the set that the command line describes."""
-    arguments = _parsed()
+    """Write the videos and the calibration."""
+    arguments = _parse_arguments()
     names = open_capture(arguments.capture, mattes=False).names
     chosen = [names[place] for place in sample_indices(len(names), arguments.cameras)]
     whole = open_capture(arguments.capture, views=chosen, mattes=False)
@@ -48,13 +48,13 @@ def main() -> None:
 
 
 def back_and_forth(count: int, length: int) -> list[int]:
-    """``length`` positions among ``count``: up, down, and up again, so that nothing ever jumps."""
+    """``length`` indices into ``count`` frames that run up, down and up again without jumps."""
     period = max(1, 2 * (count - 1))
     return [min(place % period, period - place % period) for place in range(length)]
 
 
 def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], fps: int) -> None:
-    """Write H.264 of those of ``pictures`` (H, W, 3), of even sides, that ``shown`` names, atomically."""
+    """Write the ``pictures`` (H, W, 3) at the indices ``shown`` as H.264, atomically. Sides must be even."""
     frames = [av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv420p") for picture in pictures]
     with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
         stream = container.add_stream("libx264", rate=fps, options=ENCODING)
@@ -66,12 +66,12 @@ def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], f
         container.mux(stream.encode(None))
 
 
-def _parsed() -> argparse.Namespace:
+def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("capture", type=Path, help="a capture whose frames are shown back and forth")
-    parser.add_argument("out", type=Path, help="folder to write the set into")
+    parser.add_argument("capture", type=Path, help="the short capture")
+    parser.add_argument("out", type=Path, help="folder to write to")
     parser.add_argument("--seconds", type=float, default=180.0, help="length of each video (default 180)")
-    parser.add_argument("--cameras", type=int, default=8, help="of the capture, evenly chosen (default 8)")
+    parser.add_argument("--cameras", type=int, default=8, help="number of cameras, evenly spread (default 8)")
     parser.add_argument("--size", type=int, default=160, help="pixels of the longer side (default 160)")
     parser.add_argument("--fps", type=int, default=30, help="frames per second (default 30)")
     return parser.parse_args()

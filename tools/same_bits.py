@@ -1,11 +1,12 @@
-"""Digests of what fourd computes, so that a change that should compute the same can be held to it, bit for bit.
+"""Digests of everything that fourd computes, to check that a change keeps results bit for bit.
 
     python tools/same_bits.py --fourd OLD/.venv/bin/fourd --json before.json
     python tools/same_bits.py --fourd .venv/bin/fourd --compare before.json
 
 Runs the commands of one installation on synthetic captures in a temporary folder: mattes, plates, hulls, training of
-an object and of a whole scene, with refined cameras too, exported scenes, rendered pictures, scores, and fourd make.
-About six minutes on two cores. Both digests must come from one machine: other instruction sets give other bits.
+an object and of a whole scene, also with refined cameras, exported scenes, rendered pictures, scores, and fourd make.
+Takes about six minutes on two cores. Compare digests of one machine only: different instruction sets give different
+bits.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import tempfile
 from pathlib import Path
 
 CLOCKS = ("seconds",)
-"""Entries of a checkpoint's state that no two runs share."""
+"""Entries of a checkpoint's state that differ between any two runs."""
 
 
 def main() -> int:

@@ -25,31 +25,31 @@ KINDS = ("forward", "forward + backward", "play")
 
 @dataclass(frozen=True)
 class Arguments:
-    """The base is 262,144 points, 1920 x 1080 pixels, K = 15; one of the three changes at a time."""
+    """Varies points, pixels or layers K; the base is 262,144 points, 1920 x 1080 pixels, K = 15."""
 
     out: Path = Path("docs")
     """Folder for figures/scaling.png and measurements/scaling.md."""
     seconds: float = 2.0
-    """Time spent on each measurement, about."""
+    """Approximate time spent on each measurement."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """Milliseconds of every kind at each place of an axis."""
+    """Milliseconds of every kind at each position of an axis."""
 
     axis: str
-    places: list[int]
+    positions: list[int]
     milliseconds: dict[str, list[float]]
 
     def slope(self, kind: str) -> float:
-        """Exponent of the growth over the axis' upper half: 1 is linear."""
-        half = len(self.places) // 2
-        x, y = np.log(self.places[half:]), np.log(self.milliseconds[kind][half:])
+        """Exponent of growth over the upper half of the axis; 1 is linear."""
+        half = len(self.positions) // 2
+        x, y = np.log(self.positions[half:]), np.log(self.milliseconds[kind][half:])
         return float(np.polyfit(x, y, 1)[0])
 
 
 def main(arguments: Arguments) -> None:
-    """Measure, write, and say where."""
+    """Measure, and write the plot and the table."""
     clock = Clock(arguments.seconds)
     base = (262_144, (1920, 1080), 15)
     series = [
@@ -63,22 +63,22 @@ def main(arguments: Arguments) -> None:
     plot(series, picture)
     base_text = f"{base[0]:,} points, {base[1][0]} x {base[1][1]}, K = {base[2]}"
     text = f"# Scaling\n\n{this_machine()}\n\nMilliseconds. Base: {base_text}.\n\n"
-    write_text_atomically(page, text + "\n".join(table(one) for one in series))
+    write_text_atomically(page, text + "\n".join(table(item) for item in series))
     print(f"{picture}, {page}")
 
 
 def by_pixels() -> dict[int, tuple[int, int]]:
-    """Sizes by their number of pixels."""
+    """Image sizes by their number of pixels."""
     return {width * height: (width, height) for width, height in SIZES}
 
 
 def measure(
-    axis: str, places: list[int], setting: Callable[[int], tuple[int, tuple[int, int], int]], clock: Clock
+    axis: str, positions: list[int], setting: Callable[[int], tuple[int, tuple[int, int], int]], clock: Clock
 ) -> Series:
-    """Time every kind at each place."""
+    """Time every kind at each position of an axis."""
     found: dict[str, list[float]] = {kind: [] for kind in KINDS}
-    for place in places:
-        count, size, layers = setting(place)
+    for position in positions:
+        count, size, layers = setting(position)
         view, cloud = camera(*size), figure(count)
         frame, scene = baked_cloud(count)
         player = Player()
@@ -89,23 +89,23 @@ def measure(
         )
         for kind, work in zip(KINDS, works, strict=True):
             found[kind].append(clock.time(work).ms)
-        print(axis, place, *(f"{kind} {found[kind][-1]:.1f} ms" for kind in KINDS), flush=True)
-    return Series(axis, places, found)
+        print(axis, position, *(f"{kind} {found[kind][-1]:.1f} ms" for kind in KINDS), flush=True)
+    return Series(axis, positions, found)
 
 
 def plot(series: list[Series], path: Path) -> None:
-    """One log-log diagram an axis, with a line of slope 1."""
+    """Draw one log-log diagram per axis, with a line of slope 1."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     drawing, axes = pyplot.subplots(1, len(series), figsize=(12, 3.6), constrained_layout=True, sharey=True)
-    for axis, one in zip(axes, series, strict=True):
+    for axis, item in zip(axes, series, strict=True):
         for kind in KINDS:
-            axis.loglog(one.places, one.milliseconds[kind], marker="o", label=kind)
-        last = one.milliseconds[KINDS[0]][-1]
-        line = [last * place / one.places[-1] for place in one.places]
-        axis.loglog(one.places, line, color="0.6", linestyle=":", label="slope 1")
-        axis.set_xlabel(one.axis)
+            axis.loglog(item.positions, item.milliseconds[kind], marker="o", label=kind)
+        last = item.milliseconds[KINDS[0]][-1]
+        line = [last * position / item.positions[-1] for position in item.positions]
+        axis.loglog(item.positions, line, color="0.6", linestyle=":", label="slope 1")
+        axis.set_xlabel(item.axis)
         axis.grid(True, which="both", alpha=0.2)
     axes[0].set_ylabel("ms")
     axes[0].legend(fontsize=8)
@@ -114,10 +114,12 @@ def plot(series: list[Series], path: Path) -> None:
 
 
 def table(series: Series) -> str:
-    """One row a place, and the exponent of the growth."""
+    """One row per position, and the exponents of growth."""
     lines = [f"| {series.axis} | " + " | ".join(KINDS) + " |", "|---" * (len(KINDS) + 1) + "|"]
-    for index, place in enumerate(series.places):
-        lines.append(f"| {place:,} | " + " | ".join(f"{series.milliseconds[kind][index]:.1f}" for kind in KINDS) + " |")
+    for index, position in enumerate(series.positions):
+        lines.append(
+            f"| {position:,} | " + " | ".join(f"{series.milliseconds[kind][index]:.1f}" for kind in KINDS) + " |"
+        )
     lines.append("| exponent, upper half | " + " | ".join(f"{series.slope(kind):.2f}" for kind in KINDS) + " |")
     return "\n".join(lines) + "\n"
 

@@ -1,9 +1,10 @@
-"""Runs a command and tells the memory of it and all its children over time (Linux).
+"""Run a command and record the memory of it and of all its children over time (Linux).
 
     python tools/tree_memory.py memory.csv -- fourd matte CAPTURE
 
-writes a line each ``--every`` seconds: seconds since the start, processes, and their memory in MB, of which what is
-shared counts once (PSS). The last line on stderr is the highest, and the mean of each tenth of the time.
+Writes one line every ``--every`` seconds: seconds since the start, number of processes, and their memory in MB as
+proportional set size (PSS), in which shared memory counts once. Prints the maximum and the mean of each tenth of the
+time to stderr.
 """
 
 from __future__ import annotations
@@ -19,11 +20,11 @@ TENTHS = 10
 
 
 def main() -> int:
-    """Run the command; returns its exit code."""
+    """Run the command; return its exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", type=Path, help="CSV file to write")
-    parser.add_argument("--every", type=float, default=1.0, help="seconds between two looks (default 1)")
-    parser.add_argument("command", nargs="+", help="what to run, after --")
+    parser.add_argument("--every", type=float, default=1.0, help="seconds between samples (default 1)")
+    parser.add_argument("command", nargs="+", help="the command, after --")
     arguments = parser.parse_args()
     started = time.monotonic()
     rows: list[float] = []
@@ -31,9 +32,9 @@ def main() -> int:
     with arguments.table.open("w", encoding="utf-8", buffering=1) as table:
         table.write("seconds,processes,MB\n")
         while process.poll() is None:
-            held = [_held_mb(each) for each in (process.pid, *_children(process.pid))]
-            rows.append(sum(held))
-            table.write(f"{time.monotonic() - started:.1f},{len(held)},{rows[-1]:.1f}\n")
+            sizes_mb = [_pss_mb(each) for each in (process.pid, *_children(process.pid))]
+            rows.append(sum(sizes_mb))
+            table.write(f"{time.monotonic() - started:.1f},{len(sizes_mb)},{rows[-1]:.1f}\n")
             time.sleep(arguments.every)
     parts = [rows[len(rows) * part // TENTHS : len(rows) * (part + 1) // TENTHS] for part in range(TENTHS)]
     means = " ".join(f"{sum(part) / len(part):.0f}" for part in parts if part)
@@ -42,7 +43,7 @@ def main() -> int:
 
 
 def _children(pid: int) -> Iterator[int]:
-    """Processes that a process started, and those that they started."""
+    """All descendants of a process."""
     try:
         found = [int(word) for path in Path(f"/proc/{pid}/task").iterdir() for word in _words(path / "children")]
     except OSError:
@@ -52,8 +53,8 @@ def _children(pid: int) -> Iterator[int]:
         yield from _children(child)
 
 
-def _held_mb(pid: int) -> float:
-    """Proportional set size in MB; 0 of a process that has ended."""
+def _pss_mb(pid: int) -> float:
+    """Proportional set size in MB; 0 if the process has ended."""
     words = _words(Path(f"/proc/{pid}/smaps_rollup"))
     return int(words[words.index("Pss:") + 1]) / 1024 if "Pss:" in words else 0.0
 

@@ -1,7 +1,7 @@
-"""Speed of the viewer's renderers, and how far they are from the float renderer: two tables in Markdown.
+"""Speed of the viewer's renderers and their difference from the float renderer, as two Markdown tables.
 
-python tools/viewer_table.py                         262,144 points of the benchmarks' figure, at 1920 x 1080
-python tools/viewer_table.py scene.4dv --frame 3     a frame of a scene, seen from its first camera
+python tools/viewer_table.py                         262,144 points of the benchmark's surface, at 1920 x 1080
+python tools/viewer_table.py scene.4dv --frame 3     a frame of a scene, from its first camera
 """
 
 from __future__ import annotations
@@ -30,28 +30,28 @@ from fourd.viewer.navigation.paths import fit_camera
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 
 LAYERS = (15, 12, 8)
-TURN = 1e-4  # radians between pictures: another camera each time, so that everything is done anew
+TURN = 1e-4  # radians between pictures: a new camera each time, so that no result is reused
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Two tables in Markdown on standard output."""
+    """What to draw and for how long."""
 
     scene: tyro.conf.Positional[Path | None] = None
-    """A .4dv; the benchmarks' figure when not given."""
+    """A .4dv file; the benchmark's surface by default."""
     frame: int = 0
-    """Of the scene, from 0."""
+    """Frame of the scene, from 0."""
     points: int = 262_144
-    """Of the figure."""
+    """Points of the benchmark's surface."""
     size: tuple[int, int] = (1920, 1080)
     """Width and height in pixels."""
     seconds: float = 5.0
-    """How long each renderer is timed, about."""
+    """Approximate time per renderer."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """A renderer's median time, and its picture (H, W, 3) in [0, 1]."""
+    """Median time of a renderer, and its picture (H, W, 3) in [0, 1]."""
 
     ms: float
     picture: NDArray[np.float32]
@@ -79,7 +79,8 @@ def _subject(arguments: Arguments) -> tuple[BakedFrame, SceneManifest, Camera]:
 def _print_renderers(
     context: moderngl.Context, request: RenderRequest, exact: NDArray[np.float32], seconds: float
 ) -> None:
-    print("| renderer, K = 12 | ms | fps | against peel | mean difference | pixels off by over 0.02 | PSNR dB |")
+    titles = ("renderer, K = 12", "ms", "fps", "speed relative to peel", "mean difference")
+    print(f"| {' | '.join((*titles, 'pixels that differ by more than 0.02', 'PSNR dB'))} |")
     print("|---|---|---|---|---|---|---|")
     found = {name: _measured(context, make_renderer(name, context), request, seconds) for name in RENDERERS}
     for name, one in found.items():
@@ -110,7 +111,7 @@ def _print_precisions(
 
 
 def _measured(context: moderngl.Context, renderer: Renderer, request: RenderRequest, seconds: float) -> Measured:
-    """Draws each time from another camera; the picture is that of the request's own."""
+    """Time pictures from slightly different cameras; return the picture of the request's camera."""
     canvas = Canvas(context)
     times: list[float] = []
     end = time.perf_counter() + seconds
@@ -134,7 +135,7 @@ def _turned(seen: Camera, angle: float) -> Camera:
 
 
 def _float_picture(frame: BakedFrame, manifest: SceneManifest, seen: Camera, layers: int) -> NDArray[np.float32]:
-    """By the float renderer, from the same arrays."""
+    """Render the same arrays with the float renderer."""
     colours = shade_reference(frame, seen, manifest)
     sizes: list[Any] = [frame.radius.astype(np.float32), frame.density.astype(np.float32)]
     rgb, _, _ = render_points_numpy(frame.xyz, colours, *sizes, seen, layers=layers, near=manifest.near)

@@ -55,6 +55,6 @@ def test_switches_remove_what_they_say(ball_capture: Path, tmp_path: Path) -> No
 
 def test_the_configuration_page_is_the_code_s() -> None:
     """Catches a key that was added, renamed or given another default while the docs stayed."""
-    from tools.configuration_page import PAGE, page
+    from tools.site.configuration_page import PAGE, page
 
-    assert PAGE.read_text() == page(), "run tools/configuration_page.py"
+    assert PAGE.read_text() == page(), "run tools/site/configuration_page.py"

@@ -1,4 +1,4 @@
-"""README's picture, from what `make demo` left in demo/: truth, the held-out view, and new views of other moments."""
+"""Draw docs/figures/demo.png from the output of `make demo`: ground truth, the held-out view, and novel views."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from fourd.capture import open_capture
 from fourd.files import atomic_path
 from fourd.viewer.navigation.paths import orbit
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 HEIGHT = 360
-PAPER = 245
+BACKGROUND = 245
 
 
 def main() -> None:
@@ -24,14 +24,14 @@ def main() -> None:
     index = capture.names.index(scene.manifest.other_names[0])
     camera = capture.cameras[index].resize(HEIGHT, HEIGHT)
     matte = capture.mask(index, 0)[..., None] / 255
-    truth = capture.image(index, 0) * matte + PAPER * (1 - matte)
+    truth = capture.image(index, 0) * matte + BACKGROUND * (1 - matte)
     tiles = [_titled(cv2.resize(truth.astype(np.uint8), (HEIGHT, HEIGHT)), "photograph, held out")]
-    paper = np.full(3, PAPER / 255, np.float32)
-    tiles.append(_titled(_bytes(scene.render(camera, 0, background=paper).rgb), "fourd, same view"))
+    background = np.full(3, BACKGROUND / 255, np.float32)
+    tiles.append(_titled(_bytes(scene.render(camera, 0, background=background).rgb), "fourd, same view"))
     path = orbit(list(scene.manifest.cameras), 12, focus=np.asarray(scene.manifest.focus), size=(HEIGHT, HEIGHT))
     for step in (2, 5, 8):
         frame = step * scene.manifest.frame_count // 12
-        picture = _bytes(scene.render(path[step], frame, background=paper).rgb)
+        picture = _bytes(scene.render(path[step], frame, background=background).rgb)
         tiles.append(_titled(picture, f"new view, frame {frame}"))
     with atomic_path(ROOT / "docs" / "figures" / "demo.png") as temporary:
         cv2.imwrite(str(temporary), cv2.cvtColor(np.concatenate(tiles, axis=1), cv2.COLOR_RGB2BGR))
@@ -42,7 +42,7 @@ def _bytes(rgb: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def _titled(tile: NDArray[np.uint8], title: str) -> NDArray[np.uint8]:
-    """The middle two thirds of a tile's width, with words in its corner."""
+    """The middle two thirds of a tile, with a title in its corner."""
     side = HEIGHT // 6
     tile = np.ascontiguousarray(tile[:, side:-side])
     return np.asarray(cv2.putText(tile, title, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 60, 60), 1, cv2.LINE_AA))

@@ -1,4 +1,7 @@
-"""Write docs/configuration.md from the config dataclasses: every key, its default and its docstring."""
+"""Generate docs/configuration.md from the config dataclasses: every key, its default and its docstring.
+
+python tools/site/configuration_page.py
+"""
 
 from __future__ import annotations
 
@@ -13,21 +16,20 @@ from fourd.configs import to_yaml
 from fourd.files import write_text_atomically
 from fourd.training.config import TrainConfig
 
-PAGE = Path(__file__).parent.parent / "docs" / "configuration.md"
+PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 HEAD = """# Configuration
 
-`fourd train --config FILE.yaml` lays a YAML file over the defaults below; flags override both. A key
-that does not exist is an error that names the nearest one. `configs/` holds small examples, one for
-each ablation:
+`fourd train --config FILE.yaml` overrides the defaults below with the keys of a YAML file; flags override both. An
+unknown key is an error that names the nearest existing key. `configs/` has one example for each ablation:
 
 ```yaml
-# 48 free SH numbers a point, on smaller images
+# 48 free SH coefficients per point, on smaller images
 image_scale: 0.5
 model:
   sh: explicit
 ```
 
-This page is written by `tools/configuration_page.py` from the code.
+This page is generated from the code by `tools/site/configuration_page.py`.
 """
 
 
