@@ -4,4 +4,9 @@ Importing this package loads nothing native and no torch; each room loads what
 it needs when it is imported itself.
 """
 
-__version__ = "0.1.0"
+from importlib.metadata import PackageNotFoundError, version
+
+try:
+    __version__ = version("fourd")
+except PackageNotFoundError:  # sources on the path, not installed
+    __version__ = "0+unknown"
