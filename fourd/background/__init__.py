@@ -1,1 +1,1 @@
-"""Clean plates to the first points of a static background."""
+"""Initial points of a static background from clean plates."""

@@ -1,4 +1,4 @@
-"""All of space in a ball: what is near keeps its shape, and what is far is drawn in (Barron et al. 2022, eq. 10)."""
+"""Scene contraction of unbounded space into a ball (mip-NeRF 360, Barron et al. 2022, eq. 10)."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CONTRACTED_RADIUS = 2.0
-"""Radius of the ball that infinity lies on; the part that keeps its shape has radius 1."""
+"""Radius that infinity maps to; inside radius 1 the contraction is the identity."""
 
 
 @dataclass(frozen=True)
 class Contraction:
-    """mip-NeRF 360's contraction about a world point.
+    """The contraction of mip-NeRF 360 about a world point.
 
     Attributes:
-        centre: world point in the middle.
-        radius: world units; what is nearer to the centre keeps its shape.
+        centre: world point at the centre.
+        radius: world units; points within it are only translated and scaled.
     """
 
     centre: tuple[float, float, float]
     radius: float
 
     def __call__(self, xyz: Tensor) -> Tensor:
-        """World points (..., 3) -> (..., 3) in a ball of radius 2; differentiable."""
+        """Map world points (..., 3) into a ball of radius 2; differentiable."""
         centre = torch.tensor(self.centre, dtype=xyz.dtype, device=xyz.device)
         near = (xyz - centre) / self.radius
         length = torch.linalg.vector_norm(near, dim=-1, keepdim=True).clamp(min=1.0)
         return near * ((CONTRACTED_RADIUS - 1 / length) / length)
 
     def to_unit(self, xyz: Tensor) -> Tensor:
-        """World points (..., 3) -> (..., 3) in [0, 1]; differentiable."""
+        """Map world points (..., 3) into [0, 1]; differentiable."""
         return (self(xyz) + CONTRACTED_RADIUS) / (2 * CONTRACTED_RADIUS)
 
 
 def contraction_around(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> Contraction:
-    """The contraction about ``focus`` (3,) world, what the cameras look at, that keeps the shape up to the cameras."""
+    """The contraction about the viewing centre ``focus`` (3,) whose inner region reaches the farthest camera."""
     distances = [float(np.linalg.norm(camera.centre - focus)) for camera in cameras]
     x, y, z = (float(value) for value in focus)
     return Contraction((x, y, z), max(*distances, 1e-6))

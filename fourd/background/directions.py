@@ -1,4 +1,4 @@
-"""Directions about a point as a grid, and what lies in them."""
+"""A spherical grid of directions around a point, and interpolation on it."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
-FAR_SHARE = 0.8
-"""Quantile of the distances of a cell's points that counts: what stands before the far wall is passed over."""
+FAR_QUANTILE = 0.8
+"""Quantile of the distances of a cell's points that represents the cell: nearer objects before the far wall are
+ignored."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sphere:
-    """Directions about a point as a grid, rows by elevation and columns by azimuth.
+class DirectionGrid:
+    """A grid of directions around a point: rows by elevation, columns by azimuth.
 
     Attributes:
-        centre: (3,) world.
-        R_world_sphere: (3, 3), its third axis up.
-        rows, columns: numbers of cells.
+        centre: (3,) world point.
+        R_world_sphere: (3, 3) rotation; the third axis points up.
+        rows, columns: number of cells.
     """
 
     centre: Array
@@ -45,7 +46,7 @@ class Sphere:
         return row * self.columns + column, distance
 
     def directions(self) -> Array:
-        """(rows * columns, 3) unit vectors in the world, in the cells' middles or in odd rows at their ends."""
+        """(rows * columns, 3) unit vectors in the world: cell centres, offset by half a cell in odd rows."""
         elevation = ((np.arange(self.rows) + 0.5) / self.rows - 0.5) * np.pi
         azimuth = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) * 2 * np.pi
         e, a = np.meshgrid(elevation, azimuth, indexing="ij")
@@ -54,28 +55,34 @@ class Sphere:
         return np.asarray(local @ self.R_world_sphere.T)
 
 
-def sphere_about(cameras: Sequence[Camera], centre: Array, rows_per_degree: int = 1) -> Sphere:
-    """Directions about a world point (3,), in columns of a degree; up is that of the cameras' mean upright."""
+def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: int = 1) -> DirectionGrid:
+    """A grid around a world point (3,) with columns of one degree; its up axis is the cameras' mean up direction."""
     up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
     side /= np.linalg.norm(side)
     half = round(180 / CELL_DEG)
     axes = np.column_stack([side, np.cross(up, side), up])
-    return Sphere(np.asarray(centre, np.float64), axes, rows_per_degree * half, 2 * half)
+    return DirectionGrid(np.asarray(centre, np.float64), axes, rows_per_degree * half, 2 * half)
 
 
-def far_side(
+def summarize_cells(
     cells: NDArray[np.intp], distance: Array, rgb: NDArray[np.uint8], count: int
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """By cell whether it has points, one by their far distance, and the mean colour (count, 3) of the farther ones."""
+    """Summarise points (N,) per cell.
+
+    Returns:
+        known (count,) bool: whether the cell has points;
+        inverse (count,): inverse of the FAR_QUANTILE of their distances, 0 without points;
+        rgb (count, 3): mean colour of the points at or beyond this distance.
+    """
     order = np.lexsort((distance, cells))
     sorted_cells = cells[order]
     starts = np.searchsorted(sorted_cells, np.arange(count + 1))
     sizes = np.diff(starts)
     known = sizes > 0
     inverse = np.zeros(count)
-    first = starts[:-1] + np.floor(FAR_SHARE * (sizes - 1).clip(min=0)).astype(np.intp)
+    first = starts[:-1] + np.floor(FAR_QUANTILE * (sizes - 1).clip(min=0)).astype(np.intp)
     inverse[known] = 1 / distance[order[first[known]]]
     far = np.arange(len(order)) >= first[sorted_cells]
     total = np.zeros((count, 3))
@@ -83,16 +90,22 @@ def far_side(
     return known, inverse, total / np.maximum(np.bincount(sorted_cells[far], minlength=count), 1)[:, None]
 
 
-def harmonic(sphere: Sphere, known: NDArray[np.bool_], values: Array, across: float) -> Array:
-    """Values (cells, C), kept where known, elsewhere the weighted mean of their neighbours'.
+def interpolate_harmonic(
+    grid: DirectionGrid, known: NDArray[np.bool_], values: Array, horizontal_weight: float
+) -> Array:
+    """Interpolate values (cells, C) harmonically: unknown cells become the weighted mean of their neighbours.
 
-    ``across`` is how much more alike neighbours along the horizon are than those up and down.
+    Args:
+        grid: the cells.
+        known: (cells,) bool; these values are kept.
+        values: (cells, C).
+        horizontal_weight: weight of horizontal neighbours; vertical ones have weight 1.
     """
-    number = np.arange(sphere.rows * sphere.columns).reshape(sphere.rows, sphere.columns)
+    number = np.arange(grid.rows * grid.columns).reshape(grid.rows, grid.columns)
     level = (number.ravel(), np.roll(number, -1, axis=1).ravel())
     down = (number[:-1].ravel(), number[1:].ravel())
     first, second = (np.concatenate([level[k], down[k]]) for k in (0, 1))
-    weight = np.concatenate([np.full(len(level[0]), across), np.ones(len(down[0]))])
+    weight = np.concatenate([np.full(len(level[0]), horizontal_weight), np.ones(len(down[0]))])
     count = number.size
     links = sparse.coo_matrix((weight, (first, second)), (count, count)).tocsr()
     links = links + links.T

@@ -1,4 +1,4 @@
-"""Clean plates as background seeding reads them: the user's own or those that ``fourd matte`` made."""
+"""Clean plates for background seeding: provided by the user or made by ``fourd matte``."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from fourd.progress import Log
 
 Picture = NDArray[np.uint8]
 
-USERS = "bgs"
-"""Folder of a capture for plates that the user brings, CAM.png or .jpg, with the lens's distortion as the pictures."""
-MOSTLY_SEEN = 0.5
-LEAST_CAMERAS = 2
+USER_FOLDER = "bgs"
+"""Folder of a capture for plates of the user, CAM.png or .jpg, with the same lens distortion as the pictures."""
+MIN_SEEN_SHARE = 0.5
+MIN_CAMERAS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +32,10 @@ class PlateView:
     """One camera's background without the subject.
 
     Attributes:
-        name: the camera's.
-        camera: undistorted pinhole of the picture.
-        rgb: (H, W, 3) uint8; what it has in holes means nothing.
-        seen: (H, W) bool, False in holes and where the lens did not see.
+        name: name of the camera.
+        camera: undistorted pinhole camera of the picture.
+        rgb: (H, W, 3) uint8; undefined in holes.
+        seen: (H, W) bool; False in holes and outside the lens's field of view.
     """
 
     name: str
@@ -45,29 +45,31 @@ class PlateView:
 
 
 def has_plate(path: Path, name: str) -> bool:
-    """Whether a capture's folder has a clean plate of a camera, brought or made."""
-    return name in find_pictures(path / USERS) or (path / FOLDER / f"{name}.png").exists()
+    """Whether a capture's folder has a clean plate of a camera, from the user or made by fourd."""
+    return name in find_pictures(path / USER_FOLDER) or (path / FOLDER / f"{name}.png").exists()
 
 
 def read_plates(
     capture: Capture, cameras: Sequence[int], log: Log = lambda line: None, made: Path | None = None
 ) -> tuple[PlateView, ...]:
-    """The plates of some of a capture's cameras, undistorted and scaled as ``capture.cameras`` describe them.
+    """Read the plates of some of a capture's cameras, undistorted and at the size of ``capture.cameras``.
 
-    ``bgs/CAM.png`` or ``.jpg`` of the user comes first: of the pictures' full size and, like them, with the lens's
-    distortion; what is not opaque is a hole. Else ``.fourd/plates/CAM.png``, as fourd.matting.plates writes it.
+    The user's ``bgs/CAM.png`` or ``.jpg`` has priority. It has the full size and the lens distortion of the
+    pictures; pixels that are not opaque are holes. Otherwise ``.fourd/plates/CAM.png`` is read, in the format of
+    fourd.matting.plates.
 
     Args:
+        capture: the capture.
         cameras: indices of the cameras, at least two.
-        say: told which plates are mostly holes.
-        made: folder of plates as fourd makes them, in place of the capture's ``.fourd/plates``.
+        log: reports plates that are mostly holes.
+        made: folder of plates in fourd's format, instead of the capture's ``.fourd/plates``.
 
     Returns:
-        one view for each of ``cameras``, in their order.
+        one view per camera, in the order of ``cameras``.
 
     Raises:
-        UserError: one line, where a camera has no plate, a file cannot be read or is of another size, and where
-            fewer than two of the cameras see background.
+        UserError: if a camera has no plate, a file is unreadable or has another size, or fewer than two cameras see
+            background.
     """
     files = _files(capture, [capture.names[index] for index in cameras], made or capture.path / FOLDER)
     lenses = _lenses(capture, list(files))
@@ -77,36 +79,36 @@ def read_plates(
     )
     shares = {view.name: float(view.seen.mean()) for view in views}
     seeing = sum(share > 0 for share in shares.values())
-    if seeing < LEAST_CAMERAS:
+    if seeing < MIN_CAMERAS:
         raise UserError(
-            f"{capture.path}: expected clean plates of at least {LEAST_CAMERAS} cameras that show background, got "
-            f"{seeing}; use more cameras, or bring pictures of the empty stage as {USERS}/CAM.png"
+            f"{capture.path}: expected clean plates of at least {MIN_CAMERAS} cameras that show background, got "
+            f"{seeing}; use more cameras, or add pictures of the empty stage as {USER_FOLDER}/CAM.png"
         )
-    poor = [name for name, share in shares.items() if share < MOSTLY_SEEN]
+    poor = [name for name, share in shares.items() if share < MIN_SEEN_SHARE]
     if poor:
         log(
-            f"{capture.path}: more than half of the clean plate of {', '.join(poor)} is hole, since the subject is "
-            f"always there; a picture of the empty stage as {USERS}/CAM.png would help"
+            f"{capture.path}: more than half of the clean plate of {', '.join(poor)} is a hole, where the subject is "
+            f"in every frame; add a picture of the empty stage as {USER_FOLDER}/CAM.png"
         )
     return views
 
 
 @dataclass(frozen=True)
 class _File:
-    """Where a plate lies, and whether fourd made it: then it is undistorted."""
+    """Path of a plate, and whether fourd made it; plates made by fourd are undistorted."""
 
     path: Path
     made: bool
 
 
 def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _File]:
-    """Each camera's plate."""
-    brought = find_pictures(capture.path / USERS)
+    """The plate file of each camera."""
+    provided = find_pictures(capture.path / USER_FOLDER)
     files = {}
     for name in names:
         made = folder / f"{name}.png"
-        if name in brought:
-            files[name] = _File(capture.path / USERS / brought[name], False)
+        if name in provided:
+            files[name] = _File(capture.path / USER_FOLDER / provided[name], False)
         elif made.exists():
             files[name] = _File(made, True)
     missing = [name for name in names if name not in files]
@@ -114,13 +116,13 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
         more = f" (and of {len(missing) - 1} more cameras)" if len(missing) > 1 else ""
         raise UserError(
             f"{folder / missing[0]}.png: expected the clean plate of camera '{missing[0]}', got none "
-            f"there or in {USERS}{more}; make them: fourd matte {capture.path}"
+            f"there or in {USER_FOLDER}{more}; make them: fourd matte {capture.path}"
         )
     return files
 
 
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
-    """The cameras with their distortion, at the pictures' full size."""
+    """The cameras with lens distortion, at the full size of the pictures."""
     whole = open_capture(capture.path, views=names, frames="0:1", mattes=False)
     calibrations = read_calibration(capture.path)
     return {
@@ -131,7 +133,7 @@ def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """A picture in memory that stands for a camera's only frame."""
+    """A picture in memory in the role of a camera's only frame."""
 
     path: Path
     picture: Picture
@@ -148,16 +150,16 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
     rgb, opaque = decode_rgb(file.path), decode_alpha(file.path)
     height, width = opaque.shape
     if (width, height) != (lens.width, lens.height):
-        mend = f"remove it and run: fourd matte {capture.path}" if file.made else "export it again at that size"
+        fix = f"remove it and run: fourd matte {capture.path}" if file.made else "export it again at that size"
         raise UserError(
             f"{file.path}: expected {lens.width} x {lens.height} pixels, as the pictures of camera '{name}' have, "
-            f"got {width} x {height}; {mend}"
+            f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # What the lens did not see is black in plates that fourd made, and opaque.
-        seen = np.minimum(opaque, _as_read(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
+        # Pixels outside the lens's field of view are black and opaque in plates made by fourd.
+        seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
-        rgb, seen = _as_read(capture, name, lens, file.path, rgb, opaque)
+        rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)
     if (camera.width, camera.height) != (width, height):
         how = cv2.INTER_AREA if camera.width < width else cv2.INTER_LINEAR
         rgb, seen = (
@@ -167,10 +169,10 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
     return PlateView(name, camera, rgb, seen == 255)
 
 
-def _as_read(
+def _undistort(
     capture: Capture, name: str, lens: Camera, path: Path, rgb: Picture, matte: Picture
 ) -> tuple[Picture, Picture]:
-    """A plate and a matte with the lens's distortion taken out as the capture takes it out of its frames."""
+    """Undistort a plate and a matte with the code that undistorts the capture's frames."""
     footage = Footage(_Still(path, rgb), Mattes(_Still(path, matte), is_generated=False), (lens.width, lens.height))
     alone = Capture(capture.path, [name], [lens], [footage], ["plate"], [0], 1, scale=1.0, cache_mb=0)
     return alone.image(0, 0), alone.mask(0, 0)

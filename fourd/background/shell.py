@@ -1,4 +1,4 @@
-"""What no plate shows: a shell that continues the background around its gaps, so that no view ends in nothing."""
+"""Background shell: points in directions that no plate shows, so that no view ends in empty space."""
 
 from __future__ import annotations
 
@@ -8,105 +8,105 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter1d
 
-from fourd.background.directions import CELL_DEG, Sphere, far_side, harmonic, sphere_about
+from fourd.background.directions import CELL_DEG, DirectionGrid, direction_grid, interpolate_harmonic, summarize_cells
 from fourd.cameras import Camera
 from fourd.ply import ColouredPoints
 
 Array = NDArray[np.float64]
 
-ACROSS = 6.0
-"""How much more alike rooms are along the horizon than up and down: floors, walls and skies are level."""
+HORIZONTAL_WEIGHT = 6.0
+"""Smoothness weight of horizontal over vertical neighbours: floors, walls and skies vary less along the horizon."""
 SMALL_GAP_DEG = 1.5
-"""Of a gap that is none: points lie apart."""
-BEHIND = 0.985
-"""Of the inverse distance of what is known, for the shell's rim."""
+"""Gaps up to this size are the normal spacing of points and are closed."""
+RIM_FACTOR = 0.985
+"""Factor on the known inverse distance at the shell's rim."""
 NEAR_GAP_DEG = 15.0
-"""Farther than this from all that is known, one cell in sixteen gets a point."""
-HIDING = 0.9
-"""Of the depth of what a camera sees; a guess that is nearer would hide it."""
+"""Farther than this from known cells, one cell in sixteen gets a point."""
+OCCLUSION_RATIO = 0.9
+"""A shell point at less than this share of the depth seen by a camera would occlude it."""
 DEPTH_CELL_PX = 6.0
 
 
 def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
-    """Points in the directions in which there are none, at distances and of colours continued from around them.
+    """Build points in directions without background points; distances and colours are extrapolated.
 
-    Inverse distance and colour are harmonic between the known directions, more so along the horizon, which is that of
-    the cameras' mean upright. What would hide from a camera what it sees is left out.
+    Inverse distance and colour are interpolated harmonically between the known directions, with a larger weight along
+    the horizon. The up direction is the cameras' mean. Points that would occlude known points in a camera are dropped.
 
     Args:
-        points: what the plates show.
-        cameras: that look at the scene.
-        centre: (3,) world point that directions are taken from.
+        points: background points from the plates.
+        cameras: cameras of the scene.
+        centre: (3,) world point at the centre of the directions.
     """
-    sphere = sphere_about(cameras, centre)
+    sphere = direction_grid(cameras, centre)
     cells, distance = sphere.cells(points.xyz.astype(np.float64))
-    known, inverse, rgb = far_side(cells, distance, points.rgb, sphere.rows * sphere.columns)
+    known, inverse, rgb = summarize_cells(cells, distance, points.rgb, sphere.rows * sphere.columns)
     if known.all() or not known.any():
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
-    filled = harmonic(sphere, known, np.column_stack([inverse, rgb]), ACROSS)
-    chosen = _chosen(sphere, known)
-    # A rim lies behind what is known: seen from elsewhere than the middle, no slit opens between it and the shell.
-    filled[known, 0] *= BEHIND
+    filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
+    chosen = _select_cells(sphere, known)
+    # The shell overlaps the known points behind them: no slit opens between the two when seen off centre.
+    filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # What is nearer than the cameras stands between them and is seen by some; there points merely lie widely apart.
+    # Space nearer than the cameras is seen by some of them; gaps there are only sparse points.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
-    kept = (filled[chosen, 0] * reach < 1) & ~_hiding(xyz, points.xyz.astype(np.float64), cameras)
+    kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
 
 
 def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
-    """Share of all directions about ``centre`` in which there are points, gaps between these not counted."""
-    sphere = sphere_about(cameras, centre)
+    """Share in [0, 1] of the sphere of directions around ``centre`` that has points; small gaps count as covered."""
+    sphere = direction_grid(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))
     known = np.zeros(sphere.rows * sphere.columns, bool)
     known[cells] = True
-    closed, _ = _closed(sphere, known)
+    closed, _ = _close_gaps(sphere, known)
     elevation = ((np.arange(sphere.rows) + 0.5) / sphere.rows - 0.5) * np.pi
     weight = np.cos(elevation)[:, None]
     return float((closed * weight).sum() / (sphere.columns * weight.sum()))
 
 
 def viewing_centre(cameras: Sequence[Camera]) -> Array:
-    """(3,) world point nearest to the cameras' optical axes; the cameras' mean where these are all parallel."""
+    """(3,) world point nearest to the cameras' optical axes; the mean camera centre if the axes are parallel."""
     centres = np.stack([camera.centre for camera in cameras])
-    across = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])
-    normal = across.sum(axis=0)
+    projectors = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])
+    normal = projectors.sum(axis=0)
     if np.linalg.cond(normal) > 1e8:
         return np.asarray(centres.mean(axis=0))
-    return np.asarray(np.linalg.solve(normal, np.einsum("nij,nj->i", across, centres)))
+    return np.asarray(np.linalg.solve(normal, np.einsum("nij,nj->i", projectors, centres)))
 
 
-def _chosen(sphere: Sphere, known: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Unknown cells to put a point in, and a rim of known ones: as many as the sphere's area asks for, and few far
-    from all that is known."""
-    grid, away = _closed(sphere, known)
+def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Cells that get a shell point: unknown cells and a rim of known ones, at an even density over the sphere, sparser
+    far from known cells."""
+    grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
     wider[[0, -1]] = True
     rim = (wider & binary_dilation(~wider, np.ones((3, 3))))[1:-1, 1:-1]
     row, column = np.indices(grid.shape)
     elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
-    step = np.where(away > NEAR_GAP_DEG, 4 * step, step)
-    level = np.where(away > NEAR_GAP_DEG, row % 4 == 0, True)
-    # Every other of the few rows is moved by half a step: so points cover best.
-    moved = np.where(away > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
-    return np.flatnonzero(((~grid | rim) & ((column + moved) % step == 0) & level).ravel())
+    step = np.where(degrees > NEAR_GAP_DEG, 4 * step, step)
+    level = np.where(degrees > NEAR_GAP_DEG, row % 4 == 0, True)
+    # Every other of the sparse rows is offset by half a step: a hexagonal layout covers best.
+    offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
+    return np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
 
 
-def _closed(sphere: Sphere, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
-    """(rows, columns) what is known, without small gaps; and how far from it each cell is, in degrees."""
-    known = _widened(sphere, known)
-    # Three turns side by side: what is done to neighbours runs on over the seam.
-    turns = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
+def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
+    """(rows, columns) known cells with small gaps closed, and the distance of each cell to the known ones, degrees."""
+    known = _dilate_rows(sphere, known)
+    # Three copies side by side make the distance transform periodic in azimuth.
+    tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
     middle = (slice(sphere.rows, 2 * sphere.rows), slice(sphere.columns, 2 * sphere.columns))
-    away = distance_transform_edt(~turns) * CELL_DEG
-    closed = turns | (distance_transform_edt(away <= SMALL_GAP_DEG) * CELL_DEG > SMALL_GAP_DEG)
-    return closed[middle], away[middle]
+    degrees = distance_transform_edt(~tiled) * CELL_DEG
+    closed = tiled | (distance_transform_edt(degrees <= SMALL_GAP_DEG) * CELL_DEG > SMALL_GAP_DEG)
+    return closed[middle], degrees[middle]
 
 
-def _widened(sphere: Sphere, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(rows, columns) cells with a known one so near as two cells are on the horizon: towards the poles they narrow."""
+def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(rows, columns) known cells, dilated along each row to a constant angle: cells narrow towards the poles."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):
         elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
@@ -116,8 +116,8 @@ def _widened(sphere: Sphere, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return wide
 
 
-def _hiding(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """Which of points (N, 3) lie before what some camera sees of the points ``seen`` (M, 3)."""
+def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+    """(N,) bool: which of the points (N, 3) occlude some of the points ``seen`` (M, 3) in a camera."""
     hides = np.zeros(len(xyz), np.bool_)
     for camera in cameras:
         columns = int(camera.width / DEPTH_CELL_PX) + 1
@@ -127,12 +127,12 @@ def _hiding(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.bo
         cell, depth = _depth_cells(xyz, camera, columns)
         there = cell >= 0
         nearest = depths[cell[there]]
-        hides[there] |= np.isfinite(nearest) & (depth[there] < HIDING * nearest)
+        hides[there] |= np.isfinite(nearest) & (depth[there] < OCCLUSION_RATIO * nearest)
     return hides
 
 
 def _depth_cells(xyz: Array, camera: Camera, columns: int) -> tuple[NDArray[np.intp], Array]:
-    """Cells (N,) of a coarse depth map that points fall into, -1 outside the picture, and their depths (N,)."""
+    """Cells (N,) of a coarse depth map that points project to, -1 outside the picture, and their depths (N,)."""
     pixels, depth = camera.project(xyz)
     inside = (depth > 1e-6) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
     place = np.where(inside[:, None], pixels / DEPTH_CELL_PX, 0).astype(np.intp)

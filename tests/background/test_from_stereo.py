@@ -1,4 +1,4 @@
-"""Background points of a textured room whose walls are known."""
+"""Background points by stereo of a textured room with known walls."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def to_walls(xyz: np.ndarray) -> np.ndarray:
 
 
 def in_hole(xyz: np.ndarray, margin: float = 0.0) -> np.ndarray:
-    """(N,) which points lie within HOLE's sides, at any x."""
+    """(N,) bool: which points lie within the y and z range of HOLE, on the side x > 0."""
     (front, back), (low, high) = HOLE
     inside = (xyz[:, 1] > front + margin) & (xyz[:, 1] < back - margin)
     return inside & (xyz[:, 2] > low + margin) & (xyz[:, 2] < high - margin) & (xyz[:, 0] > 0)
 
 
-def beside_a_hole(xyz: np.ndarray, plates: list[PlateView]) -> bool:
-    """Whether a point (3,) lies in what some plate has seen."""
+def is_seen(xyz: np.ndarray, plates: list[PlateView]) -> bool:
+    """Whether a point (3,) projects to a seen pixel of some plate."""
     for each in plates:
         pixels, depth = each.camera.project(xyz[None])
         column, row = np.floor(pixels[0]).astype(int)
@@ -52,7 +52,7 @@ def beside_a_hole(xyz: np.ndarray, plates: list[PlateView]) -> bool:
 
 
 def plate(room: Room, index: int) -> PlateView:
-    """A camera's picture of the room with magenta in the hole."""
+    """A camera's picture of the room; the hole is magenta."""
     camera = room_cameras(4, 176, 132)[index]
     rgb = room.picture(camera)
     rows, columns = np.indices(rgb.shape[:2])
@@ -67,7 +67,7 @@ def plate(room: Room, index: int) -> PlateView:
 
 @pytest.fixture(scope="module")
 def stage() -> Stage:
-    """Points of four plates of a room, with guesses for what no two of them show alike."""
+    """Points of four plates of a room, with extrapolated depths."""
     room = Room(np.random.default_rng(3))
     plates = [plate(room, index) for index in range(4)]
     lines: list[str] = []
@@ -75,47 +75,47 @@ def stage() -> Stage:
 
 
 def test_points_lie_on_the_walls(stage: Stage) -> None:
-    """Catches cameras that were adjusted, half pixels lost between conventions, and matches at the wrong place."""
-    apart = to_walls(stage.points.xyz)
-    assert np.median(apart) < 0.003
-    assert np.percentile(apart, 90) < 0.02
-    assert np.percentile(apart, 99) < 0.15
+    """Catches changed cameras, half-pixel errors between conventions, and wrong matches."""
+    distance = to_walls(stage.points.xyz)
+    assert np.median(distance) < 0.003
+    assert np.percentile(distance, 90) < 0.02
+    assert np.percentile(distance, 99) < 0.15
 
 
 def test_features_lie_on_the_walls(stage: Stage) -> None:
-    """Catches poses that COLMAP adjusted or counts otherwise, and wrong matches that three plates share."""
+    """Catches poses that COLMAP changes or permutes, and wrong matches in three plates."""
     features = triangulate_sparse(stage.plates, 0, untracked)
-    apart = to_walls(features.xyz)[features.reliable]
-    assert len(apart) > 100
-    assert np.median(apart) < 0.005
-    assert np.percentile(apart, 95) < 0.03
+    distance = to_walls(features.xyz)[features.reliable]
+    assert len(distance) > 100
+    assert np.median(distance) < 0.005
+    assert np.percentile(distance, 95) < 0.03
     assert not in_hole(features.xyz[to_walls(features.xyz) < 0.05]).any()
 
 
 def test_points_have_the_walls_colours(stage: Stage) -> None:
-    """Catches swapped channels, and colours taken half a picture away."""
+    """Catches swapped channels and colours sampled at wrong pixels."""
     view = stage.plates[1]
     pixels, depth = view.camera.project(stage.points.xyz)
     inside = (depth > 0) & (pixels > 1).all(axis=1) & (pixels < (175, 131)).all(axis=1)
     columns, rows = pixels[inside].astype(int).T
-    apart = np.abs(view.rgb[rows, columns].astype(int) - stage.points.rgb[inside])
+    difference = np.abs(view.rgb[rows, columns].astype(int) - stage.points.rgb[inside])
     assert inside.sum() > 500
-    assert np.median(apart, axis=0).max() < 12
+    assert np.median(difference, axis=0).max() < 12
 
 
 def test_holes_have_no_points(stage: Stage) -> None:
-    """Catches features and guesses made of what a hole was filled with."""
+    """Catches features and extrapolated depths inside holes."""
     found = stage.points
     on_wall = found.xyz[to_walls(found.xyz) < 0.05]
-    # One that lies off the wall may be beside the hole for a camera that looks along the wall: that one sees it.
-    assert all(beside_a_hole(xyz, stage.plates) for xyz in on_wall[in_hole(on_wall, margin=0.05)])
+    # A point slightly off the wall can be seen beside the hole by a camera at a grazing angle.
+    assert all(is_seen(xyz, stage.plates) for xyz in on_wall[in_hole(on_wall, margin=0.05)])
     assert not in_hole(found.xyz[to_walls(found.xyz) < 0.03], margin=0.05).any()
     assert (np.abs(found.rgb.astype(int) - MAGENTA).max(axis=1) > 12).all(), "walls have 20 to 235"
-    assert in_hole(stage.points.xyz, margin=-0.3).any(), "the wall about it has some"
+    assert in_hole(stage.points.xyz, margin=-0.3).any(), "the wall around the hole has points"
 
 
-def test_every_equal_area_has_its_point(stage: Stage) -> None:
-    """Catches points spread over the world instead of the pictures, and gaps where one plate alone shows a place."""
+def test_points_have_an_even_density_in_the_pictures(stage: Stage) -> None:
+    """Catches a density that is even in the world instead of the pictures, and gaps seen by only one plate."""
     assert 1800 <= len(stage.points.xyz) <= 2000
     for view in stage.plates:
         pixels, depth = view.camera.project(stage.points.xyz)
@@ -126,23 +126,23 @@ def test_every_equal_area_has_its_point(stage: Stage) -> None:
         assert counts[seen].max() <= 5 * np.median(counts[seen])
 
 
-def test_any_prefix_is_a_fair_sample(stage: Stage) -> None:
-    """Catches points in the plates' order, of which a caller that takes the first gets one corner."""
+def test_any_prefix_is_a_uniform_sample(stage: Stage) -> None:
+    """Catches points in the order of the plates, whose first half covers one corner."""
     half = stage.points.xyz[: len(stage.points.xyz) // 2]
     spread = stage.points.xyz.std(axis=0)
     assert np.allclose(half.mean(axis=0), stage.points.xyz.mean(axis=0), atol=0.15 * spread.max())
 
 
-def test_what_was_found_is_told(stage: Stage) -> None:
-    """Catches guesses that pass for measurements without a word."""
+def test_extrapolated_points_are_reported(stage: Stage) -> None:
+    """Catches extrapolated points that are not distinguished from measured ones."""
     features, points = stage.lines
     assert features.startswith("features: ")
     assert f"points: {len(stage.points.xyz)}, " in points
-    assert "of what no two plates show alike" in points
+    assert "extrapolated where no two plates match" in points
 
 
-def test_blank_walls_cannot_be_triangulated(stage: Stage) -> None:
-    """Catches an empty cloud, or a crash in place of the way out."""
+def test_blank_walls_are_an_error(stage: Stage) -> None:
+    """Catches an empty result or a traceback instead of an error with a fix."""
     blank = [replace(view, rgb=np.full_like(view.rgb, 200), seen=np.ones_like(view.seen)) for view in stage.plates]
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
@@ -151,35 +151,35 @@ def test_blank_walls_cannot_be_triangulated(stage: Stage) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_plates_with_nothing_in_common(rng: np.random.Generator) -> None:
-    """Catches chance matches that pass for a background: cameras that look away from each other share no place."""
+def test_plates_without_overlap_are_an_error(rng: np.random.Generator) -> None:
+    """Catches random matches taken as a background: cameras that face away from each other do not overlap."""
     up, intrinsics = np.array([0.0, 0.0, 1.0]), np.array([[140.0, 0, 88], [0, 140, 66], [0, 0, 1]])
     plates, room = [], Room(rng)
     for index, side in enumerate((1.0, -1.0)):
         camera = look_at(np.array([0.1 * side, 0.0, 1.0]), np.array([2 * side, 0.0, 1.0]), up, intrinsics, 176, 132)
         plates.append(PlateView(f"{index}", camera, room.picture(camera), np.ones((132, 176), bool)))
-    with pytest.raises(UserError, match=r"plates: expected at least .* in two of them alike, got .*--background"):
+    with pytest.raises(UserError, match=r"plates: expected at least .* match between two of them, got .*--background"):
         seed_from_stereo(plates, 1000)
 
 
 @pytest.mark.parametrize(("count", "points"), [(1, 10), (3, 0)])
-def test_impossible_wishes(stage: Stage, count: int, points: int) -> None:
-    """Catches a failure deep inside for a call that cannot be meant."""
+def test_invalid_arguments(stage: Stage, count: int, points: int) -> None:
+    """Catches an obscure failure for invalid arguments."""
     with pytest.raises(ValueError, match="expected at least 2 plates and 1 point"):
         seed_from_stereo(stage.plates[:count], points)
 
 
 @pytest.mark.slow
 def test_same_points_from_any_number_of_processes(stage: Stage) -> None:
-    """Catches chance that depends on which process makes a map, or when."""
+    """Catches randomness that depends on the process or the order of the maps."""
     again = seed_from_stereo(stage.plates, 2000, workers=2)
     assert np.array_equal(again.xyz, stage.points.xyz)
     assert np.array_equal(again.rgb, stage.points.rgb)
 
 
 @pytest.mark.slow
-def test_measured_points_alone(stage: Stage) -> None:
-    """Catches guesses where none were asked for: what is left is measured to millimetres."""
+def test_measured_points_only(stage: Stage) -> None:
+    """Catches extrapolated points with ``fill=False``: all points are within 1 cm of the walls."""
     measured = seed_from_stereo(stage.plates, 100_000, fill=False)
     assert 5_000 < len(measured.xyz) < 100_000
     assert np.percentile(to_walls(measured.xyz), 90) < 0.01

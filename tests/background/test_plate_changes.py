@@ -1,4 +1,4 @@
-"""Backgrounds that move are told from those that only have a subject before them."""
+"""Detection of backgrounds that change over time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.capture import open_capture
 
 
 def plate_views(path: Path) -> list[PlateView]:
-    """Clean plates of the capture's grey room, brighter by a few levels than its pictures."""
+    """Clean plates of the capture's grey room, a few levels brighter than its pictures."""
     capture = open_capture(path, frames="0:1")
     views = []
     for index, camera in enumerate(capture.cameras):
@@ -25,14 +25,14 @@ def plate_views(path: Path) -> list[PlateView]:
     return views
 
 
-def test_a_subject_and_another_exposure_are_no_movement(ball_capture: Path) -> None:
-    """Catches the subject taken for background that moves, and plates of another exposure."""
+def test_subject_and_exposure_are_not_changes(ball_capture: Path) -> None:
+    """Catches the subject or a different exposure reported as a changing background."""
     capture = open_capture(ball_capture)
     assert find_changing_backgrounds(capture, range(len(capture.names)), plate_views(ball_capture)) == {}
 
 
-def test_what_changes_beside_the_subject_is_found(ball_capture: Path) -> None:
-    """Catches a background that moves and is averaged without a word."""
+def test_changes_outside_the_matte_are_found(ball_capture: Path) -> None:
+    """Catches a changing background that is not reported."""
     capture, plates = open_capture(ball_capture), plate_views(ball_capture)
     changed = plates[1].rgb.copy()
     changed[:8] = 255 - changed[:8]

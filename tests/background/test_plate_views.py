@@ -1,4 +1,4 @@
-"""Clean plates read from real files: the user's own, and those that fourd made."""
+"""Clean plates read from files: provided by the user, or made by fourd."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ LENS = np.array([-0.25, 0.08, 0.002, -0.001])
 
 @pytest.fixture
 def folder(ball_capture: Path, tmp_path: Path) -> Path:
-    """A capture that may be changed, without plates."""
+    """A writable copy of a capture without plates."""
     return Path(shutil.copytree(ball_capture, tmp_path / "cap"))
 
 
 def stage(rng: np.random.Generator) -> np.ndarray:
-    """(H, W, 3) smooth picture, so that resampling changes it little."""
+    """(H, W, 3) smooth picture, which resampling changes little."""
     return cv2.GaussianBlur(rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8), (0, 0), 4)
 
 
-def make(folder: Path, name: str, rgb: np.ndarray, seen: np.ndarray | None = None) -> None:
-    """A plate as fourd.matting writes it."""
+def make_plate(folder: Path, name: str, rgb: np.ndarray, seen: np.ndarray | None = None) -> None:
+    """Write a plate in the format of fourd.matting."""
     write_plate(folder / FOLDER / f"{name}.png", Plate(rgb, np.ones(rgb.shape[:2], bool) if seen is None else seen))
 
 
-def bring(folder: Path, name: str, picture: np.ndarray) -> Path:
-    """A plate of the user's, RGB or RGBA."""
+def provide(folder: Path, name: str, picture: np.ndarray) -> Path:
+    """Write a plate of the user, RGB or RGBA."""
     path = folder / "bgs" / name
     path.parent.mkdir(exist_ok=True)
     code = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
@@ -45,7 +45,7 @@ def bring(folder: Path, name: str, picture: np.ndarray) -> Path:
 
 
 def distort(folder: Path) -> Capture:
-    """Give all cameras of a capture a lens with distortion."""
+    """Give all cameras of a capture lens distortion."""
     calibrations = read_calibration(folder)
     cameras = [replace(one.camera(SIZE, SIZE), distortion=LENS) for one in calibrations.values()]
     write_calibration(folder, list(calibrations), cameras)
@@ -53,11 +53,11 @@ def distort(folder: Path) -> Capture:
 
 
 def test_made_plates(folder: Path, rng: np.random.Generator) -> None:
-    """Catches swapped channels, a camera's plate given to another, and holes that are lost."""
+    """Catches swapped channels, plates assigned to the wrong camera, and lost holes."""
     pictures, hole = [stage(rng) for _ in range(3)], np.zeros((SIZE, SIZE), bool)
     hole[10:20, 30:40] = True
     for name, picture in zip(("02", "00", "05"), pictures, strict=True):
-        make(folder, name, picture, ~hole)
+        make_plate(folder, name, picture, ~hole)
     capture = open_capture(folder)
     views = read_plates(capture, [2, 0, 5])
     assert [view.name for view in views] == ["02", "00", "05"]
@@ -68,63 +68,63 @@ def test_made_plates(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_the_users_plates_come_first(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a plate of the empty stage that is passed over for one that was guessed, and JPEGs not found."""
-    made, brought = stage(rng), stage(rng)
+    """Catches a user's plate that is ignored in favour of a made one, and JPEGs that are not found."""
+    made, provided = stage(rng), stage(rng)
     for name in ("00", "01", "02"):
-        make(folder, name, made)
-    bring(folder, "00.png", brought)
-    bring(folder, "01.jpg", brought)
+        make_plate(folder, name, made)
+    provide(folder, "00.png", provided)
+    provide(folder, "01.jpg", provided)
     views = read_plates(open_capture(folder), [0, 1, 2])
-    assert np.array_equal(views[0].rgb, brought)
-    assert np.abs(views[1].rgb.astype(int) - brought).mean() < 4
+    assert np.array_equal(views[0].rgb, provided)
+    assert np.abs(views[1].rgb.astype(int) - provided).mean() < 4
     assert np.array_equal(views[2].rgb, made)
     assert all(view.seen.all() for view in views)
 
 
 def test_the_users_holes(folder: Path, rng: np.random.Generator) -> None:
-    """Catches an alpha channel that is dropped, or half of it taken for seen."""
+    """Catches an alpha channel that is ignored, and semi-transparent pixels taken as seen."""
     picture, alpha = stage(rng), np.full((SIZE, SIZE), 255, np.uint8)
     alpha[:8], alpha[8:12] = 0, 128
     for name in ("00.png", "01.png"):
-        bring(folder, name, np.dstack([picture, alpha]))
+        provide(folder, name, np.dstack([picture, alpha]))
     for view in read_plates(open_capture(folder), [0, 1]):
         assert np.array_equal(view.seen, alpha == 255)
         assert np.array_equal(view.rgb, picture)
 
 
 def test_scale(folder: Path, rng: np.random.Generator) -> None:
-    """Catches plates of another size than the cameras', and pixels beside a hole that are mixed with it."""
+    """Catches plates that do not match the cameras' size, and pixels mixed with a hole that count as seen."""
     picture, seen = stage(rng), np.ones((SIZE, SIZE), bool)
     seen[:, 31:] = False
     for name in ("00", "01"):
-        make(folder, name, np.where(seen[..., None], picture, 255).astype(np.uint8), seen)
+        make_plate(folder, name, np.where(seen[..., None], picture, 255).astype(np.uint8), seen)
     capture = open_capture(folder, scale=0.5)
     for index, view in enumerate(read_plates(capture, [0, 1])):
         assert view.camera is capture.cameras[index]
         assert view.rgb.shape == (32, 32, 3)
         assert view.seen[:, :15].all()
-        assert not view.seen[:, 15:].any(), "the column of which half is hole"
+        assert not view.seen[:, 15:].any(), "half of column 15 is a hole"
         small = cv2.resize(picture, (32, 32), interpolation=cv2.INTER_AREA)
         assert np.abs(view.rgb.astype(int) - small)[view.seen].max() <= 1
 
 
-def test_the_users_plates_are_distorted_as_the_pictures_are(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a lens that is taken out another way than the reader's, or not at all: points would be off the walls."""
+def test_the_users_plates_are_undistorted_like_the_pictures(folder: Path, rng: np.random.Generator) -> None:
+    """Catches undistortion that differs from the reader's or is missing: points would be off the walls."""
     picture = stage(rng)
     for name in ("00", "01"):
-        bring(folder, f"{name}.png", picture)
+        provide(folder, f"{name}.png", picture)
         assert cv2.imwrite(str(folder / "images" / name / "000000.png"), picture[..., ::-1])
     capture = distort(folder)
     for index, view in enumerate(read_plates(capture, [0, 1])):
         assert np.array_equal(view.rgb, capture.image(index, 0))
-        assert np.abs(view.rgb.astype(int) - picture).max() > 5, "the lens does something"
+        assert np.abs(view.rgb.astype(int) - picture).max() > 5, "the distortion has an effect"
 
 
-def test_made_plates_are_straight_already(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a lens taken out twice, and the black that the lens did not see taken for a black wall."""
+def test_made_plates_are_not_undistorted_again(folder: Path, rng: np.random.Generator) -> None:
+    """Catches undistortion applied twice, and black pixels outside the lens's view taken as a black wall."""
     picture = stage(rng)
     for name in ("00", "01"):
-        make(folder, name, picture)
+        make_plate(folder, name, picture)
     calibrations = read_calibration(folder)
     wide = [replace(one.camera(SIZE, SIZE), distortion=-2 * LENS) for one in calibrations.values()]
     write_calibration(folder, list(calibrations), wide)
@@ -134,23 +134,23 @@ def test_made_plates_are_straight_already(folder: Path, rng: np.random.Generator
         assert not view.seen[0, 0]
 
 
-def test_mostly_holes_are_told(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a poor plate that goes without a word, and a good one that is blamed."""
+def test_plates_of_mostly_holes_are_reported(folder: Path, rng: np.random.Generator) -> None:
+    """Catches a poor plate that is not reported, and a report about a good one."""
     hole = np.ones((SIZE, SIZE), bool)
     hole[:20] = False
     for name in ("00", "01", "02"):
-        make(folder, name, stage(rng), ~hole if name == "01" else None)
+        make_plate(folder, name, stage(rng), ~hole if name == "01" else None)
     lines: list[str] = []
     read_plates(open_capture(folder), [0, 1, 2], lines.append)
     assert len(lines) == 1
-    assert "clean plate of 01 is hole" in lines[0]
+    assert "clean plate of 01 is a hole" in lines[0]
 
 
 @pytest.mark.parametrize("seeing", [0, 1])
-def test_too_few_plates_show_anything(folder: Path, seeing: int, rng: np.random.Generator) -> None:
-    """Catches triangulation from one picture, or from none."""
+def test_too_few_plates_with_background(folder: Path, seeing: int, rng: np.random.Generator) -> None:
+    """Catches triangulation from fewer than two pictures."""
     for number, name in enumerate(("00", "01")):
-        make(folder, name, stage(rng), np.full((SIZE, SIZE), number < seeing))
+        make_plate(folder, name, stage(rng), np.full((SIZE, SIZE), number < seeing))
     with pytest.raises(
         UserError, match=rf"cap: expected clean plates of at least 2 cameras .*, got {seeing}; "
     ) as caught:
@@ -159,8 +159,8 @@ def test_too_few_plates_show_anything(folder: Path, seeing: int, rng: np.random.
 
 
 def test_missing_plate(folder: Path, rng: np.random.Generator) -> None:
-    """Catches an error that does not say which plates are missing or how they are made."""
-    make(folder, "00", stage(rng))
+    """Catches an error without the missing plates and the command that makes them."""
+    make_plate(folder, "00", stage(rng))
     with pytest.raises(
         UserError,
         match=r"plates/01\.png: expected the clean plate of camera '01', got none there or in bgs "
@@ -170,33 +170,33 @@ def test_missing_plate(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_wrong_size(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a plate of another size that is stretched, and a mend that does not fit whose file it is."""
+    """Catches a plate of another size that is stretched, and a fix that does not match the origin of the file."""
     for name in ("00", "01"):
-        make(folder, name, stage(rng))
-    bring(folder, "01.png", stage(rng)[:32])
+        make_plate(folder, name, stage(rng))
+    provide(folder, "01.png", stage(rng)[:32])
     with pytest.raises(
         UserError, match=r"bgs/01\.png: expected 64 x 64 pixels, as .*'01' have, got 64 x 32; export it again"
     ):
         read_plates(open_capture(folder), [0, 1])
-    make(folder, "00", stage(rng)[:, :48])
+    make_plate(folder, "00", stage(rng)[:, :48])
     with pytest.raises(UserError, match=r"plates/00\.png: expected 64 x 64 .*, got 48 x 64; remove it and run: fourd"):
         read_plates(open_capture(folder), [0, 1])
 
 
 @pytest.mark.parametrize("content", [b"", b"no picture", b"\x89PNG\r\n\x1a\n"])
 def test_broken_file(folder: Path, content: bytes, rng: np.random.Generator) -> None:
-    """Catches a traceback for a file that is no picture."""
-    make(folder, "01", stage(rng))
-    bring(folder, "00.png", stage(rng)).write_bytes(content)
+    """Catches a traceback for a file that is not a picture."""
+    make_plate(folder, "01", stage(rng))
+    provide(folder, "00.png", stage(rng)).write_bytes(content)
     with pytest.raises(UserError, match=r"bgs/00\.png: expected a whole JPEG or PNG picture, got ") as caught:
         read_plates(open_capture(folder), [0, 1])
     assert "\n" not in str(caught.value)
 
 
-def test_every_cut_of_a_plate(folder: Path, rng: np.random.Generator) -> None:
-    """Catches half a picture that passes for a plate."""
-    make(folder, "01", stage(rng))
-    path = bring(folder, "00.png", stage(rng))
+def test_truncated_plates_are_errors(folder: Path, rng: np.random.Generator) -> None:
+    """Catches a truncated picture that is accepted as a plate."""
+    make_plate(folder, "01", stage(rng))
+    path = provide(folder, "00.png", stage(rng))
     whole = path.read_bytes()
     capture = open_capture(folder)
     for length in range(0, len(whole) - 20, max(1, len(whole) // 12)):

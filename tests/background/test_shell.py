@@ -1,4 +1,4 @@
-"""The shell in directions that no plate shows: where it is, what colour it takes, and where it must not be."""
+"""The background shell: its directions, distances, colours and occlusion."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RADIUS = 5.0
 
 
 def _room(gap_deg: float) -> ColouredPoints:
-    """A sphere about CENTRE, red below the horizon and blue above, without a wedge of azimuths."""
+    """A sphere around CENTRE, red below the horizon and blue above, without a wedge of ``gap_deg`` of azimuth."""
     directions = sphere(90_000)
     azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     kept = directions[np.abs(azimuth) > gap_deg / 2]
@@ -28,8 +28,8 @@ def shell() -> ColouredPoints:
     return build_shell(_room(28), ring_cameras(8, 64), CENTRE)
 
 
-def test_a_gap_is_closed_and_nothing_else(shell: ColouredPoints) -> None:
-    """Catches a shell over what is known, and a seam at the border of turns left open."""
+def test_shell_fills_only_the_gap(shell: ColouredPoints) -> None:
+    """Catches a shell over known directions, and an open seam where the azimuth wraps around."""
     towards = shell.xyz - CENTRE
     azimuth = np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))
     level = np.abs(towards[:, 2]) < 2
@@ -38,8 +38,8 @@ def test_a_gap_is_closed_and_nothing_else(shell: ColouredPoints) -> None:
     assert filled.min() > 20
 
 
-def test_it_continues_distance_and_colour_along_the_horizon(shell: ColouredPoints) -> None:
-    """Catches inverse distances that are averaged as distances, and colours smeared up and down."""
+def test_shell_extrapolates_distance_and_colour_along_the_horizon(shell: ColouredPoints) -> None:
+    """Catches interpolation of distances instead of inverse distances, and colours smeared vertically."""
     towards = shell.xyz - CENTRE
     np.testing.assert_allclose(np.linalg.norm(towards, axis=1), RADIUS, rtol=0.02)
     near_edge = np.abs(np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))) > 9
@@ -49,20 +49,20 @@ def test_it_continues_distance_and_colour_along_the_horizon(shell: ColouredPoint
     assert np.abs(shell.rgb[below].astype(int) - [200, 40, 20]).max() < 60
 
 
-def test_a_whole_room_needs_none() -> None:
-    """Catches gaps seen between the points of a closed surface."""
+def test_a_closed_room_has_no_shell() -> None:
+    """Catches the spacing between points of a closed surface taken as gaps."""
     assert len(build_shell(_room(0), ring_cameras(8, 64), CENTRE).xyz) == 0
 
 
-def test_no_guess_hides_what_a_camera_sees() -> None:
-    """Catches a shell across the view of a wall that lies farther behind a gap, as seen from the middle."""
+def test_shell_does_not_occlude_seen_points() -> None:
+    """Catches a shell in front of a farther wall that cameras see through the gap."""
     room = _room(50)
-    # Beside the middle's view a far wall, which a camera sees through the gap.
+    # A far wall that a camera sees through the gap.
     steps = np.linspace(-8, 8, 200)
     y, z = np.meshgrid(steps, steps)
     wall = np.stack([np.full_like(y, 12.0), y, z], axis=-1).reshape(-1, 3)
-    from_middle = np.degrees(np.abs(np.arctan2(wall[:, 1] - CENTRE[1], wall[:, 0] - CENTRE[0])))
-    wall = wall[from_middle < 12].astype(np.float32)
+    azimuth_deg = np.degrees(np.abs(np.arctan2(wall[:, 1] - CENTRE[1], wall[:, 0] - CENTRE[0])))
+    wall = wall[azimuth_deg < 12].astype(np.float32)
     points = ColouredPoints(
         np.concatenate([room.xyz, wall]), np.concatenate([room.rgb, np.full(wall.shape, 90, np.uint8)])
     )
@@ -79,6 +79,7 @@ def test_no_guess_hides_what_a_camera_sees() -> None:
         assert (my_depth[over] > 0.85 * np.median(depth[inside])).all()
 
 
-def test_without_points_there_is_no_shell() -> None:
+def test_no_points_give_no_shell() -> None:
+    """Catches a crash of the interpolation without known directions."""
     empty = ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     assert len(build_shell(empty, ring_cameras(8, 64), CENTRE).xyz) == 0

@@ -207,7 +207,7 @@ def test_brought_points_that_are_none_are_refused(ball_capture: Path, tmp_path: 
         create_run(ball_capture, tmp_path / "run", config)
 
 
-@pytest.mark.parametrize(("seeding", "why"), [("ngp", "tell no depths"), ("sfm", "cannot be triangulated")])
+@pytest.mark.parametrize(("seeding", "why"), [("ngp", "cannot be measured"), ("sfm", "cannot be triangulated")])
 def test_points_are_found_in_the_way_that_was_asked_for(
     seeding: Literal["ngp", "sfm"], why: str, ball_capture: Path, tmp_path: Path
 ) -> None:

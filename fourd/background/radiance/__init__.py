@@ -1,1 +1,1 @@
-"""A radiance field of a still background (Mueller et al. 2022, Instant-NGP), fitted to clean plates."""
+"""A radiance field of a static background, optimised on clean plates (Instant-NGP, Mueller et al. 2022)."""

@@ -1,4 +1,4 @@
-"""What a radiance field of the background is made of, and how it is fitted."""
+"""Architecture and optimisation settings of the background's radiance field."""
 
 from __future__ import annotations
 
@@ -9,39 +9,39 @@ from fourd.ops.hashgrid.shape import HashGridShape
 
 @dataclass(frozen=True)
 class RadianceConfig:
-    """The field that background points are found with (Instant-NGP, Mueller et al. 2022); unused by other ways."""
+    """The radiance field for background points (Instant-NGP, Mueller et al. 2022); used only by seeding: ngp."""
 
     levels: int = 16
-    """Resolutions of the hash grid, from 1 to 32."""
+    """Number of resolution levels of the hash grid, 1 to 32."""
     features: int = 2
-    """Numbers of an entry, from 1 to 8."""
+    """Features per hash table entry, 1 to 8."""
     log2_entries: int = 19
-    """Logarithm of the most entries of a level, from 4 to 24."""
+    """Base-2 logarithm of the maximum number of entries per level, 4 to 24."""
     coarsest: int = 16
-    """Cells a side of the coarsest level, across all of contracted space."""
+    """Cells per side of the coarsest level, over all of contracted space."""
     finest: int = 2048
-    """Cells a side of the finest level."""
+    """Cells per side of the finest level."""
     hidden: int = 32
-    """Width of the networks of density and of colour."""
+    """Hidden width of the density and colour networks."""
     occupancy: int = 128
-    """Cells a side of the occupancy grid."""
+    """Cells per side of the occupancy grid."""
     steps: int = 750
-    """Steps of Adam."""
+    """Optimisation steps (Adam)."""
     rays: int = 1536
-    """Rays of a step."""
+    """Rays per step."""
     samples: int = 32
-    """Places on a ray at which the field is asked."""
+    """Samples per ray."""
     rate: float = 1e-2
-    """Learning rate at the start; a tenth of it is left at the end."""
+    """Initial learning rate; it decays exponentially to a tenth."""
     measured: float = 1.0
-    """Weight of the distance between a ray's light and the depth that stereo measured there."""
+    """Weight of the depth loss where stereo measured the depth."""
     continued: float = 0.2
-    """The same for depths that are only continued from what was measured around."""
+    """Weight of the depth loss where the depth is extrapolated."""
     distortion: float = 3e-3
-    """Weight of what draws a ray's light to one place."""
+    """Weight of the distortion loss."""
 
     def __post_init__(self) -> None:
-        """Raise ValueError, naming the field, what was expected and what came."""
+        """Check all fields; raises ValueError for values out of range."""
         _ = self.grid
         for name in ("hidden", "occupancy", "steps", "rays", "samples"):
             if getattr(self, name) < 1:
@@ -52,5 +52,5 @@ class RadianceConfig:
 
     @property
     def grid(self) -> HashGridShape:
-        """The hash grid's sizes."""
+        """Shape of the hash grid."""
         return HashGridShape(self.levels, self.features, self.log2_entries, self.coarsest, self.finest)

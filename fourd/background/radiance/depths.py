@@ -1,4 +1,4 @@
-"""What a fitted field says of the plates' depths, held against what stereo measured and against itself."""
+"""Depths of the plates from an optimised field, filtered by consistency with stereo and between plates."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.background.radiance.fitting import FittedField
+from fourd.background.radiance.optimization import OptimizedField
 from fourd.background.radiance.rays import camera_rays, to_distance
-from fourd.background.radiance.volume_rendering import spent_share
-from fourd.background.stereo.depth_maps import Small
-from fourd.background.stereo.fusion import Surface, compared
+from fourd.background.radiance.volume_rendering import weight_quantile
+from fourd.background.stereo.depth_maps import ReducedPlate
+from fourd.background.stereo.fusion import Surface, count_agreement
 from fourd.background.stereo.patchmatch import DepthMap
 from fourd.progress import Track
 
@@ -22,65 +22,75 @@ Array = NDArray[np.float64]
 
 SAMPLES = 64
 RAYS = 4096
-"""Of a batch."""
-FOGGY = 1.25
-"""Times as far as a quarter of a ray's light are three quarters of it in fog, which looks alike from all sides."""
-NOWHERE = 0.99
-"""Share of a ray: light that is spent beyond meets nothing."""
+"""Rays per batch."""
+MAX_QUARTILE_RATIO = 1.25
+"""Maximum ratio of the third to the first quartile of a ray's weights; beyond it the ray shows fog, not a surface."""
+MAX_MEDIAN = 0.99
+"""Maximum median of a ray's weights in normalised distance; beyond it the ray meets no surface."""
 
 
-def field_depths(
-    field: FittedField,
-    smalls: Sequence[Small],
+def add_field_depths(
+    field: OptimizedField,
+    plates: Sequence[ReducedPlate],
     measured: Sequence[Surface],
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """A surface of each plate: measured cells as they are, others at the field's median depth where it is confirmed.
+    """Add the field's median depths to measured surfaces, where another plate confirms them.
 
-    Confirmed, with support 1, are those that another plate's surface lies at and that hide no more surfaces than
-    agree. The others are as ``continued``: of what a single plate shows colours tell no depth, and the field's is
-    noise about its guess.
+    A cell is confirmed if it agrees with another plate's surface and occludes no more surfaces than it agrees with;
+    its support is 1. Other cells take the extrapolated depth of ``continued``: where a single plate sees a surface,
+    colours do not determine the depth, and the field's depth is noise around its prior.
+
+    Args:
+        field: the optimised field.
+        plates: the reduced plates.
+        measured: surfaces from stereo.
+        continued: the same surfaces with extrapolated cells.
+        track: progress callback.
     """
-    maps = zip(track(range(len(smalls)), len(smalls), "background field: depths"), smalls, measured, strict=True)
-    joined = [_joined(field, small, surface) for _, small, surface in maps]
-    return [_confirmed(index, joined, measured[index], continued[index]) for index in range(len(joined))]
+    maps = zip(track(range(len(plates)), len(plates), "background field: depths"), plates, measured, strict=True)
+    merged = [_merge_depths(field, plate, surface) for _, plate, surface in maps]
+    return [_keep_confirmed(index, merged, measured[index], continued[index]) for index in range(len(merged))]
 
 
-def _joined(field: FittedField, small: Small, measured: Surface) -> Surface:
+def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface) -> Surface:
+    """The measured surface with the field's median depths in its unknown cells."""
     grid = measured.depths.grid
     inverse = measured.depths.inverse_depth.astype(np.float64)
-    asked = ~measured.known
-    inverse[asked] = median_inverse_depths(field, small, grid.pixels[asked, :2].astype(np.float64))
-    mine = DepthMap.through(grid, inverse, np.zeros(len(inverse), np.float32))
-    planes = np.where(measured.known[:, None], measured.depths.planes, mine.planes)
-    scores = np.where(measured.known, measured.depths.scores, mine.scores)
-    known = measured.known | ((inverse > 0) & small.seen[grid.indices])
-    return Surface(small.camera, DepthMap(grid, planes, scores), known, measured.support * measured.known)
+    unknown = ~measured.known
+    inverse[unknown] = median_inverse_depths(field, plate, grid.pixels[unknown, :2].astype(np.float64))
+    own = DepthMap.from_inverse_depth(grid, inverse, np.zeros(len(inverse), np.float32))
+    planes = np.where(measured.known[:, None], measured.depths.planes, own.planes)
+    scores = np.where(measured.known, measured.depths.scores, own.scores)
+    known = measured.known | ((inverse > 0) & plate.seen[grid.indices])
+    return Surface(plate.camera, DepthMap(grid, planes, scores), known, measured.support * measured.known)
 
 
-def median_inverse_depths(field: FittedField, small: Small, xy: Array) -> Array:
-    """(M,) one by the depth at which half of the light is spent, at indices (M, 2) of pixels; 0 for fog and nothing."""
+def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array) -> Array:
+    """(M,) inverse of the median depth of the rays' weights at pixel indices (M, 2); 0 for fog and empty rays."""
     unit = field.radiance.contraction.radius
     parts: list[Tensor] = []
     with torch.no_grad():
-        for places in torch.from_numpy(xy + 0.5).split(RAYS):
-            rays = camera_rays(small.camera, places)
-            look = field.look(rays, SAMPLES)
-            shares = [spent_share(look.weights, look.edges, part) for part in (0.25, 0.5, 0.75)]
-            near, middle, far = (to_distance(share) for share in shares)
-            depth = middle * unit * (rays.directions @ torch.tensor(small.camera.forward).float())
-            parts.append(torch.where((far < FOGGY * near) & (shares[1] < NOWHERE), 1 / depth, 0))
+        for pixels in torch.from_numpy(xy + 0.5).split(RAYS):
+            rays = camera_rays(plate.camera, pixels)
+            rendered = field.render(rays, SAMPLES)
+            quartiles = [weight_quantile(rendered.weights, rendered.edges, part) for part in (0.25, 0.5, 0.75)]
+            near, middle, far = (to_distance(quartile) for quartile in quartiles)
+            depth = middle * unit * (rays.directions @ torch.tensor(plate.camera.forward).float())
+            parts.append(torch.where((far < MAX_QUARTILE_RATIO * near) & (quartiles[1] < MAX_MEDIAN), 1 / depth, 0))
     return np.asarray(torch.cat(parts).double().numpy(), np.float64)
 
 
-def _confirmed(index: int, joined: Sequence[Surface], measured: Surface, continued: Surface) -> Surface:
-    mine = joined[index]
-    cells = np.flatnonzero(mine.known & ~measured.known)
-    alike, hiding = compared(index, joined, cells)
-    found = np.zeros_like(mine.known)
-    found[cells] = (alike > 0) & (hiding <= alike)
-    taken = measured.known | found
-    planes = np.where(taken[:, None], mine.depths.planes, continued.depths.planes)
-    depths = replace(mine.depths, planes=planes)
-    return Surface(mine.camera, depths, taken | continued.known, np.where(found, 1, measured.support * measured.known))
+def _keep_confirmed(index: int, merged: Sequence[Surface], measured: Surface, continued: Surface) -> Surface:
+    """The measured and the confirmed cells of a merged surface; other cells are those of ``continued``."""
+    surface = merged[index]
+    cells = np.flatnonzero(surface.known & ~measured.known)
+    agreeing, occluded = count_agreement(index, merged, cells)
+    confirmed = np.zeros_like(surface.known)
+    confirmed[cells] = (agreeing > 0) & (occluded <= agreeing)
+    kept = measured.known | confirmed
+    planes = np.where(kept[:, None], surface.depths.planes, continued.depths.planes)
+    depths = replace(surface.depths, planes=planes)
+    support = np.where(confirmed, 1, measured.support * measured.known)
+    return Surface(surface.camera, depths, kept | continued.known, support)

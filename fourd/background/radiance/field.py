@@ -11,20 +11,20 @@ from fourd.background.contraction import Contraction
 from fourd.ops.hashgrid.op import encode_hash_grid
 from fourd.ops.hashgrid.shape import HashGridShape
 
-PLACE_FEATURES = 15
-START_LOG_DENSITY = -2.0
-LARGEST_LOG_DENSITY = 11.0
+GEOMETRY_FEATURES = 15
+INITIAL_LOG_DENSITY = -2.0
+MAX_LOG_DENSITY = 11.0
 
 
 class RadianceField(nn.Module):
-    """Density and colour of all points of space; the same from all sides.
+    """Density and view-independent colour of points in space.
 
-    Without a say of the viewing direction no plate can be explained by itself, by light that only its camera sees.
-    Densities are per :attr:`Contraction.radius`, the unit in which rays are measured.
+    A view-dependent colour would let the field explain each plate by radiance that only its own camera sees.
+    Densities are per :attr:`Contraction.radius`, the unit of distances along rays.
     """
 
     def __init__(self, shape: HashGridShape, contraction: Contraction, hidden: int) -> None:
-        """Random and nearly empty; ``hidden`` is the width of both networks."""
+        """Initialise randomly, with a low density; ``hidden`` is the width of both networks."""
         super().__init__()
         self.shape = shape
         self.contraction = contraction
@@ -32,31 +32,31 @@ class RadianceField(nn.Module):
         self.density_layers = nn.Sequential(
             nn.Linear(shape.out_features, hidden, bias=False),
             nn.ReLU(),
-            nn.Linear(hidden, 1 + PLACE_FEATURES, bias=False),
+            nn.Linear(hidden, 1 + GEOMETRY_FEATURES, bias=False),
         )
         self.colour_layers = nn.Sequential(
-            nn.Linear(PLACE_FEATURES, hidden, bias=False), nn.ReLU(), nn.Linear(hidden, 3, bias=False)
+            nn.Linear(GEOMETRY_FEATURES, hidden, bias=False), nn.ReLU(), nn.Linear(hidden, 3, bias=False)
         )
 
     def density(self, xyz: Tensor) -> tuple[Tensor, Tensor]:
-        """World points (N, 3) -> density (N,), and what :meth:`colour` takes of the place (N, 15)."""
-        found = self.density_layers(encode_hash_grid(self.contraction.to_unit(xyz), self.table, self.shape))
-        return bounded_exp(found[:, 0] + START_LOG_DENSITY), found[:, 1:]
+        """World points (N, 3) -> densities (N,) and geometry features (N, 15), the input of :meth:`colour`."""
+        output = self.density_layers(encode_hash_grid(self.contraction.to_unit(xyz), self.table, self.shape))
+        return bounded_exp(output[:, 0] + INITIAL_LOG_DENSITY), output[:, 1:]
 
-    def colour(self, place: Tensor) -> Tensor:
-        """(N, 15) of :meth:`density` -> (N, 3) in [0, 1]."""
-        return torch.sigmoid(self.colour_layers(place))
+    def colour(self, features: Tensor) -> Tensor:
+        """Geometry features (N, 15) of :meth:`density` -> RGB (N, 3) in [0, 1]."""
+        return torch.sigmoid(self.colour_layers(features))
 
 
 def bounded_exp(log_density: Tensor) -> Tensor:
-    """exp of at most 11, whose gradient does not vanish there: a density may always fall again."""
+    """exp, clamped at exp(11); the gradient does not vanish at the clamp, so that high densities can decrease."""
     return torch.Tensor(_BoundedExp.apply(log_density))
 
 
 class _BoundedExp(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, log_density: Tensor) -> Tensor:
-        density = torch.exp(log_density.clamp(max=LARGEST_LOG_DENSITY))
+        density = torch.exp(log_density.clamp(max=MAX_LOG_DENSITY))
         ctx.save_for_backward(density)
         return density
 

@@ -1,4 +1,4 @@
-"""Background points from clean plates by a radiance field, which stereo tells where surfaces are."""
+"""Background points from clean plates by a radiance field with stereo depth supervision."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from fourd.background.contraction import contraction_around
 from fourd.background.plates import PlateView
 from fourd.background.radiance.config import RadianceConfig
-from fourd.background.radiance.depths import field_depths
-from fourd.background.radiance.fitting import fit_field
+from fourd.background.radiance.depths import add_field_depths
+from fourd.background.radiance.optimization import optimize_field
 from fourd.background.radiance.pixels import Pixels
 from fourd.background.radiance.room_depth import Room
 from fourd.background.shell import viewing_centre
-from fourd.background.stereo.colouring import coloured_points
-from fourd.background.stereo.completion import filled
-from fourd.background.stereo.depth_maps import LEAST_FEATURES, Measured, measured
+from fourd.background.stereo.colouring import sample_coloured_points
+from fourd.background.stereo.completion import complete_surfaces
+from fourd.background.stereo.depth_maps import MIN_FEATURES, StereoResult, reconstruct_surfaces
 from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.guidance import guided
+from fourd.background.stereo.guidance import complete_with_guidance
 from fourd.background.stereo.patches import GreyView
 from fourd.errors import UserError
 from fourd.ply import ColouredPoints
@@ -28,8 +28,9 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
-LEAST_SHARE = 0.01
-"""Of the plates' cells: at depths that two plates agree on. With few the rest is guesswork; with less there is none."""
+MIN_SHARE = 0.01
+"""Shares of visible cells with depths confirmed by two plates: below the first the result is marked as unreliable,
+below the second it is refused."""
 
 
 def seed_from_radiance(
@@ -42,86 +43,87 @@ def seed_from_radiance(
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
-    """Points of a still background, about one for every equal area of the pictures, with colours.
+    """Create coloured points of a static background, about one per equal area of the pictures.
 
-    Stereo measures what two plates show alike (:mod:`fourd.background.stereo`); what a single plate shows is continued
-    from that. A field (Mueller et al. 2022) is fitted to the plates' colours and to these depths:
-    pictures alone, 20 degrees apart, are each explained best by what only its own camera sees. Its median depth
-    counts where stereo measured nothing. The same input, seed and number of torch's threads give the same points.
+    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`); depths of other areas are
+    extrapolated. A field (Mueller et al. 2022) is optimised on the plates' colours and these depths: with cameras 20
+    degrees apart, colours alone are best explained by radiance that only one camera sees. The field's median depth is
+    used where stereo measured nothing and other plates confirm it. The same input, seed and number of torch threads
+    give the same points.
 
     Args:
         plates: at least two.
-        points: wanted number, at least 1; fewer where the plates show less.
-        config: the field's.
-        seed: of all that is random.
-        workers: processes that measure.
-        say: told what was found and how much of it is a guess, a line each.
-        track: for progress.
+        points: requested number, at least 1; fewer if the plates show less.
+        config: settings of the field.
+        seed: random seed.
+        workers: number of processes for stereo.
+        log: reports how many points are measured and how many extrapolated.
+        track: progress callback.
 
     Returns:
-        the points in random order, so that every prefix is a fair sample.
+        the points in random order: every prefix is a uniform sample.
 
     Raises:
         ValueError: for fewer than two plates or no points.
-        UserError: where too few depths are found that two plates agree on.
+        UserError: if too few depths are confirmed by two plates.
     """
     if len(plates) < 2 or points < 1:
         raise ValueError(f"expected at least 2 plates and 1 point, got {len(plates)} and {points}")
-    stereo = measured(plates, seed, workers, track)
-    log(f"stereo: {stereo.features} features, {stereo.share:.0%} of what the plates show is measured")
-    if stereo.features < LEAST_FEATURES:
-        raise _too_little(f"{LEAST_FEATURES} features to be found in two of them alike", f"{stereo.features}")
-    if stereo.share < FEW_SHARE:
-        log("stereo: that is too little to tell the field where surfaces are; colours have to")
-    surfaces = _surfaces(stereo, config, seed, track)
-    agreed = sum(int((surface.known & (surface.support > 0)).sum()) for surface in surfaces) / stereo.shown
-    if agreed < LEAST_SHARE:
-        raise _too_little(
-            f"{LEAST_SHARE:.0%} of what they show to have depths that two of them agree on", f"{agreed:.1%}"
-        )
-    if agreed < FEW_SHARE:
+    stereo = reconstruct_surfaces(plates, seed, workers, track)
+    log(f"stereo: {stereo.feature_count} features, depths measured for {stereo.measured_share:.0%} of the plates' area")
+    if stereo.feature_count < MIN_FEATURES:
+        raise _depth_error(f"{MIN_FEATURES} features to match between two of them", f"{stereo.feature_count}")
+    if stereo.measured_share < FEW_SHARE:
+        log("stereo: too few depths to supervise the field; its depths come mainly from colours")
+    surfaces = _estimate_surfaces(stereo, config, seed, track)
+    confirmed_cells = sum(int((surface.known & (surface.support > 0)).sum()) for surface in surfaces)
+    confirmed = confirmed_cells / stereo.visible_cells
+    if confirmed < MIN_SHARE:
+        raise _depth_error(f"{MIN_SHARE:.0%} of their area with depths confirmed by two of them", f"{confirmed:.1%}")
+    if confirmed < FEW_SHARE:
         log(
-            f"background: of what the plates show {agreed:.0%} has depths that two agree on; the rest is a rough "
-            "guess, worst from between the cameras; more cameras or --background FILE.ply would help"
+            f"background: two plates confirm the depths of {confirmed:.0%} of the plates' area; the rest is a rough "
+            "estimate, with the largest errors between the cameras; add cameras or use --background FILE.ply"
         )
-    cloud, cells = coloured_points(plates, stereo.smalls, surfaces, points, seed)
-    log(_told(stereo.surfaces, surfaces, cells))
+    cloud, cells = sample_coloured_points(plates, stereo.plates, surfaces, points, seed)
+    log(_point_summary(stereo.surfaces, surfaces, cells))
     return cloud
 
 
-def _surfaces(stereo: Measured, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """A surface of each plate, with all depths that were measured, that the field found, or that are guesses."""
-    cameras = [small.camera for small in stereo.smalls]
-    views = [small.grey() for small in stereo.smalls]
+def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
+    """A surface of each plate with measured, field and extrapolated depths."""
+    cameras = [plate.camera for plate in stereo.plates]
+    views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)
-    continued = _continued(stereo, views, centre, seed)
+    continued = _extrapolate(stereo, views, centre, seed)
     contraction = contraction_around(cameras, centre)
-    pixels = Pixels.of(stereo.smalls, stereo.surfaces, continued, contraction.radius)
-    field = fit_field(pixels, contraction, config, seed, track)
-    return field_depths(field, stereo.smalls, stereo.surfaces, continued, track)
+    pixels = Pixels.from_plates(stereo.plates, stereo.surfaces, continued, contraction.radius)
+    field = optimize_field(pixels, contraction, config, seed, track)
+    return add_field_depths(field, stereo.plates, stereo.surfaces, continued, track)
 
 
-def _continued(stereo: Measured, views: Sequence[GreyView], centre: Array, seed: int) -> list[Surface]:
-    """The surfaces with guesses where nothing is measured, from what is measured around, or of the room as a whole."""
-    room = Room.around(stereo.surfaces, centre) if stereo.share < FEW_SHARE else None
+def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array, seed: int) -> list[Surface]:
+    """The surfaces with extrapolated depths in unmeasured cells; uses the room's shape if few cells are measured."""
+    room = Room.from_surfaces(stereo.surfaces, centre) if stereo.measured_share < FEW_SHARE else None
     if room is None:
-        return filled(stereo.surfaces, views, seed)
-    return guided(stereo.surfaces, views, [room.seen_by(surface) for surface in stereo.surfaces])
+        return complete_surfaces(stereo.surfaces, views, seed)
+    guides = [room.surface_inverse_depths(surface) for surface in stereo.surfaces]
+    return complete_with_guidance(stereo.surfaces, views, guides)
 
 
-def _told(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:
-    """How many points there are, by how they are known."""
-    total = sum(len(mine) for mine in cells)
-    sure = sum(int(surface.known[mine].sum()) for surface, mine in zip(measured, cells, strict=True))
-    guessed = sum(int((surface.support[mine] == 0).sum()) for surface, mine in zip(surfaces, cells, strict=True))
+def _point_summary(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:
+    """The number of points by the source of their depth."""
+    total = sum(len(own) for own in cells)
+    by_stereo = sum(int(surface.known[own].sum()) for surface, own in zip(measured, cells, strict=True))
+    extrapolated = sum(int((surface.support[own] == 0).sum()) for surface, own in zip(surfaces, cells, strict=True))
     return (
-        f"points: {total}, {sure} of them measured by stereo, {total - sure - guessed} where the field has two plates "
-        f"agree, {guessed} guesses of what one plate alone shows"
+        f"points: {total}, {by_stereo} measured by stereo, {total - by_stereo - extrapolated} from the field and "
+        f"confirmed by two plates, {extrapolated} extrapolated where only one plate sees the surface"
     )
 
 
-def _too_little(least: str, got: str) -> UserError:
+def _depth_error(minimum: str, got: str) -> UserError:
     return UserError(
-        f"plates: expected at least {least}, got {got}; walls without texture and cameras far apart tell no depths: "
-        "bring points of your own: --background FILE.ply"
+        f"plates: expected at least {minimum}, got {got}; depths cannot be measured on walls without texture or with "
+        "cameras far apart: provide your own points: --background FILE.ply"
     )

@@ -1,4 +1,4 @@
-"""All pixels of all plates that rays are drawn from, with the depths that are known or guessed there."""
+"""The training pixels of all plates, with measured or extrapolated depths."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from fourd.background.radiance.rays import Rays, ray_matrix, to_share
-from fourd.background.stereo.depth_maps import Small
+from fourd.background.radiance.rays import Rays, ray_matrix, to_normalized
+from fourd.background.stereo.depth_maps import ReducedPlate
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 
-STEEP = 0.5
-"""Of a cell's inverse depth: a plane that falls below this within its cell is seen edge on and tells nothing."""
+MIN_INVERSE_RATIO = 0.5
+"""Minimum inverse depth at a pixel relative to that of its cell; planes below it are seen edge-on and are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """R rays and what is known of them.
+    """R rays with their colours and depths.
 
     Attributes:
-        rays: in the world.
+        rays: the rays, in the world.
         rgb: (R, 3) in [0, 1].
-        share: (R,) of the ray, where its surface is; NaN where nothing tells.
-        measured: (R,) bool, whether stereo measured it.
+        surface: (R,) normalised distance of the surface; NaN where it is unknown.
+        measured: (R,) bool: whether stereo measured it.
     """
 
     rays: Rays
     rgb: Tensor
-    share: Tensor
+    surface: Tensor
     measured: Tensor
 
 
@@ -42,75 +42,79 @@ class Pixels:
     """P pixels of V plates.
 
     Attributes:
-        plate: (P,) int16, which plate.
-        xy: (P, 2) int16, column and row.
+        plate: (P,) int16 index of the plate.
+        xy: (P, 2) int16 column and row.
         rgb: (P, 3) uint8.
-        share, measured: (P,) as in :class:`Batch`.
-        centres: (V, 3) float32, the cameras' in the world.
+        surface, measured: (P,) as in :class:`Batch`.
+        centres: (V, 3) float32 camera centres in the world.
         matrices: (V, 3, 3) float32, from (x, y, 1) in pixels to directions in the world.
     """
 
     plate: Tensor
     xy: Tensor
     rgb: Tensor
-    share: Tensor
+    surface: Tensor
     measured: Tensor
     centres: Tensor
     matrices: Tensor
 
     @staticmethod
-    def of(smalls: Sequence[Small], known: Sequence[Surface], continued: Sequence[Surface], unit: float) -> Pixels:
-        """The pixels that the plates show.
+    def from_plates(
+        plates: Sequence[ReducedPlate], measured: Sequence[Surface], continued: Sequence[Surface], unit: float
+    ) -> Pixels:
+        """Collect the visible pixels of all plates.
 
         Args:
-            smalls: the plates.
-            known: what stereo measured of each.
-            continued: the same with guesses beside it.
-            unit: of distances along rays, in world units.
+            plates: the reduced plates.
+            measured: surfaces from stereo.
+            continued: the same surfaces with extrapolated cells.
+            unit: unit of distances along rays, in world units.
         """
-        parts = [_pixels(*each, unit) for each in zip(smalls, known, continued, strict=True)]
+        parts = [_plate_pixels(*each, unit) for each in zip(plates, measured, continued, strict=True)]
         plate = torch.repeat_interleave(torch.tensor([len(part.xy) for part in parts]))
-        centres = np.stack([small.camera.centre for small in smalls])
-        matrices = np.stack([ray_matrix(small.camera) for small in smalls])
+        centres = np.stack([each.camera.centre for each in plates])
+        matrices = np.stack([ray_matrix(each.camera) for each in plates])
         return Pixels(
             plate.short(),
             torch.from_numpy(np.concatenate([part.xy for part in parts])),
             torch.from_numpy(np.concatenate([part.rgb for part in parts])),
-            torch.from_numpy(np.concatenate([part.share for part in parts])),
+            torch.from_numpy(np.concatenate([part.surface for part in parts])),
             torch.from_numpy(np.concatenate([part.measured for part in parts])),
             torch.from_numpy(centres).float(),
             torch.from_numpy(matrices).float(),
         )
 
-    def draw(self, count: int, generator: torch.Generator) -> Batch:
-        """Random ones of them, any of which may come twice."""
+    def sample(self, count: int, generator: torch.Generator) -> Batch:
+        """Draw ``count`` random pixels with replacement."""
         chosen = torch.randint(len(self.xy), (count,), generator=generator)
         plate = self.plate[chosen].long()
-        places = functional.pad(self.xy[chosen].float() + 0.5, (0, 1), value=1.0)
-        directions = functional.normalize((self.matrices[plate] @ places[..., None])[..., 0], dim=1)
+        pixels = functional.pad(self.xy[chosen].float() + 0.5, (0, 1), value=1.0)
+        directions = functional.normalize((self.matrices[plate] @ pixels[..., None])[..., 0], dim=1)
         rays = Rays(self.centres[plate], directions)
-        return Batch(rays, self.rgb[chosen].float() / 255, self.share[chosen], self.measured[chosen])
+        return Batch(rays, self.rgb[chosen].float() / 255, self.surface[chosen], self.measured[chosen])
 
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """One plate's pixels."""
+    """The pixels of one plate."""
 
     xy: NDArray[np.int16]
     rgb: NDArray[np.uint8]
-    share: NDArray[np.float32]
+    surface: NDArray[np.float32]
     measured: NDArray[np.bool_]
 
 
-def _pixels(small: Small, known: Surface, continued: Surface, unit: float) -> _Part:
-    rows, columns = np.nonzero(small.seen)
+def _plate_pixels(reduced: ReducedPlate, measured: Surface, continued: Surface, unit: float) -> _Part:
+    rows, columns = np.nonzero(reduced.seen)
     xy = np.column_stack([columns, rows])
     cells = continued.depths.grid.cells_at(xy.astype(np.float64))
     homogeneous = np.column_stack([xy, np.ones(len(xy))])
     inverse = (continued.depths.planes[cells] * homogeneous).sum(axis=1)
-    sound = (cells >= 0) & continued.known[cells] & (inverse > STEEP * continued.depths.inverse_depth[cells])
-    lengths = np.linalg.norm(homogeneous @ np.linalg.inv(index_intrinsics(small.camera)).T, axis=1)
-    distance = np.where(sound, lengths / np.where(sound, inverse, 1) / unit, np.nan)
-    share = np.where(sound, to_share(torch.from_numpy(distance).nan_to_num()).numpy(), np.nan)
-    measured = sound & known.known[cells]
-    return _Part(xy.astype(np.int16), small.rgb[rows, columns], share.astype(np.float32), measured)
+    valid = (
+        (cells >= 0) & continued.known[cells] & (inverse > MIN_INVERSE_RATIO * continued.depths.inverse_depth[cells])
+    )
+    lengths = np.linalg.norm(homogeneous @ np.linalg.inv(index_intrinsics(reduced.camera)).T, axis=1)
+    distance = np.where(valid, lengths / np.where(valid, inverse, 1) / unit, np.nan)
+    surface = np.where(valid, to_normalized(torch.from_numpy(distance).nan_to_num()).numpy(), np.nan)
+    is_measured = valid & measured.known[cells]
+    return _Part(xy.astype(np.int16), reduced.rgb[rows, columns], surface.astype(np.float32), is_measured)

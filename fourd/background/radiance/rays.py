@@ -1,4 +1,4 @@
-"""Rays of plates, and how distances along them are shared out."""
+"""Rays of plates, the normalised distance along them, and importance sampling."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.cameras import Camera
 NEAR = 0.05
 LINEAR_UP_TO = 2.0
 FAR = 200.0
-"""In units of the contraction's radius, as all distances along rays."""
+"""Range of rays, and the end of its linear half; like all distances along rays in units of the contraction's radius."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +34,12 @@ class Rays:
         return len(self.origins)
 
     def at(self, distances: Tensor, unit: float) -> Tensor:
-        """World points (R, S, 3) at distances (R, S), which are in units of ``unit`` world units."""
+        """World points (R, S, 3) at distances (R, S) in multiples of ``unit`` world units."""
         return self.origins[:, None] + (distances * unit)[..., None] * self.directions[:, None]
 
 
 def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
-    """Rays through places (R, 2), x and y in pixels, of an undistorted pinhole's picture."""
+    """Rays through positions (R, 2), x and y in pixels, of an undistorted pinhole camera's picture."""
     to_world = torch.from_numpy(ray_matrix(camera))
     directions = functional.pad(pixels.double(), (0, 1), value=1.0) @ to_world.T
     origins = torch.tensor(camera.centre).expand_as(directions)
@@ -47,38 +47,39 @@ def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
 
 
 def ray_matrix(camera: Camera) -> NDArray[np.float64]:
-    """(3, 3): takes (x, y, 1) in pixels to the ray's direction in the world, as long as the ray is at depth 1."""
+    """(3, 3) matrix from (x, y, 1) in pixels to the ray's direction in the world, of unit depth."""
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
-def to_distance(share: Tensor) -> Tensor:
-    """Share of a ray in [0, 1] -> distance: even from 0.05 to 2 in the first half, then even in its inverse to 200."""
-    near = NEAR + 2 * share * (LINEAR_UP_TO - NEAR)
-    inverse = 1 / LINEAR_UP_TO + (2 * share - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)
-    return torch.where(share < 0.5, near, 1 / inverse)
+def to_distance(normalized: Tensor) -> Tensor:
+    """Normalised distance in [0, 1] -> distance: linear from 0.05 to 2 in the first half, then linear in disparity to
+    200."""
+    near = NEAR + 2 * normalized * (LINEAR_UP_TO - NEAR)
+    inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)
+    return torch.where(normalized < 0.5, near, 1 / inverse)
 
 
-def to_share(distance: Tensor) -> Tensor:
-    """The inverse of :func:`to_distance`; what is nearer or farther gets 0 or 1."""
+def to_normalized(distance: Tensor) -> Tensor:
+    """The inverse of :func:`to_distance`, clamped to [0, 1]."""
     near = (distance - NEAR) / (2 * (LINEAR_UP_TO - NEAR))
     far = 0.5 + 0.5 * (1 / distance.clamp(min=LINEAR_UP_TO) - 1 / LINEAR_UP_TO) / (1 / FAR - 1 / LINEAR_UP_TO)
     return torch.where(distance < LINEAR_UP_TO, near, far).clamp(0, 1)
 
 
-def resampled(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | None) -> Tensor:
-    """Edges (R, count + 1) of intervals that have about equal parts of a histogram each.
+def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | None) -> Tensor:
+    """Inverse transform sampling of a histogram: edges (R, count + 1) of intervals of about equal weight.
 
     Args:
-        edges: (C + 1,) ascending, of the histogram's bins.
-        weights: (R, C), not negative, not all 0 in a row.
-        count: of intervals.
-        jitter: (R, count + 1) in [0, 1) moves each edge within its part; None takes the middles.
+        edges: (C + 1,) ascending edges of the histogram's bins.
+        weights: (R, C) weights of the bins, not negative, with a positive sum per row.
+        count: number of intervals.
+        jitter: (R, count + 1) in [0, 1), offset of each edge within its stratum; None takes the centres.
     """
     cumulative = functional.pad(weights.cumsum(1), (1, 0))
     cumulative = cumulative / cumulative[:, -1:]
     offset = torch.full((1, 1), 0.5) if jitter is None else jitter
-    wanted = ((torch.arange(count + 1) + offset) / (count + 1)).expand(len(weights), -1).contiguous()
-    upper = torch.searchsorted(cumulative, wanted, right=True).clamp(1, weights.shape[1])
+    target = ((torch.arange(count + 1) + offset) / (count + 1)).expand(len(weights), -1).contiguous()
+    upper = torch.searchsorted(cumulative, target, right=True).clamp(1, weights.shape[1])
     low, high = cumulative.gather(1, upper - 1), cumulative.gather(1, upper)
-    share = ((wanted - low) / (high - low).clamp(min=1e-9)).clamp(0, 1)
-    return edges[upper - 1] + share * (edges[upper] - edges[upper - 1])
+    within = ((target - low) / (high - low).clamp(min=1e-9)).clamp(0, 1)
+    return edges[upper - 1] + within * (edges[upper] - edges[upper - 1])

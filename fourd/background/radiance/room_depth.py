@@ -1,4 +1,4 @@
-"""Depths of what a single plate shows: the room's distance in each direction, continued along the horizon."""
+"""A rough room shape for extrapolated depths: distance per direction, interpolated along the horizon."""
 
 from __future__ import annotations
 
@@ -8,88 +8,91 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.directions import Sphere, far_side, harmonic, sphere_about
+from fourd.background.directions import DirectionGrid, direction_grid, interpolate_harmonic, summarize_cells
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 
-ACROSS = 100.0
-"""How much more alike a room's distances are along the horizon than up and down: so floors and walls stay such."""
+HORIZONTAL_WEIGHT = 100.0
+"""Smoothness weight of horizontal over vertical neighbours, which keeps floors horizontal and walls vertical."""
 ROWS_PER_DEGREE = 4
-"""Seen from the middle of a low scene a floor's far half takes few degrees."""
-NEAREST, FARTHEST = 0.02, 100.0
-"""Of the cameras' distance from the middle: where a ray is followed."""
-LEAST_KNOWN = 0.1
-"""Of the plates' cells: of a room of which less is known much is chance, so that it is taken to be a hall at least."""
-BEHIND = 1.5
-"""Of the farthest camera's distance: where that hall's walls are."""
-LOWEST = 2.0
-"""Percentile of the measured heights that passes for the floor."""
+"""From the centre of a low scene the far half of a floor spans few degrees of elevation."""
+NEAR, FAR = 0.02, 100.0
+"""Range of ray marching, relative to the camera's distance from the centre."""
+MIN_KNOWN = 0.1
+"""Share of known cells below which the room's shape is unreliable; it is then extended at least to a hall."""
+HALL_RADIUS = 1.5
+"""Radius of that hall, relative to the farthest camera's distance from the centre."""
+FLOOR_PERCENTILE = 2.0
+"""Percentile of the measured heights that is taken as the floor."""
 STEPS = 32
-HALVINGS = 8
+BISECTION_STEPS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """What lies around a point, all of it.
+    """Distance of the surroundings of a point in all directions.
 
     Attributes:
-        sphere: directions about the point.
-        inverse_distance: (rows, columns) from the point to what is there; between cells it is interpolated.
+        sphere: the grid of directions around the point.
+        inverse_distance: (rows, columns) inverse distance of the surface; interpolated bilinearly between cells.
     """
 
-    sphere: Sphere
+    sphere: DirectionGrid
     inverse_distance: Array
 
     @staticmethod
-    def around(surfaces: Sequence[Surface], centre: Array) -> Room | None:
-        """What the known cells show about a world point (3,), elsewhere continued; None where none are known."""
+    def from_surfaces(surfaces: Sequence[Surface], centre: Array) -> Room | None:
+        """The room around a world point (3,) from the known cells, interpolated elsewhere; None without known cells."""
         xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
         if not len(xyz):
             return None
-        sphere = sphere_about([surface.camera for surface in surfaces], centre, ROWS_PER_DEGREE)
+        sphere = direction_grid([surface.camera for surface in surfaces], centre, ROWS_PER_DEGREE)
         cells, distance = sphere.cells(xyz)
         black = np.zeros((len(xyz), 3), np.uint8)
-        known, inverse, _ = far_side(cells, distance, black, sphere.rows * sphere.columns)
-        whole = inverse
+        known, inverse, _ = summarize_cells(cells, distance, black, sphere.rows * sphere.columns)
+        inverse_distance = inverse
         if not known.all():
-            whole = harmonic(sphere, known, inverse[:, None], ACROSS / ROWS_PER_DEGREE**2)[:, 0]
-        if np.mean([surface.known.mean() for surface in surfaces]) < LEAST_KNOWN:
-            away = max(float(np.linalg.norm(surface.camera.centre - centre)) for surface in surfaces)
-            low = float(np.percentile((xyz - centre) @ sphere.R_world_sphere[:, 2], LOWEST))
-            whole = np.minimum(whole, _hall(sphere, BEHIND * away, max(-low, 0.0)))
-        return Room(sphere, whole.reshape(sphere.rows, sphere.columns))
+            inverse_distance = interpolate_harmonic(
+                sphere, known, inverse[:, None], HORIZONTAL_WEIGHT / ROWS_PER_DEGREE**2
+            )[:, 0]
+        if np.mean([surface.known.mean() for surface in surfaces]) < MIN_KNOWN:
+            reach = max(float(np.linalg.norm(surface.camera.centre - centre)) for surface in surfaces)
+            floor = float(np.percentile((xyz - centre) @ sphere.R_world_sphere[:, 2], FLOOR_PERCENTILE))
+            hall = _hall_inverse_distance(sphere, HALL_RADIUS * reach, max(-floor, 0.0))
+            inverse_distance = np.minimum(inverse_distance, hall)
+        return Room(sphere, inverse_distance.reshape(sphere.rows, sphere.columns))
 
-    def seen_by(self, surface: Surface) -> Array:
-        """(N,) inverse depths for all cells of a camera's picture."""
+    def surface_inverse_depths(self, surface: Surface) -> Array:
+        """(N,) inverse depths of the room at all cells of a surface's picture."""
         return self.inverse_depths(surface.camera, surface.depths.grid.pixels[:, :2].astype(np.float64))
 
     def inverse_depths(self, camera: Camera, xy: Array) -> Array:
-        """(M,) one by the depth at which the rays of indices (M, 2) of pixels leave the room.
+        """(M,) inverse depths at which the rays of pixel indices (M, 2) leave the room.
 
-        Those that never are in it get one and a half times the camera's distance from its middle.
+        Rays that are never inside get 1.5 times the camera's distance from the centre.
         """
         rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(index_intrinsics(camera)).T @ camera.rotation
         reach = max(float(np.linalg.norm(camera.centre - self.sphere.centre)), 1e-6)
-        low, high = np.full(len(rays), BEHIND * reach), np.full(len(rays), BEHIND * reach)
+        low, high = np.full(len(rays), HALL_RADIUS * reach), np.full(len(rays), HALL_RADIUS * reach)
         found, inside = np.zeros(len(rays), bool), np.zeros(len(rays), bool)
-        before = NEAREST * reach
-        for step in np.geomspace(NEAREST, FARTHEST, STEPS) * reach:
-            outside = self._outside(camera.centre + step * rays)
+        before = NEAR * reach
+        for step in np.geomspace(NEAR, FAR, STEPS) * reach:
+            outside = self._is_outside(camera.centre + step * rays)
             leaves = ~found & inside & outside
             low[leaves], high[leaves] = before, step
             found |= leaves
             inside, before = ~outside, step
-        for _ in range(HALVINGS):
+        for _ in range(BISECTION_STEPS):
             middle = np.sqrt(low * high)
-            outside = self._outside(camera.centre + middle[:, None] * rays) | ~found
+            outside = self._is_outside(camera.centre + middle[:, None] * rays) | ~found
             low, high = np.where(outside, low, middle), np.where(outside, middle, high)
         return np.asarray(1 / np.sqrt(low * high))
 
-    def _outside(self, xyz: Array) -> NDArray[np.bool_]:
-        """(M,) which world points are farther from the middle than what lies in their direction."""
+    def _is_outside(self, xyz: Array) -> NDArray[np.bool_]:
+        """(M,) bool: which world points are farther from the centre than the surface in their direction."""
         sphere = self.sphere
         local = (xyz - sphere.centre) @ sphere.R_world_sphere
         distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
@@ -104,7 +107,7 @@ class Room:
         return np.asarray(distance * (upper * (1 - down) + lower * down) > 1)
 
 
-def _hall(sphere: Sphere, radius: float, depth: float) -> Array:
-    """(cells,) inverse distances of a ball about the middle, cut off by a floor so far below it."""
+def _hall_inverse_distance(sphere: DirectionGrid, radius: float, depth: float) -> Array:
+    """(cells,) inverse distances of a ball around the centre, cut off by a floor at ``depth`` below it."""
     down = -(sphere.directions() @ sphere.R_world_sphere[:, 2])
     return np.asarray(np.maximum(1 / radius, down / depth if depth > 0 else 0 * down))

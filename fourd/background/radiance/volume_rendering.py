@@ -1,4 +1,4 @@
-"""Where the light of rays is spent (Mildenhall et al. 2020, eq. 3)."""
+"""Volume rendering weights (Mildenhall et al. 2020, eq. 3) and functions of them."""
 
 from __future__ import annotations
 
@@ -7,26 +7,28 @@ from torch import Tensor
 from torch.nn import functional
 
 
-def light_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
-    """What each of S intervals adds to a ray's colour (R, S), and the light (R,) that passes them all.
+def rendering_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
+    """Volume rendering weights (R, S) of the intervals of R rays, and the final transmittance (R,).
 
     Args:
-        density: (R, S), per unit of ``lengths``.
-        lengths: (R, S) of the intervals, front to back.
+        density: (R, S) per unit of ``lengths``.
+        lengths: (R, S) lengths of the intervals, front to back.
 
     Differentiable in both.
     """
-    depth = functional.pad((density * lengths).cumsum(1), (1, 0))
-    passing = torch.exp(-depth)
-    return passing[:, :-1] - passing[:, 1:], passing[:, -1]
+    optical_depth = functional.pad((density * lengths).cumsum(1), (1, 0))
+    transmittance = torch.exp(-optical_depth)
+    return transmittance[:, :-1] - transmittance[:, 1:], transmittance[:, -1]
 
 
-def distortion(weights: Tensor, edges: Tensor) -> Tensor:
-    """How far each ray's weights are from lying in one place (R,) (Barron et al. 2022, eq. 15).
+def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
+    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15): the spread of each ray's weights.
 
     Args:
-        weights: (R, S).
-        edges: (R, S + 1) ascending, as shares of the ray.
+        weights: (R, S) volume rendering weights.
+        edges: (R, S + 1) ascending normalised distances.
+
+    Differentiable in both.
     """
     middles, lengths = (edges[:, 1:] + edges[:, :-1]) / 2, edges.diff(dim=1)
     before = weights.cumsum(1) - weights
@@ -35,17 +37,17 @@ def distortion(weights: Tensor, edges: Tensor) -> Tensor:
     return between + (weights.square() * lengths).sum(1) / 3
 
 
-def spent_share(weights: Tensor, edges: Tensor, part: float) -> Tensor:
-    """Share of the ray (R,) at which a part of its light, 0 to 1, is spent; 1 where less than that is.
+def weight_quantile(weights: Tensor, edges: Tensor, part: float) -> Tensor:
+    """Normalised distance (R,) at which the cumulative weight reaches ``part``; 1 if the total is below it.
 
     Args:
-        weights: (R, S).
-        edges: (R, S + 1) ascending, as shares of the ray.
-        part: 0.5 gives the median.
+        weights: (R, S) volume rendering weights.
+        edges: (R, S + 1) ascending normalised distances.
+        part: in [0, 1]; 0.5 gives the median.
     """
-    spent = functional.pad(weights.cumsum(1), (1, 0))
-    wanted = torch.full_like(spent[:, :1], part)
-    upper = torch.searchsorted(spent, wanted).clamp(1, weights.shape[1])
-    within = ((wanted - spent.gather(1, upper - 1)) / weights.gather(1, upper - 1).clamp(min=1e-9)).clamp(0, 1)
+    cumulative = functional.pad(weights.cumsum(1), (1, 0))
+    target = torch.full_like(cumulative[:, :1], part)
+    upper = torch.searchsorted(cumulative, target).clamp(1, weights.shape[1])
+    within = ((target - cumulative.gather(1, upper - 1)) / weights.gather(1, upper - 1).clamp(min=1e-9)).clamp(0, 1)
     near, far = edges.gather(1, upper - 1), edges.gather(1, upper)
-    return torch.where(spent[:, -1:] < part, torch.ones_like(near), near + within * (far - near))[:, 0]
+    return torch.where(cumulative[:, -1:] < part, torch.ones_like(near), near + within * (far - near))[:, 0]

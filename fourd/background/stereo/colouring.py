@@ -1,4 +1,4 @@
-"""Surfaces of several plates to points with colours."""
+"""Coloured points from the surfaces of several plates."""
 
 from __future__ import annotations
 
@@ -8,70 +8,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.background.plates import PlateView
-from fourd.background.stereo.depth_maps import Small
+from fourd.background.stereo.depth_maps import ReducedPlate
 from fourd.background.stereo.fusion import Surface
-from fourd.background.stereo.thinning import Samples, thinned
+from fourd.background.stereo.surface_sampling import Samples, sample_surfaces
 from fourd.cameras import Camera
 from fourd.ply import ColouredPoints
 
 Array = NDArray[np.float64]
 
 
-def coloured_points(
-    plates: Sequence[PlateView], smalls: Sequence[Small], surfaces: Sequence[Surface], points: int, seed: int
+def sample_coloured_points(
+    plates: Sequence[PlateView], reduced: Sequence[ReducedPlate], surfaces: Sequence[Surface], points: int, seed: int
 ) -> tuple[ColouredPoints, list[NDArray[np.intp]]]:
-    """Points on the surfaces, about one for every equal area of the pictures.
+    """Sample coloured points on the surfaces, about one per equal area of the pictures.
 
     Args:
-        plates: that give the colours.
-        smalls: the plates as the surfaces have them.
-        surfaces: one of each plate.
-        points: wanted number, at least 1; fewer where the surfaces show less.
-        seed: of their order.
+        plates: full-size plates, for the colours.
+        reduced: the plates at the size of the surfaces.
+        surfaces: one per plate.
+        points: requested number, at least 1; fewer if the surfaces show less.
+        seed: random seed of their order.
 
     Returns:
-        the points in random order, so that every prefix is a fair sample, and the cells of each surface, any of them
-        more than once, that they lie in.
+        the points in random order (every prefix is a uniform sample), and for each surface the cells that its points
+        were sampled from, with repetitions.
     """
-    chosen = thinned(surfaces, [small.seen for small in smalls], points)
-    found = _coloured(plates, surfaces, chosen)
-    cells = [surface.depths.grid.cells_at(places.xy) for surface, places in zip(surfaces, chosen, strict=True)]
+    samples = sample_surfaces(surfaces, [plate.seen for plate in reduced], points)
+    found = _fuse_colours(plates, surfaces, samples)
+    cells = [surface.depths.grid.cells_at(each.xy) for surface, each in zip(surfaces, samples, strict=True)]
     order = np.random.default_rng(seed).permutation(len(found.xyz))
     return ColouredPoints(found.xyz[order], found.rgb[order]), cells
 
 
-def _pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns (M,) of the plate's pixels at places (M, 2) of its smaller picture."""
+def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns (M,) of the plate's pixels at positions (M, 2) of its reduced picture."""
     height, width = plate.seen.shape
-    places = xy * (width / camera.width, height / camera.height)
-    columns, rows = np.clip(places, 0, (width - 1, height - 1)).astype(np.intp).T
+    positions = xy * (width / camera.width, height / camera.height)
+    columns, rows = np.clip(positions, 0, (width - 1, height - 1)).astype(np.intp).T
     return rows, columns
 
 
-def _coloured(plates: Sequence[PlateView], surfaces: Sequence[Surface], chosen: Sequence[Samples]) -> ColouredPoints:
-    """The chosen places as points, moved to the mean of the surfaces that agree on them, of the mean of their colours.
+def _fuse_colours(
+    plates: Sequence[PlateView], surfaces: Sequence[Surface], samples: Sequence[Samples]
+) -> ColouredPoints:
+    """Average each sample's position and colour over the surfaces that agree with it.
 
-    What is near is measured more finely: weights are one by the depth's square.
+    Weights are the inverse square of the depth, since nearer surfaces are measured more precisely.
     """
-    xyz = np.concatenate([places.xyz for places in chosen])
-    support = np.concatenate([places.support for places in chosen])
-    origin = np.repeat(np.arange(len(plates)), [len(places.xyz) for places in chosen])
-    rgb, nearness = np.zeros((len(xyz), 3)), np.zeros(len(xyz))
+    xyz = np.concatenate([each.xyz for each in samples])
+    support = np.concatenate([each.support for each in samples])
+    origin = np.repeat(np.arange(len(plates)), [len(each.xyz) for each in samples])
+    rgb, inverse_depth = np.zeros((len(xyz), 3)), np.zeros(len(xyz))
     for index, plate in enumerate(plates):
-        mine = origin == index
-        pixels, depth = plate.camera.project(xyz[mine])
+        own = origin == index
+        pixels, depth = plate.camera.project(xyz[own])
         columns, rows = np.clip(pixels, 0, (plate.camera.width - 1, plate.camera.height - 1)).astype(np.intp).T
-        rgb[mine], nearness[mine] = plate.rgb[rows, columns], 1 / depth
-    weights = nearness[:, None] ** 2
+        rgb[own], inverse_depth[own] = plate.rgb[rows, columns], 1 / depth
+    weights = inverse_depth[:, None] ** 2
     total = weights * np.hstack([xyz, rgb])
     for index, (plate, surface) in enumerate(zip(plates, surfaces, strict=True)):
-        look = surface.look(xyz)
-        rows, columns = _pixels(look.xy + 0.5, surface.camera, plate)
-        measured = (look.cells >= 0) & (surface.support[look.cells] > 0) & (support > 0)
-        agree = np.flatnonzero((origin != index) & measured & look.same & plate.seen[rows, columns])
-        there = surface.world(look.xy[agree], look.inverse_depth[agree])
-        weight = look.inverse_depth[agree, None] ** 2
-        total[agree] += weight * np.hstack([there, plate.rgb[rows[agree], columns[agree]]])
+        projection = surface.project(xyz)
+        rows, columns = _plate_pixels(projection.xy + 0.5, surface.camera, plate)
+        measured = (projection.cells >= 0) & (surface.support[projection.cells] > 0) & (support > 0)
+        agree = np.flatnonzero((origin != index) & measured & projection.on_surface & plate.seen[rows, columns])
+        on_surface = surface.world(projection.xy[agree], projection.inverse_depth[agree])
+        weight = projection.inverse_depth[agree, None] ** 2
+        total[agree] += weight * np.hstack([on_surface, plate.rgb[rows[agree], columns[agree]]])
         weights[agree] += weight
     mean = total / weights
     return ColouredPoints(mean[:, :3].astype(np.float32), np.rint(mean[:, 3:]).clip(0, 255).astype(np.uint8))

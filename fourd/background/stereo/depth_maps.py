@@ -1,4 +1,4 @@
-"""What clean plates show alike: depth maps of all plates, of which remains what others confirm."""
+"""Stereo reconstruction of clean plates: a depth map of each plate, filtered by consistency with the others."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.background.plates import PlateView
-from fourd.background.stereo.fusion import Surface, agreed
+from fourd.background.stereo.fusion import Surface, fuse_depth_maps
 from fourd.background.stereo.patches import Floats, GreyView, Grid
-from fourd.background.stereo.patchmatch import DepthMap, depth_map
-from fourd.background.stereo.plane_hypotheses import as_seen, large_planes, triangles
-from fourd.background.stereo.source_selection import best_sources
+from fourd.background.stereo.patchmatch import DepthMap, estimate_depth_map
+from fourd.background.stereo.plane_hypotheses import find_large_planes, plane_in_view, triangle_planes
+from fourd.background.stereo.source_selection import select_sources
 from fourd.background.stereo.sparse import SparsePoints, triangulate_sparse
 from fourd.cameras import Camera
 from fourd.parallel import run_jobs
@@ -22,93 +22,102 @@ from fourd.progress import Track
 
 Array = NDArray[np.float64]
 
-LONGEST_SIDE = 640
-"""Pixels; pictures are compared at this size."""
-CELLS = 16384
-"""Of a depth map, at most."""
-LEAST_FEATURES = 8
-"""Triangulated, to know at which depths to look."""
-LEAST_SURE = 30
-NEARER, FARTHER = 0.5, 4.0
-"""Of the nearest and the farthest triangulated points: where surfaces may be."""
+MAX_SIDE_PX = 640
+"""Plates are reduced to this size for stereo."""
+MAX_CELLS = 16384
+"""Maximum number of cells of a depth map."""
+MIN_FEATURES = 8
+"""Triangulated points needed to estimate a depth range."""
+MIN_RELIABLE = 30
+NEAR_FACTOR, FAR_FACTOR = 0.5, 4.0
+"""The depth range, relative to the depths of the nearest and the farthest triangulated points."""
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
-    """What stereo finds in plates.
+class StereoResult:
+    """Result of stereo on clean plates.
 
     Attributes:
-        features: triangulated.
-        sure: of them, in three plates or more.
-        smalls: the plates as they were compared.
-        surfaces: one of each plate; nothing is known of them where there are fewer features than 8.
+        feature_count: number of triangulated points.
+        reliable_count: number of them seen in three plates or more.
+        plates: the plates at the size used for stereo.
+        surfaces: one per plate; entirely unknown if there are fewer than 8 triangulated points.
     """
 
-    features: int
-    sure: int
-    smalls: list[Small]
+    feature_count: int
+    reliable_count: int
+    plates: list[ReducedPlate]
     surfaces: list[Surface]
 
     @property
-    def cells(self) -> int:
-        """Cells whose depth is measured."""
+    def measured_cells(self) -> int:
+        """Number of cells with a measured depth."""
         return sum(int(surface.known.sum()) for surface in self.surfaces)
 
     @property
-    def shown(self) -> int:
-        """Cells in which the plates show something, at least 1."""
-        return max(1, sum(int(small.seen[small.grid().indices].sum()) for small in self.smalls))
+    def visible_cells(self) -> int:
+        """Number of cells outside the plates' holes, at least 1."""
+        return max(1, sum(int(plate.seen[plate.grid().indices].sum()) for plate in self.plates))
 
     @property
-    def share(self) -> float:
-        """Cells whose depth is measured, of those shown."""
-        return self.cells / self.shown
+    def measured_share(self) -> float:
+        """Share of the visible cells with a measured depth."""
+        return self.measured_cells / self.visible_cells
 
 
-def measured(plates: Sequence[PlateView], seed: int, workers: int, track: Track) -> Measured:
-    """Triangulate features, and find of each plate's depth map what other plates confirm and none contradicts."""
+def reconstruct_surfaces(plates: Sequence[PlateView], seed: int, workers: int, track: Track) -> StereoResult:
+    """Triangulate features, estimate a depth map of each plate, and keep depths that are consistent across plates."""
     features = triangulate_sparse(plates, seed, track)
-    smalls = [Small.of(plate) for plate in plates]
-    cameras = [small.camera for small in smalls]
-    if len(features.xyz) < LEAST_FEATURES:
-        maps = [DepthMap.unknown(small.grid()) for small in smalls]
+    reduced = [ReducedPlate.from_plate(plate) for plate in plates]
+    cameras = [plate.camera for plate in reduced]
+    if len(features.xyz) < MIN_FEATURES:
+        maps = [DepthMap.unknown(plate.grid()) for plate in reduced]
     else:
-        maps = _maps(smalls, features, seed, workers, track)
-    return Measured(len(features.xyz), int(features.reliable.sum()), smalls, agreed(cameras, maps))
+        maps = _estimate_maps(reduced, features, seed, workers, track)
+    return StereoResult(len(features.xyz), int(features.reliable.sum()), reduced, fuse_depth_maps(cameras, maps))
 
 
 @dataclass(frozen=True, eq=False)
-class Small:
-    """A plate at the size at which pictures are compared."""
+class ReducedPlate:
+    """A plate reduced to the size used for stereo.
+
+    Attributes:
+        camera: pinhole camera of the reduced picture.
+        rgb: (H, W, 3) uint8.
+        seen: (H, W) bool; pixels that are not touched by a hole.
+    """
 
     camera: Camera
     rgb: NDArray[np.uint8]
     seen: NDArray[np.bool_]
 
     @staticmethod
-    def of(plate: PlateView) -> Small:
-        scale = min(1.0, LONGEST_SIDE / max(plate.camera.width, plate.camera.height))
+    def from_plate(plate: PlateView) -> ReducedPlate:
+        """Reduce a plate."""
+        scale = min(1.0, MAX_SIDE_PX / max(plate.camera.width, plate.camera.height))
         camera = plate.camera.rescale(scale)
         size = (camera.width, camera.height)
         rgb = cv2.resize(plate.rgb, size, interpolation=cv2.INTER_AREA)
         share = cv2.resize(plate.seen.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        return Small(camera, np.asarray(rgb, np.uint8), share > 0.999)
+        return ReducedPlate(camera, np.asarray(rgb, np.uint8), share > 0.999)
 
-    def grey(self) -> GreyView:
-        return GreyView.of(self.camera, self.rgb, self.seen)
+    def grey_view(self) -> GreyView:
+        """The plate as a grey pyramid for patch comparison."""
+        return GreyView.from_rgb(self.camera, self.rgb, self.seen)
 
     def grid(self) -> Grid:
-        stride = int(np.ceil(np.sqrt(self.camera.width * self.camera.height / CELLS)))
-        return Grid.over(self.camera.width, self.camera.height, stride)
+        """The cells of the plate's depth map."""
+        stride = int(np.ceil(np.sqrt(self.camera.width * self.camera.height / MAX_CELLS)))
+        return Grid.covering(self.camera.width, self.camera.height, stride)
 
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """One depth map for a process."""
+    """Inputs of one depth map, for a worker process."""
 
     index: int
-    plate: Small
-    sources: tuple[Small, ...]
+    plate: ReducedPlate
+    sources: tuple[ReducedPlate, ...]
     features: Array
     planes: Array
     nearest: float
@@ -116,41 +125,44 @@ class _Job:
     seed: int
 
 
-def _maps(smalls: Sequence[Small], features: SparsePoints, seed: int, workers: int, track: Track) -> list[DepthMap]:
-    """A depth map of each plate."""
-    cameras = [small.camera for small in smalls]
-    kept = features.reliable if features.reliable.sum() >= LEAST_SURE else np.ones(len(features.xyz), bool)
+def _estimate_maps(
+    plates: Sequence[ReducedPlate], features: SparsePoints, seed: int, workers: int, track: Track
+) -> list[DepthMap]:
+    """Estimate a depth map of each plate."""
+    cameras = [plate.camera for plate in plates]
+    kept = features.reliable if features.reliable.sum() >= MIN_RELIABLE else np.ones(len(features.xyz), bool)
     distances = np.concatenate([np.linalg.norm(features.xyz[kept] - camera.centre, axis=1) for camera in cameras])
     rng = np.random.default_rng(seed)
-    planes = large_planes(features.xyz, features.seen.sum(axis=1) - 1.0, float(np.median(distances)), rng)
-    ranges = _ranges(cameras, features.xyz[kept])
+    planes = find_large_planes(features.xyz, features.seen.sum(axis=1) - 1.0, float(np.median(distances)), rng)
+    ranges = _depth_ranges(cameras, features.xyz[kept])
     jobs = []
     for index, (nearest, farthest) in enumerate(ranges):
-        sources = tuple(smalls[other] for other in best_sources(cameras, index, nearest, farthest))
-        mine = features.xyz[features.seen[:, index]]
-        jobs.append(_Job(index, smalls[index], sources, mine, planes, nearest, farthest, seed))
-    maps = dict(track(run_jobs(_map, jobs, workers), len(jobs), "depth maps"))
-    return [maps[index] for index in range(len(smalls))]
+        sources = tuple(plates[other] for other in select_sources(cameras, index, nearest, farthest))
+        own = features.xyz[features.seen[:, index]]
+        jobs.append(_Job(index, plates[index], sources, own, planes, nearest, farthest, seed))
+    maps = dict(track(run_jobs(_estimate_map, jobs, workers), len(jobs), "depth maps"))
+    return [maps[index] for index in range(len(plates))]
 
 
-def _ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
-    """Depths between which to look, by camera: about those of the points in its picture, or else in all."""
+def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
+    """Depth range of each camera, from the points in its picture, or from all points if it has too few."""
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)
         depths.append(depth[camera.is_in_image(pixels, depth)])
     everything = np.concatenate(depths)
-    ends = [np.percentile(mine if len(mine) >= LEAST_FEATURES else everything, (1, 99)) for mine in depths]
-    return [(NEARER * float(low), FARTHER * float(high)) for low, high in ends]
+    ends = [np.percentile(own if len(own) >= MIN_FEATURES else everything, (1, 99)) for own in depths]
+    return [(NEAR_FACTOR * float(low), FAR_FACTOR * float(high)) for low, high in ends]
 
 
-def _map(job: _Job) -> Iterator[tuple[int, DepthMap]]:
-    """Work of one process: the map of one plate, with its number."""
+def _estimate_map(job: _Job) -> Iterator[tuple[int, DepthMap]]:
+    """Work of one process: the index of a plate and its depth map."""
     grid, camera = job.plate.grid(), job.plate.camera
-    guesses: list[Floats] = [as_seen(plane, camera, grid) for plane in job.planes]
-    guesses += triangles(job.features, camera, grid)
-    sources = [source.grey() for source in job.sources]
+    hypotheses: list[Floats] = [plane_in_view(plane, camera, grid) for plane in job.planes]
+    hypotheses += triangle_planes(job.features, camera, grid)
+    sources = [source.grey_view() for source in job.sources]
+    view = job.plate.grey_view()
     yield (
         job.index,
-        depth_map(job.plate.grey(), sources, grid, guesses, job.nearest, job.farthest, job.seed + job.index),
+        estimate_depth_map(view, sources, grid, hypotheses, job.nearest, job.farthest, job.seed + job.index),
     )

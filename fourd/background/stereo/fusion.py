@@ -1,4 +1,4 @@
-"""Depth maps that agree: which cells several pictures place alike, and guesses for the others."""
+"""Fusion of depth maps by geometric consistency between pictures."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-LEAST_SCORE = 0.6
-SAME_DEPTH = 0.01
-SAME_PLACE_PX = 1.5
-BEFORE = 0.03
-"""Of a depth: what lies so much nearer than a surface that is known would hide it, and cannot be there."""
-ROUNDS = 3
-SMALLEST_PATCH = 25
-"""Cells: fewer that hang together are chance."""
-CONTINUED = 0.03
+MIN_SCORE = 0.6
+DEPTH_TOLERANCE = 0.01
+REPROJECTION_TOLERANCE_PX = 1.5
+OCCLUSION_MARGIN = 0.03
+"""Relative to the depth: a point nearer than a known surface by more than this would occlude it."""
+ITERATIONS = 3
+MIN_COMPONENT_CELLS = 25
+"""Connected components with fewer cells are outliers."""
+CONTINUITY_TOLERANCE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A depth map, and what is known of its cells.
+    """A depth map with the validity of its cells.
 
     Attributes:
-        camera: pinhole of the map's picture.
+        camera: pinhole camera of the picture.
         depths: planes of the cells.
-        known: (N,) bool, cells whose plane counts.
-        support: (N,) other pictures that place the cell's surface alike.
+        known: (N,) bool: cells with a valid plane.
+        support: (N,) number of other pictures that confirm the cell; 0 for extrapolated cells.
     """
 
     camera: Camera
@@ -45,35 +45,35 @@ class Surface:
     support: NDArray[np.intp]
 
     def world(self, xy: Array, inverse_depth: Array) -> Array:
-        """(M, 3) world points at indices (M, 2) of pixels."""
+        """(M, 3) world points at pixel indices (M, 2) with inverse depths (M,)."""
         rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(index_intrinsics(self.camera)).T
         return np.asarray((rays / inverse_depth[:, None] - self.camera.translation) @ self.camera.rotation, np.float64)
 
     def points(self, cells: NDArray[np.intp]) -> Array:
-        """(M, 3) world points in the middle of cells (M,)."""
+        """(M, 3) world points at the centres of cells (M,)."""
         xy = self.depths.grid.pixels[cells, :2].astype(np.float64)
         return self.world(xy, self.depths.inverse_depth[cells].astype(np.float64))
 
-    def look(self, xyz: Array) -> Look:
-        """Where world points (M, 3) lie in the picture, and the surface there."""
+    def project(self, xyz: Array) -> Projection:
+        """Project world points (M, 3) into the picture and compare them with the surface there."""
         pixels, depth = self.camera.project(xyz)
         xy = pixels - 0.5
         grid = self.depths.grid
         cells = np.where(depth > 0, grid.cells_at(xy), -1)
         inverse = (self.depths.planes[cells] * np.column_stack([xy, np.ones(len(xy))])).sum(axis=1)
         known = (cells >= 0) & self.known[cells]
-        return Look(xy, cells, np.where(known, inverse * depth, np.nan), np.where(known, inverse, np.nan))
+        return Projection(xy, cells, np.where(known, inverse * depth, np.nan), np.where(known, inverse, np.nan))
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """World points as a picture has them.
+class Projection:
+    """World points projected into a picture with a surface.
 
     Attributes:
-        xy: (M, 2) indices of pixels.
+        xy: (M, 2) pixel indices.
         cells: (M,) cells, -1 outside the picture.
-        ratio: (M,) depth of the point by that of the known surface at its pixel; NaN where there is none.
-        inverse_depth: (M,) of that surface.
+        ratio: (M,) depth of the point over the depth of the known surface at its pixel; NaN where it is unknown.
+        inverse_depth: (M,) inverse depth of that surface; NaN where it is unknown.
     """
 
     xy: Array
@@ -82,61 +82,67 @@ class Look:
     inverse_depth: Array
 
     @property
-    def same(self) -> Bools:
-        """(M,) whether the point lies on the surface."""
-        return np.abs(self.ratio - 1) < SAME_DEPTH
+    def on_surface(self) -> Bools:
+        """(M,) bool: whether the point lies on the surface."""
+        return np.abs(self.ratio - 1) < DEPTH_TOLERANCE
 
     @property
-    def hiding(self) -> Bools:
-        """(M,) whether it would hide the surface."""
-        return self.ratio < 1 - BEFORE
+    def occludes(self) -> Bools:
+        """(M,) bool: whether the point occludes the surface."""
+        return self.ratio < 1 - OCCLUSION_MARGIN
 
 
-def agreed(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
-    """What the maps agree on: cells that another picture places alike and that hide no more surfaces than agree.
+def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
+    """Keep the cells that another picture confirms and that occlude fewer known surfaces than confirm them.
 
-    One picture that agrees will do where nothing contradicts it: walls are often seen by two cameras alone, and their
-    windows are alike in both directions at the wrong place in 1 of 60 cells. Patches of less than 25 cells are dropped.
+    One confirming picture is enough without a contradiction: walls are often seen by only two cameras, where 1 of 60
+    cells is consistent at a wrong depth. Connected components of less than 25 cells are dropped.
     """
     surfaces = [
-        Surface(camera, depths, depths.scores > LEAST_SCORE, np.zeros(len(depths.scores), np.intp))
+        Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))
         for camera, depths in zip(cameras, maps, strict=True)
     ]
-    for number in range(ROUNDS):
-        surfaces = [_judged(index, surfaces, number > 0) for index in range(len(surfaces))]
-    return [replace(surface, known=_patches(surface.depths, surface.known)) for surface in surfaces]
+    for number in range(ITERATIONS):
+        surfaces = [_filter_consistent(index, surfaces, number > 0) for index in range(len(surfaces))]
+    return [replace(surface, known=_large_components(surface.depths, surface.known)) for surface in surfaces]
 
 
-def _judged(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
-    """The surface with the cells that the others confirm, and if ``strict`` do not contradict."""
-    mine = surfaces[index]
-    cells = np.flatnonzero(mine.known)
-    alike, hiding = compared(index, surfaces, cells)
-    known, support = np.zeros_like(mine.known), np.zeros_like(mine.support)
-    known[cells] = (alike > 0) & (hiding < alike) if strict else alike > 0
-    support[cells] = alike
-    return replace(mine, known=known, support=support)
+def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
+    """The surface with the cells that others confirm and, if ``strict``, do not contradict."""
+    surface = surfaces[index]
+    cells = np.flatnonzero(surface.known)
+    agreeing, occluded = count_agreement(index, surfaces, cells)
+    known, support = np.zeros_like(surface.known), np.zeros_like(surface.support)
+    known[cells] = (agreeing > 0) & (occluded < agreeing) if strict else agreeing > 0
+    support[cells] = agreeing
+    return replace(surface, known=known, support=support)
 
 
-def compared(
+def count_agreement(
     index: int, surfaces: Sequence[Surface], cells: NDArray[np.intp]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """How many other surfaces place cells (M,) of one alike (M,), and how many they would hide (M,)."""
-    mine = surfaces[index]
-    xyz = mine.points(cells)
-    alike, hiding = np.zeros(len(cells), np.intp), np.zeros(len(cells), np.intp)
+    """Compare cells (M,) of one surface with all other surfaces.
+
+    Returns:
+        agreeing (M,): number of other surfaces that agree with the cell, checked by projection in both directions;
+        occluded (M,): number of other surfaces that the cell would occlude.
+    """
+    surface = surfaces[index]
+    xyz = surface.points(cells)
+    agreeing, occluded = np.zeros(len(cells), np.intp), np.zeros(len(cells), np.intp)
     for other in (*surfaces[:index], *surfaces[index + 1 :]):
-        look = other.look(xyz)
-        same = look.same
-        back, _ = mine.camera.project(other.world(look.xy[same], look.inverse_depth[same]))
-        same[same] = np.linalg.norm(back - 0.5 - mine.depths.grid.pixels[cells[same], :2], axis=1) < SAME_PLACE_PX
-        alike += same
-        hiding += look.hiding
-    return alike, hiding
+        projection = other.project(xyz)
+        agrees = projection.on_surface
+        back, _ = surface.camera.project(other.world(projection.xy[agrees], projection.inverse_depth[agrees]))
+        distance = np.linalg.norm(back - 0.5 - surface.depths.grid.pixels[cells[agrees], :2], axis=1)
+        agrees[agrees] = distance < REPROJECTION_TOLERANCE_PX
+        agreeing += agrees
+        occluded += projection.occludes
+    return agreeing, occluded
 
 
-def _patches(depths: DepthMap, known: Bools) -> Bools:
-    """(N,) the known cells that hang together with 25 or more by planes that continue each other."""
+def _large_components(depths: DepthMap, known: Bools) -> Bools:
+    """(N,) bool: known cells in connected components of 25 or more cells; links need planes that are continuous."""
     numbers = np.arange(len(known)).reshape(depths.grid.shape)
     neighbours = (
         (numbers[:, :-1], numbers[:, 1:]),
@@ -147,10 +153,10 @@ def _patches(depths: DepthMap, known: Bools) -> Bools:
     first, second = (np.concatenate([pair[end].ravel() for pair in neighbours]) for end in (0, 1))
     both = known[first] & known[second]
     first, second = first[both], second[both]
-    joined = np.zeros(len(first), bool)
+    linked = np.zeros(len(first), bool)
     for a, b in ((first, second), (second, first)):
-        continued = np.einsum("nc,nc->n", depths.planes[a], depths.grid.pixels[b])
-        joined |= np.abs(continued / depths.inverse_depth[b] - 1) < CONTINUED
-    links = coo_array((joined[joined], (first[joined], second[joined])), shape=(len(known),) * 2)
+        extrapolated = np.einsum("nc,nc->n", depths.planes[a], depths.grid.pixels[b])
+        linked |= np.abs(extrapolated / depths.inverse_depth[b] - 1) < CONTINUITY_TOLERANCE
+    links = coo_array((linked[linked], (first[linked], second[linked])), shape=(len(known),) * 2)
     _, labels = connected_components(links, directed=False)
-    return known & (np.bincount(labels)[labels] >= SMALLEST_PATCH)
+    return known & (np.bincount(labels)[labels] >= MIN_COMPONENT_CELLS)

@@ -1,4 +1,4 @@
-"""Depths of pictures of which stereo knows little: a guide, moved to what is known."""
+"""Depth completion with a guide: a coarse depth estimate, corrected by the known depths."""
 
 from __future__ import annotations
 
@@ -7,48 +7,55 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.stereo.completion import membrane, others_in, with_guesses, without_hiding
+from fourd.background.stereo.completion import (
+    interpolate_membrane,
+    project_inverse_depths,
+    remove_occluding,
+    with_completed_depths,
+)
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import Floats, GreyView
 
 Array = NDArray[np.float64]
 
-PULL = 0.01
-"""Of a difference to a guide towards none, by the square of the share of a picture that is known: where all is, it is
-half gone after seven cells; where little is, much of that is chance, and it is gone at once."""
-LEAST_OF_GUIDE = 0.25
-"""Inverse depths stay above so much of the guide's: differences that are continued may be larger than it."""
+GUIDE_WEIGHT = 0.01
+"""Decay of the correction towards the guide, divided by the squared share of known cells. With all cells known, a
+correction halves over seven cells; few known cells are unreliable, and their corrections decay faster."""
+MIN_GUIDE_FACTOR = 0.25
+"""Lower limit of inverse depths relative to the guide, since extrapolated corrections can exceed it."""
 
 
-def guided(surfaces: Sequence[Surface], views: Sequence[GreyView], guides: Sequence[Array]) -> list[Surface]:
-    """The surfaces with all cells known, of which those that were not have support 0.
+def complete_with_guidance(
+    surfaces: Sequence[Surface], views: Sequence[GreyView], guides: Sequence[Array]
+) -> list[Surface]:
+    """Complete the unknown cells of surfaces from guides; completed cells have support 0.
 
-    What is continued from the known cells is how much they differ from the guide. Cells that would hide what another
-    picture knows are left unknown.
+    The difference between known cells and the guide is extrapolated. Cells that would occlude a known surface of
+    another picture stay unknown.
 
     Args:
-        surfaces: one of each picture.
-        views: the pictures.
-        guides: (N,) inverse depths for each picture's cells.
+        surfaces: one per picture.
+        views: the pictures; grey edges weaken the extrapolation.
+        guides: (N,) inverse depths per picture.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
-    guessed = [_guided(*each, xyz) for each in zip(surfaces, views, guides, strict=True)]
-    return [without_hiding(index, guessed, surfaces) for index in range(len(surfaces))]
+    completed = [_complete(*each, xyz) for each in zip(surfaces, views, guides, strict=True)]
+    return [remove_occluding(index, completed, surfaces) for index in range(len(surfaces))]
 
 
-def _guided(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Surface:
+def _complete(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Surface:
     grid = surface.depths.grid
-    known = others_in(surface, xyz, 0)
+    known = project_inverse_depths(surface, xyz, 0)
     known = np.where(surface.known, surface.depths.inverse_depth, known.ravel()).reshape(grid.shape)
     grey = np.nan_to_num(view.greys[1])[grid.indices].reshape(grid.shape)
-    return with_guesses(surface, _moved(known, guide.reshape(grid.shape), grey).ravel())
+    return with_completed_depths(surface, _correct_guide(known, guide.reshape(grid.shape), grey).ravel())
 
 
-def _moved(known: Array, guide: Array, grey: Floats) -> Array:
-    """(R, C) the values, those that are 0 such that what they are more than the guide is continued from around."""
+def _correct_guide(known: Array, guide: Array, grey: Floats) -> Array:
+    """(R, C) known values; where they are 0, the guide plus the extrapolated difference between known and guide."""
     unknown = known == 0
     if unknown.all():
         return guide
-    pull = PULL / (1 - unknown.mean()) ** 2
-    more = membrane(np.where(unknown, 0, known - guide), unknown, grey, float(pull))
-    return np.where(unknown, np.maximum(guide + more, LEAST_OF_GUIDE * guide), known)
+    decay = GUIDE_WEIGHT / (1 - unknown.mean()) ** 2
+    correction = interpolate_membrane(np.where(unknown, 0, known - guide), unknown, grey, float(decay))
+    return np.where(unknown, np.maximum(guide + correction, MIN_GUIDE_FACTOR * guide), known)

@@ -1,4 +1,4 @@
-"""How alike two pictures are about a pixel, if the surface there is a given plane: correlation of small windows."""
+"""Photometric similarity of pictures under a plane hypothesis: normalised cross-correlation of small windows."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from fourd.cameras import Camera
 Floats = NDArray[np.float32]
 
 HALF_WINDOW = 2
-"""Samples on each side of the middle one."""
+"""Samples on each side of the window's centre."""
 STEP_PX = 3
-"""Between the samples of the smallest windows."""
+"""Distance between samples of the smallest window."""
 LEVELS = 4
-"""Sizes of windows, each twice as wide as the one before: smooth walls show something only in wide ones."""
-TEXTURE = 2.5 / 255
-"""Root mean square change of grey from sample to sample, in every direction, for which a window is wide enough."""
-NOISE = 1.5 / 255
-"""Spread of the grey values that is noise: windows of no more are like no other."""
-LEAST_SEEN = 0.6
-"""Of a window's samples."""
-LONELY = np.float32(0.05)
-"""What a correlation with one other picture alone counts less."""
-NEVER = np.float32(-1.0)
+"""Number of window sizes, each twice as wide as the previous one: smooth walls have texture only at large scales."""
+MIN_TEXTURE = 2.5 / 255
+"""Minimum root mean square grey difference between samples, in every direction, for a window size to be used."""
+NOISE_STD = 1.5 / 255
+"""Standard deviation of image noise in grey values; windows below it cannot be matched."""
+MIN_VISIBLE = 0.6
+"""Minimum share of a window's samples outside holes."""
+SINGLE_SOURCE_PENALTY = np.float32(0.05)
+"""Subtracted from the correlation if only one source sees the cell."""
+UNKNOWN_SCORE = np.float32(-1.0)
 BLOCK = 8192
-"""Cells at a time: the arrays of a block stay in the cache, and OpenCV's remap takes no side beyond 32,767."""
+"""Cells per block: the arrays of a block fit the cache, and the sides of OpenCV's remap are limited to 32,767."""
 
 
 @dataclass(frozen=True, eq=False)
 class GreyView:
-    """A picture to compare.
+    """A grey picture at several levels of blur.
 
     Attributes:
-        camera: pinhole of the picture.
-        greys: (H, W) float32 about 0, NaN where nothing is known; sharp, and blurred for windows twice as wide each.
+        camera: pinhole camera of the picture.
+        greys: (H, W) float32 centred on 0, NaN in holes; the first is sharp, the blur doubles with each window size.
     """
 
     camera: Camera
     greys: tuple[Floats, ...]
 
     @staticmethod
-    def of(camera: Camera, rgb: NDArray[np.uint8], seen: NDArray[np.bool_]) -> GreyView:
-        """Of a picture (H, W, 3) that is seen (H, W) or not."""
+    def from_rgb(camera: Camera, rgb: NDArray[np.uint8], seen: NDArray[np.bool_]) -> GreyView:
+        """Convert a picture (H, W, 3) with valid pixels ``seen`` (H, W)."""
         grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.float32) / np.float32(255) - np.float32(0.5)
         known = seen.astype(np.float32)
         greys = []
@@ -60,14 +60,14 @@ class GreyView:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Cells of a picture, of which each has a plane.
+    """A regular grid of cells over a picture; depth maps have one plane per cell.
 
-    A plane is the 3-vector p of p . (x, y, 1) = 1 / depth, for the indices x, y (column, row) of pixels.
+    A plane is the 3-vector p with p . (x, y, 1) = 1 / depth at pixel indices x, y (column, row).
 
     Attributes:
-        pixels: (N, 3) float32, (x, y, 1) of the cells' middles, row by row.
-        shape: rows and columns of cells, of which N is the product.
-        stride: pixels between neighbouring cells.
+        pixels: (N, 3) float32, (x, y, 1) of the cell centres, in row-major order.
+        shape: number of rows and columns; N is their product.
+        stride: distance between neighbouring cells, pixels.
     """
 
     pixels: Floats
@@ -75,8 +75,8 @@ class Grid:
     stride: int
 
     @staticmethod
-    def over(width: int, height: int, stride: int) -> Grid:
-        """Cells every ``stride`` pixels."""
+    def covering(width: int, height: int, stride: int) -> Grid:
+        """A grid over a picture with one cell every ``stride`` pixels."""
         x, y = (np.arange((side - 1) % stride // 2, side, stride, dtype=np.float32) for side in (width, height))
         columns, rows = np.meshgrid(x, y)
         pixels = np.stack([columns.ravel(), rows.ravel(), np.ones(columns.size, np.float32)], axis=1)
@@ -84,11 +84,11 @@ class Grid:
 
     @property
     def indices(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Rows and columns (N,) of the pixels in the cells' middles."""
+        """Rows and columns (N,) of the pixels at the cell centres."""
         return self.pixels[:, 1].astype(np.intp), self.pixels[:, 0].astype(np.intp)
 
     def cells_at(self, xy: NDArray[np.float64]) -> NDArray[np.intp]:
-        """(M,) the cells that indices (M, 2) of pixels lie in, -1 outside all and for NaN."""
+        """(M,) cells that contain pixel indices (M, 2); -1 outside the grid and for NaN."""
         columns, rows = (np.rint((xy[:, axis] - self.pixels[0, axis]) / self.stride) for axis in (0, 1))
         height, width = self.shape
         inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
@@ -96,116 +96,123 @@ class Grid:
 
 
 def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
-    """K for indices of pixels: the first pixel's middle is (0, 0)."""
+    """K for pixel indices: the centre of the first pixel is (0, 0)."""
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
     return k
 
 
-class Likeness:
-    """Compares one picture's windows with those of others."""
+class PatchSimilarity:
+    """Scores plane hypotheses for the cells of one picture by comparing its windows with source pictures."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
-        """``sources`` are the pictures to compare with."""
+        """Sample the windows of ``view`` at the cells of ``grid``, to compare with ``sources``."""
         side = np.arange(-HALF_WINDOW, HALF_WINDOW + 1, dtype=np.float32) * STEP_PX
         self._across, self._down = (axis.reshape(-1, 1) for axis in np.meshgrid(side, side))
         self._pixels = grid.pixels
-        self._sources = [(source.greys, _Transfer.between(view.camera, source.camera)) for source in sources]
-        self._levels = _levels(view, grid)
+        self._sources = [(source.greys, _PlaneWarp.between(view.camera, source.camera)) for source in sources]
+        self._levels = _window_levels(view, grid)
         self._windows = np.empty((len(self._across), len(grid.pixels)), np.float32)
         for level in range(LEVELS):
             cells = np.flatnonzero(self._levels == level)
             x = grid.pixels[cells, 0] + self._across * np.float32(2**level)
             y = grid.pixels[cells, 1] + self._down * np.float32(2**level)
-            self._windows[:, cells] = _sampled(view.greys[level], x, y)
-        count, spread = _known(self._windows)
-        middle = np.isfinite(self._windows[len(self._across) // 2])
-        self.usable: NDArray[np.bool_] = middle & (count >= LEAST_SEEN * len(self._across)) & (spread > NOISE)
-        """(N,) cells that are seen, with enough of their window, which shows more than noise."""
+            self._windows[:, cells] = _sample_grey(view.greys[level], x, y)
+        count, std = _count_and_std(self._windows)
+        centre = np.isfinite(self._windows[len(self._across) // 2])
+        self.usable: NDArray[np.bool_] = centre & (count >= MIN_VISIBLE * len(self._across)) & (std > NOISE_STD)
+        """(N,) bool: cells whose centre and enough of whose window are visible, with contrast above the noise."""
 
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
-        """(n,) how well cells (n,) with planes (n, 3) fit, at most 1; -1 where no other picture sees them.
+        """Score planes (n, 3) of cells (n,).
 
-        The mean of the two best correlations, so that what one of the others does not see for something before it
-        counts as well; a single one counts for a little less.
+        The score is the mean of the two best correlations, which tolerates occlusion in the other sources. If only
+        one source sees the cell, its correlation is reduced by SINGLE_SOURCE_PENALTY.
+
+        Returns:
+            (n,) at most 1; -1 where no source sees the cell.
         """
         out = np.empty(len(cells), np.float32)
         for level in range(LEVELS):
             rows = np.flatnonzero(self._levels[cells] == level)
             for begin in range(0, len(rows), BLOCK):
                 block = rows[begin : begin + BLOCK]
-                out[block] = self._block(level, cells[block], planes[block])
+                out[block] = self._block_scores(level, cells[block], planes[block])
         return out
 
-    def _block(self, level: int, cells: NDArray[np.intp], planes: Floats) -> Floats:
-        best = np.full((2, len(cells)), NEVER, np.float32)
+    def _block_scores(self, level: int, cells: NDArray[np.intp], planes: Floats) -> Floats:
+        best = np.full((2, len(cells)), UNKNOWN_SCORE, np.float32)
         windows, pixels = np.ascontiguousarray(self._windows[:, cells]), self._pixels[cells]
         across, down = self._across * np.float32(2**level), self._down * np.float32(2**level)
-        for greys, transfer in self._sources:
-            rows = np.flatnonzero(transfer.inside(pixels, planes, greys[level].shape))
-            x, y = transfer.places(pixels[rows], planes[rows], across, down)
-            found = np.full(len(cells), NEVER, np.float32)
-            found[rows] = _correlations(windows[:, rows], _sampled(greys[level], x, y))
-            best[1] = np.maximum(best[1], np.minimum(best[0], found))
-            best[0] = np.maximum(best[0], found)
-        alone = best[1] <= NEVER
-        return np.where(alone, best[0] - LONELY * (best[0] > NEVER), best.mean(axis=0))
+        for greys, warp in self._sources:
+            rows = np.flatnonzero(warp.is_inside(pixels, planes, greys[level].shape))
+            x, y = warp.sample_positions(pixels[rows], planes[rows], across, down)
+            score = np.full(len(cells), UNKNOWN_SCORE, np.float32)
+            score[rows] = _correlations(windows[:, rows], _sample_grey(greys[level], x, y))
+            best[1] = np.maximum(best[1], np.minimum(best[0], score))
+            best[0] = np.maximum(best[0], score)
+        single = best[1] <= UNKNOWN_SCORE
+        return np.where(single, best[0] - SINGLE_SOURCE_PENALTY * (best[0] > UNKNOWN_SCORE), best.mean(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
-class _Transfer:
-    """From one picture into another: indices (x, y, 1) of inverse depth w lie at turn @ (x, y, 1) + w shift."""
+class _PlaneWarp:
+    """Plane-induced warp into another picture.
 
-    turn: Floats
+    A pixel index p = (x, y, 1) with inverse depth w maps to the homogeneous index ``matrix @ p + w * shift``.
+    """
+
+    matrix: Floats
     shift: Floats
 
     @staticmethod
-    def between(view: Camera, other: Camera) -> _Transfer:
+    def between(view: Camera, other: Camera) -> _PlaneWarp:
+        """The warp from ``view`` into ``other``."""
         rotation = other.rotation @ view.rotation.T
         k = index_intrinsics(other)
-        turn = k @ rotation @ np.linalg.inv(index_intrinsics(view))
+        matrix = k @ rotation @ np.linalg.inv(index_intrinsics(view))
         shift = k @ (other.translation - rotation @ view.translation)
-        return _Transfer(turn.astype(np.float32), shift.astype(np.float32))
+        return _PlaneWarp(matrix.astype(np.float32), shift.astype(np.float32))
 
-    def inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """(n,) whether cells' middles (n, 3) with planes (n, 3) lie in the other picture, of H x W pixels."""
-        x, y, depth = self._middles(pixels, planes)
+    def is_inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+        """(n,) bool: whether cell centres (n, 3) with planes (n, 3) project into the other picture of shape (H, W)."""
+        x, y, depth = self._warp_centres(pixels, planes)
         height, width = shape
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
 
-    def places(self, pixels: Floats, planes: Floats, across: Floats, down: Floats) -> tuple[Floats, Floats]:
-        """x and y (o, n) of the samples (o, 1) across and down of cells (n, 3) with planes (n, 3); NaN behind."""
-        middle = self._middles(pixels, planes)
-        by_x, by_y = (self.turn[:, axis, None] + self.shift[:, None] * planes[:, axis] for axis in (0, 1))
+    def sample_positions(self, pixels: Floats, planes: Floats, across: Floats, down: Floats) -> tuple[Floats, Floats]:
+        """x and y (o, n) of window samples at offsets (o, 1) from cells (n, 3) with planes (n, 3); NaN behind."""
+        middle = self._warp_centres(pixels, planes)
+        by_x, by_y = (self.matrix[:, axis, None] + self.shift[:, None] * planes[:, axis] for axis in (0, 1))
         x, y, depth = (middle[row] + across * by_x[row] + down * by_y[row] for row in range(3))
         with np.errstate(divide="ignore", invalid="ignore"):
-            nearness = np.where(depth > 1e-6, 1 / depth, np.float32(np.nan))
-        return x * nearness, y * nearness
+            inverse = np.where(depth > 1e-6, 1 / depth, np.float32(np.nan))
+        return x * inverse, y * inverse
 
-    def _middles(self, pixels: Floats, planes: Floats) -> Floats:
-        """(3, n) homogeneous indices of the cells' middles; summed by hand, since BLAS would start threads for it."""
+    def _warp_centres(self, pixels: Floats, planes: Floats) -> Floats:
+        """(3, n) homogeneous pixel indices of the cell centres; an explicit sum, since BLAS would start threads."""
         inverse = np.einsum("nc,nc->n", planes, pixels)
-        turned = self.turn[:, :1] * pixels[:, 0] + self.turn[:, 1:2] * pixels[:, 1] + self.turn[:, 2:]
-        return np.asarray(turned + self.shift[:, None] * inverse, np.float32)
+        rotated = self.matrix[:, :1] * pixels[:, 0] + self.matrix[:, 1:2] * pixels[:, 1] + self.matrix[:, 2:]
+        return np.asarray(rotated + self.shift[:, None] * inverse, np.float32)
 
 
-def _levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
-    """(N,) the size of window for each cell: the smallest that shows texture in every direction."""
+def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
+    """(N,) window size of each cell: the smallest with texture in every direction."""
     level = np.full(len(grid.pixels), LEVELS - 1, np.int8)
     for index in reversed(range(LEVELS)):
         grey = np.nan_to_num(view.greys[index])
         step = STEP_PX * 2**index
         side = 2 * HALF_WINDOW * step + 1
-        gx, gy = (cv2.filter2D(grey, -1, kernel) for kernel in _differences(step))
+        gx, gy = (cv2.filter2D(grey, -1, kernel) for kernel in _difference_kernels(step))
         xx, yy, xy = (cv2.boxFilter(a * b, -1, (side, side)) for a, b in ((gx, gx), (gy, gy), (gx, gy)))
-        # The smaller eigenvalue of the windows' structure tensor.
-        least = (xx + yy) / 2 - np.sqrt(np.maximum(((xx - yy) / 2) ** 2 + xy**2, 0))
-        level[least[grid.indices] > TEXTURE**2] = index
+        # The smaller eigenvalue of the window's structure tensor.
+        eigenvalue = (xx + yy) / 2 - np.sqrt(np.maximum(((xx - yy) / 2) ** 2 + xy**2, 0))
+        level[eigenvalue[grid.indices] > MIN_TEXTURE**2] = index
     return level
 
 
-def _differences(step: int) -> tuple[Floats, Floats]:
-    """Kernels of the change of grey over a step, across and down."""
+def _difference_kernels(step: int) -> tuple[Floats, Floats]:
+    """Horizontal and vertical kernels of the grey difference over ``step`` pixels."""
     half = (step + 1) // 2
     kernel = np.zeros((1, 2 * half + 1), np.float32)
     kernel[0, 0], kernel[0, -1] = -step / (2 * half), step / (2 * half)
@@ -213,34 +220,34 @@ def _differences(step: int) -> tuple[Floats, Floats]:
 
 
 def _correlations(first: Floats, second: Floats) -> Floats:
-    """(n,) correlations of windows (o, n) over the samples that are known in both; -1 where these are too few."""
+    """(n,) correlations of windows (o, n) over the samples visible in both; -1 where these are too few."""
     a, b = first - first.mean(axis=0), second - second.mean(axis=0)
-    both, aa, bb = (np.einsum("on,on->n", u, v) / len(first) for u, v in ((a, b), (a, a), (b, b)))
-    found = both / np.sqrt((aa + NOISE**2) * (bb + NOISE**2))
-    parts = np.flatnonzero(np.isnan(found))
-    if len(parts):
-        found[parts] = _partly_known(first[:, parts], second[:, parts])
-    return np.asarray(found, np.float32)
+    ab, aa, bb = (np.einsum("on,on->n", u, v) / len(first) for u, v in ((a, b), (a, a), (b, b)))
+    correlation = ab / np.sqrt((aa + NOISE_STD**2) * (bb + NOISE_STD**2))
+    partial = np.flatnonzero(np.isnan(correlation))
+    if len(partial):
+        correlation[partial] = _masked_correlations(first[:, partial], second[:, partial])
+    return np.asarray(correlation, np.float32)
 
 
-def _partly_known(first: Floats, second: Floats) -> Floats:
-    """As _correlations, where some samples are NaN."""
+def _masked_correlations(first: Floats, second: Floats) -> Floats:
+    """Like _correlations, for windows with NaN samples."""
     known = np.isfinite(first) & np.isfinite(second)
     count = known.sum(axis=0)
-    out = np.full(len(count), NEVER, np.float32)
-    rich = np.flatnonzero(count >= LEAST_SEEN * len(first))
-    known = known[:, rich]
-    weight = known / count[rich].astype(np.float32)
-    a, b = np.where(known, first[:, rich], 0), np.where(known, second[:, rich], 0)
+    out = np.full(len(count), UNKNOWN_SCORE, np.float32)
+    enough = np.flatnonzero(count >= MIN_VISIBLE * len(first))
+    known = known[:, enough]
+    weight = known / count[enough].astype(np.float32)
+    a, b = np.where(known, first[:, enough], 0), np.where(known, second[:, enough], 0)
     a -= (weight * a).sum(axis=0)
     b -= (weight * b).sum(axis=0)
-    both, aa, bb = ((weight * u * v).sum(axis=0) for u, v in ((a, b), (a, a), (b, b)))
-    out[rich] = both / np.sqrt((aa + NOISE**2) * (bb + NOISE**2))
+    ab, aa, bb = ((weight * u * v).sum(axis=0) for u, v in ((a, b), (a, a), (b, b)))
+    out[enough] = ab / np.sqrt((aa + NOISE_STD**2) * (bb + NOISE_STD**2))
     return out
 
 
-def _known(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Count and spread (n,) of the known samples of windows (o, n)."""
+def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
+    """Count and standard deviation (n,) of the visible samples of windows (o, n)."""
     known = np.isfinite(windows)
     count = known.sum(axis=0)
     share = np.maximum(count, 1)
@@ -248,12 +255,12 @@ def _known(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
     return count, np.sqrt((np.where(known, windows - mean, 0) ** 2).sum(axis=0) / share)
 
 
-def _sampled(grey: Floats, x: Floats, y: Floats) -> Floats:
-    """Values at indices x, y, NaN outside and where these are NaN."""
+def _sample_grey(grey: Floats, x: Floats, y: Floats) -> Floats:
+    """Bilinear samples at pixel indices x, y; NaN outside the picture and where x or y is NaN."""
     if not x.size:
         return np.empty(x.shape, np.float32)
     height, width = grey.shape
-    # Far places are brought near, where OpenCV's numbers suffice; NaN goes outside.
+    # Clamp to OpenCV's numeric range; NaN becomes a position outside the picture.
     x, y = np.fmax(np.fmin(x, width + 9), -9), np.fmax(np.fmin(y, height + 9), -9)
     nothing = float("nan")
     return np.asarray(

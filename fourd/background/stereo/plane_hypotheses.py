@@ -1,4 +1,4 @@
-"""Planes to try first: the large planes of triangulated points, and the triangles between neighbouring ones."""
+"""Initial plane hypotheses: dominant planes of triangulated points, and planes of triangles between them."""
 
 from __future__ import annotations
 
@@ -11,43 +11,48 @@ from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 
-MOST_PLANES = 4
-LEAST_INLIERS = 12
-TRIES = 500
+MAX_PLANES = 4
+MIN_INLIER_WEIGHT = 12
+RANSAC_TRIALS = 500
 TOLERANCE = 0.003
-"""Of the distance between the cameras and the points: how far from a plane a point may lie that supports it."""
+"""Maximum distance of inliers from a plane, relative to the distance between cameras and points."""
 
 
-def large_planes(xyz: Array, weights: Array, distance: float, rng: np.random.Generator) -> Array:
-    """(P, 4) planes (n, d), n . x = d, that most of the points (N, 3) support, one after the other (RANSAC).
+def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.random.Generator) -> Array:
+    """Find dominant planes of points (N, 3) by sequential RANSAC.
 
     Args:
-        weights: (N,) what each point counts for; a plane has at least 12.
-        distance: typical one from the cameras, world units.
+        xyz: (N, 3) world points.
+        weights: (N,) weight of each point; the inliers of a plane sum to at least 12.
+        distance: typical distance from the cameras, world units.
+        rng: random generator.
+
+    Returns:
+        (P, 4) planes (n, d) with n . x = d, at most MAX_PLANES.
     """
-    left = np.ones(len(xyz), bool)
+    remaining = np.ones(len(xyz), bool)
     planes: list[list[float]] = []
-    while len(planes) < MOST_PLANES and left.sum() >= 3:
-        points, counts = xyz[left], weights[left]
-        a, b, c = points[rng.integers(0, len(points), (3, TRIES))]
+    while len(planes) < MAX_PLANES and remaining.sum() >= 3:
+        points, counts = xyz[remaining], weights[remaining]
+        a, b, c = points[rng.integers(0, len(points), (3, RANSAC_TRIALS))]
         normals = np.cross(b - a, c - a)
         lengths = np.linalg.norm(normals, axis=1)
         normals = normals[lengths > 0] / lengths[lengths > 0, None]
         offsets = (normals * a[lengths > 0]).sum(axis=1)
         near = np.abs(points @ normals.T - offsets) < TOLERANCE * distance
         support = counts @ near
-        if not len(support) or support.max() < LEAST_INLIERS:
+        if not len(support) or support.max() < MIN_INLIER_WEIGHT:
             break
         inliers = points[near[:, int(support.argmax())]]
-        middle = inliers.mean(axis=0)
-        normal = np.linalg.svd(inliers - middle)[2][2]
-        planes.append([*normal, normal @ middle])
-        left &= np.abs(xyz @ normal - normal @ middle) >= 3 * TOLERANCE * distance
+        centroid = inliers.mean(axis=0)
+        normal = np.linalg.svd(inliers - centroid)[2][2]
+        planes.append([*normal, normal @ centroid])
+        remaining &= np.abs(xyz @ normal - normal @ centroid) >= 3 * TOLERANCE * distance
     return np.array(planes).reshape(-1, 4)
 
 
-def as_seen(plane: Array, camera: Camera, grid: Grid) -> Floats:
-    """(N, 3) the world's plane (n, d) for all cells of a camera's picture."""
+def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
+    """(N, 3) a world plane (n, d) in the parametrisation of Grid, repeated for all cells of a camera's picture."""
     normal = camera.rotation @ plane[:3]
     offset = plane[3] + normal @ camera.translation
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -55,23 +60,28 @@ def as_seen(plane: Array, camera: Camera, grid: Grid) -> Floats:
     return np.broadcast_to(one.astype(np.float32), grid.pixels.shape)
 
 
-def triangles(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
-    """(N, 3) each, NaN for none: the plane of the three points (M, 3) about a cell, and the nearest point's depth."""
+def triangle_planes(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
+    """Hypotheses from a Delaunay triangulation of the projected points (M, 3).
+
+    Returns:
+        up to two sets of planes (N, 3): the plane of the triangle around each cell, NaN outside all triangles, and
+        the fronto-parallel plane at the depth of the nearest point.
+    """
     pixels, depth = camera.project(xyz)
     pixels, depth = pixels[depth > 0] - 0.5, depth[depth > 0]
     if len(depth) == 0:
         return []
-    level = np.zeros_like(grid.pixels)
-    level[:, 2] = 1 / depth[KDTree(pixels).query(grid.pixels[:, :2])[1]]
+    fronto_parallel = np.zeros_like(grid.pixels)
+    fronto_parallel[:, 2] = 1 / depth[KDTree(pixels).query(grid.pixels[:, :2])[1]]
     try:
         mesh = Delaunay(pixels)
     except (QhullError, ValueError):
-        return [level]
+        return [fronto_parallel]
     corners = np.concatenate([pixels[mesh.simplices], np.ones((len(mesh.simplices), 3, 1))], axis=2)
-    flat = np.abs(np.linalg.det(corners)) < 1e-6
-    corners[flat] = np.eye(3)
+    degenerate = np.abs(np.linalg.det(corners)) < 1e-6
+    corners[degenerate] = np.eye(3)
     planes = np.linalg.solve(corners, 1 / depth[mesh.simplices][..., None])[..., 0]
-    planes[flat] = np.nan
+    planes[degenerate] = np.nan
     where = mesh.find_simplex(grid.pixels[:, :2].astype(np.float64))
     slanted = np.where(where[:, None] >= 0, planes[where], np.nan)
-    return [slanted.astype(np.float32), level]
+    return [slanted.astype(np.float32), fronto_parallel]

@@ -1,4 +1,4 @@
-"""Which pictures to compare one with: those that see what it sees, from not too near and not too far."""
+"""Source view selection: cameras that share visible space at suitable baseline angles."""
 
 from __future__ import annotations
 
@@ -11,41 +11,43 @@ from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 
-MOST_SOURCES = 6
+MAX_SOURCES = 6
 RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Of the angle's logarithm: 6 and 37 degrees are worth half of 15; 130, a floor from the other side, a seventh."""
-LEAST_GAIN = 0.01
-"""Of all that a picture sees; a source that adds less is none."""
+"""Width of the score in the logarithm of the angle: relative to 15 degrees, 6 and 37 degrees score one half, and 130
+degrees, a floor seen from the other side, a seventh."""
+MIN_GAIN = 0.01
+"""Minimum score that a further source adds, relative to the number of sampled points."""
 
 
-def best_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
-    """Up to 6 cameras that together see most of what camera ``index`` sees between two depths, each place twice.
+def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
+    """Select up to 6 source cameras that cover the view frustum of camera ``index`` between two depths twice.
 
-    Chosen one after the other by what each adds (a place counts by the angle between the rays).
+    Greedy selection: each step adds the camera that raises the sum of the two best scores per point most. The score
+    of a point depends on the angle between the rays.
     """
-    xyz = _places(cameras[index], nearest, farthest)
-    worth = np.array([_worth(cameras[index], other, xyz) for other in cameras])
-    worth[index] = 0
+    xyz = _frustum_points(cameras[index], nearest, farthest)
+    scores = np.array([_view_scores(cameras[index], other, xyz) for other in cameras])
+    scores[index] = 0
     chosen: list[int] = []
     best = np.zeros((2, len(xyz)))
-    while len(chosen) < MOST_SOURCES:
+    while len(chosen) < MAX_SOURCES:
         before = np.broadcast_to(best, (len(cameras), *best.shape))
-        with_each = np.sort(np.concatenate([before, worth[:, None]], axis=1), axis=1)[:, 1:]
+        with_each = np.sort(np.concatenate([before, scores[:, None]], axis=1), axis=1)[:, 1:]
         gains = with_each.sum(axis=(1, 2)) - best.sum()
         gains[chosen] = 0
         winner = int(gains.argmax())
-        if gains[winner] < LEAST_GAIN * len(xyz):
+        if gains[winner] < MIN_GAIN * len(xyz):
             break
         chosen.append(winner)
         best = with_each[winner]
     return chosen
 
 
-def _places(camera: Camera, nearest: float, farthest: float) -> Array:
-    """(N, 3) world points all over the picture, evenly in inverse depth."""
+def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
+    """(N, 3) world points on a grid over the picture, uniform in inverse depth."""
     middles = (np.arange(RAYS) + 0.5) / RAYS
     x, y = np.meshgrid(middles * camera.width, middles * camera.height)
     rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) @ np.linalg.inv(camera.intrinsics).T
@@ -54,8 +56,8 @@ def _places(camera: Camera, nearest: float, farthest: float) -> Array:
     return np.asarray((xyz_camera - camera.translation) @ camera.rotation, np.float64)
 
 
-def _worth(camera: Camera, other: Camera, xyz: Array) -> Array:
-    """(N,) in [0, 1], 0 where the other camera does not see the place."""
+def _view_scores(camera: Camera, other: Camera, xyz: Array) -> Array:
+    """(N,) scores in [0, 1]; 0 where the other camera does not see the point."""
     pixels, depth = other.project(xyz)
     seen = other.is_in_image(pixels, depth)
     cosine = np.einsum("nc,nc->n", _directions(camera, xyz), _directions(other, xyz))

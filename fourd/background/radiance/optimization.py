@@ -1,0 +1,116 @@
+"""Optimisation of a radiance field on clean plates and stereo depths."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from fourd.background.contraction import Contraction
+from fourd.background.radiance.config import RadianceConfig
+from fourd.background.radiance.field import RadianceField
+from fourd.background.radiance.occupancy import OccupancyGrid
+from fourd.background.radiance.pixels import Batch, Pixels
+from fourd.background.radiance.rays import Rays, to_distance
+from fourd.background.radiance.volume_rendering import distortion_loss, rendering_weights
+from fourd.progress import Track, untracked
+
+FINAL_RATE_FACTOR = 0.1
+WARM_UP = 50
+OPAQUE_LENGTH = 1e6
+"""Length of each ray's last interval. It makes rays opaque; otherwise the optimisation adds fog before the lens."""
+
+
+@dataclass(frozen=True, eq=False)
+class OptimizedField:
+    """A radiance field with its occupancy grid."""
+
+    radiance: RadianceField
+    occupancy: OccupancyGrid
+
+    def render(
+        self, rays: Rays, samples: int, generator: torch.Generator | None = None, hint: Tensor | None = None
+    ) -> RenderedRays:
+        """Render rays; differentiable in the field's parameters.
+
+        Args:
+            rays: R rays.
+            samples: S, samples per ray.
+            generator: jitters the samples; None for deterministic samples.
+            hint: (R,) normalised distances that get additional samples; NaN for none.
+        """
+        with torch.no_grad():
+            jitter = None if generator is None else torch.rand(len(rays), samples + 1, generator=generator)
+            edges = self.occupancy.sample(rays, samples, jitter, hint)
+            distances = to_distance(edges)
+            middles = (distances[:, 1:] + distances[:, :-1]) / 2
+            xyz = rays.at(middles, self.radiance.contraction.radius).reshape(-1, 3)
+            lengths = distances.diff(dim=1)
+            lengths[:, -1] = OPAQUE_LENGTH
+        density, features = self.radiance.density(xyz)
+        weights, _ = rendering_weights(density.reshape(len(rays), samples), lengths)
+        colour = self.radiance.colour(features).reshape(len(rays), samples, 3)
+        return RenderedRays(edges, weights, (weights[..., None] * colour).sum(1), xyz, density)
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedRays:
+    """R rendered rays with S samples each.
+
+    Attributes:
+        edges: (R, S + 1) normalised distances of the interval edges.
+        weights: (R, S) volume rendering weights.
+        rgb: (R, 3) composited colours.
+        xyz: (R S, 3) world points of the samples.
+        density: (R S,) densities of the samples.
+    """
+
+    edges: Tensor
+    weights: Tensor
+    rgb: Tensor
+    xyz: Tensor
+    density: Tensor
+
+
+def optimize_field(
+    pixels: Pixels, contraction: Contraction, config: RadianceConfig, seed: int, track: Track = untracked
+) -> OptimizedField:
+    """Optimise a field on pixels of plates.
+
+    The loss is the sum of the squared colour error, a depth loss where depths are given (as in Depth-supervised NeRF,
+    Deng et al. 2022; here the mean distance of a ray's weights from the depth), and the distortion loss (Barron et
+    al. 2022, eq. 15). The same input, seed and number of torch threads give the same field.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        radiance = RadianceField(config.grid, contraction, config.hidden)
+    field = OptimizedField(radiance, OccupancyGrid(contraction, config.occupancy))
+    optimizer = torch.optim.Adam(radiance.parameters(), lr=config.rate, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    for step in track(range(config.steps), config.steps, "background field: steps"):
+        optimizer.param_groups[0]["lr"] = config.rate * _rate_factor(step, config.steps)
+        batch = pixels.sample(config.rays, generator)
+        rendered = field.render(batch.rays, config.samples, generator, batch.surface)
+        with torch.no_grad():
+            field.occupancy.update(rendered.xyz, rendered.density)
+        optimizer.zero_grad(set_to_none=True)
+        _loss(rendered, batch, config).backward()
+        optimizer.step()
+    radiance.requires_grad_(False)
+    return field
+
+
+def _rate_factor(step: int, steps: int) -> float:
+    """Factor of the learning rate: linear warm-up over 50 steps, exponential decay to a tenth."""
+    return min(1.0, (step + 1) / WARM_UP) * float(FINAL_RATE_FACTOR ** (step / steps))
+
+
+def _loss(rendered: RenderedRays, batch: Batch, config: RadianceConfig) -> Tensor:
+    middles = (rendered.edges[:, 1:] + rendered.edges[:, :-1]) / 2
+    depth_error = (rendered.weights * (middles - batch.surface.nan_to_num()[:, None]).abs()).sum(1)
+    weight = torch.where(batch.measured, config.measured, config.continued) * ~batch.surface.isnan()
+    distortion = distortion_loss(rendered.weights, rendered.edges).mean()
+    colour_error = functional.mse_loss(rendered.rgb, batch.rgb)
+    return colour_error + (weight * depth_error).mean() + config.distortion * distortion

@@ -1,0 +1,237 @@
+"""Sampling of surfaces to points at an even density in picture space."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.background.stereo.fusion import Surface
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+SAME_SURFACE = 0.05
+"""Relative to the depth: a point within this distance of a surface covers it."""
+BISECTION_STEPS = 8
+MIN_SIDE_PX = 1.0
+"""Side of the smallest squares."""
+EDGE_TOLERANCE = 0.05
+"""Relative to the inverse depth: a plane that misses the neighbours on both sides by more spans a depth edge."""
+MAX_PARTS = 2
+"""Maximum subdivision of a square per axis. Parts as deep as they are wide would close all gaps, but of many points
+one behind the other only the upper halves are visible, which shifts a floor's texture up by half a point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples of a picture's surface.
+
+    Attributes:
+        xy: (M, 2) pixel indices.
+        xyz: (M, 3) world points.
+        support: (M,) number of other pictures that confirm the sample.
+    """
+
+    xy: Array
+    xyz: Array
+    support: NDArray[np.intp]
+
+    def select(self, rows: Bools) -> Samples:
+        """The samples selected by ``rows`` (M,) bool."""
+        return Samples(self.xy[rows], self.xyz[rows], self.support[rows])
+
+
+def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> list[Samples]:
+    """Sample all surfaces with at most ``points`` samples, using the smallest squares that do not exceed this number.
+
+    Each picture is tiled with squares; squares on surfaces at grazing angles are subdivided, since a higher camera
+    would see gaps between the samples. The centre of each part is sampled if the picture is ``seen`` (H, W) there and
+    no earlier sample covers the surface. Near objects therefore get more points, and areas seen by many pictures do
+    not get more than others. Confirmed cells are sampled before extrapolated ones.
+
+    Returns:
+        the samples of each picture.
+    """
+    sloped = [_SlopedSurface(surface, _slopes(surface)) for surface in surfaces]
+    samples = _sample_at(sloped, seen, MIN_SIDE_PX, points)
+    if _count(samples) <= points:
+        return samples
+    pixels = sum(surface.camera.width * surface.camera.height for surface in surfaces)
+    low, high = np.log(MIN_SIDE_PX), np.log(max(np.sqrt(pixels / points), 2 * MIN_SIDE_PX))
+    while _count(samples := _sample_at(sloped, seen, float(np.exp(high)), points)) > points:
+        low, high = high, high + np.log(2)
+    for _ in range(BISECTION_STEPS):
+        middle = (low + high) / 2
+        trial = _sample_at(sloped, seen, float(np.exp(middle)), points)
+        if _count(trial) > points:
+            low = middle
+        else:
+            high, samples = middle, trial
+    return samples
+
+
+def _count(samples: Sequence[Samples]) -> int:
+    return sum(len(each.xyz) for each in samples)
+
+
+@dataclass(frozen=True, eq=False)
+class _SlopedSurface:
+    """A picture's surface with its slopes (N, 2), see :func:`_slopes`."""
+
+    surface: Surface
+    slopes: Array
+
+
+def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: float, limit: int) -> list[Samples]:
+    """Samples for squares of ``side`` pixels; stops early with more than ``limit`` samples."""
+    tilings = [_Tiling.of(each, side) for each in sloped]
+    candidates = [_part_samples(*each) for each in zip(sloped, seen, tilings, strict=True)]
+    taken = [np.zeros(len(each.xyz), bool) for each in candidates]
+    for confirmed in (True, False):
+        for index, (each, tiling, own) in enumerate(zip(sloped, tilings, candidates, strict=True)):
+            covered = np.zeros(tiling.count, bool)
+            for other, rows in zip(candidates, taken, strict=True):
+                projection = each.surface.project(other.xyz[rows])
+                covered[tiling.parts_at(projection.xy[np.abs(projection.ratio - 1) < SAME_SURFACE])] = True
+            free = ~covered[tiling.parts_at(own.xy)]
+            taken[index] |= free & ((own.support > 0) == confirmed)
+            if sum(int(rows.sum()) for rows in taken) > limit:
+                return [samples.select(rows) for samples, rows in zip(candidates, taken, strict=True)]
+    return [samples.select(rows) for samples, rows in zip(candidates, taken, strict=True)]
+
+
+def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Samples:
+    """Samples at the centres of the parts that lie on known cells."""
+    surface = sloped.surface
+    xy = tiling.centres()
+    last = (surface.camera.width - 1, surface.camera.height - 1)
+    cells = surface.depths.grid.cells_at(xy)
+    valid = (cells >= 0) & surface.known[cells]
+    at_column, at_row = np.clip(np.rint(xy), 0, last).astype(np.intp).T
+    valid &= (xy > -0.5).all(axis=1) & (xy < np.add(last, 0.5)).all(axis=1)
+    valid &= seen[at_row, at_column]
+    xy, cells = xy[valid], cells[valid]
+    offset = xy - surface.depths.grid.pixels[cells, :2]
+    inverse = surface.depths.inverse_depth[cells] * (1 + (sloped.slopes[cells] * offset).sum(axis=1))
+    return Samples(xy, surface.world(xy, inverse), surface.support[cells])
+
+
+@dataclass(frozen=True)
+class _Squares:
+    """A picture tiled with squares; every other row is shifted left by half a square, which covers best.
+
+    Attributes:
+        side: side of a square, pixels.
+        width, height: size of the picture, pixels.
+    """
+
+    side: float
+    width: int
+    height: int
+
+    @property
+    def columns(self) -> int:
+        return int(np.ceil(self.width / self.side)) + 1
+
+    @property
+    def rows(self) -> int:
+        return int(np.ceil(self.height / self.side))
+
+    def corners(self) -> tuple[Array, Array]:
+        """(N, 2) upper left and lower right corners of the squares, clipped to the picture, pixels."""
+        column, row = (axis.ravel() for axis in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
+        begins = np.stack([column * self.side - self._shift(row), row * self.side], axis=1)
+        size = (self.width, self.height)
+        return np.clip(begins, 0, size), np.clip(begins + self.side, 0, size)
+
+    def squares_at(self, xy: Array) -> NDArray[np.intp]:
+        """(M,) squares that contain pixel indices (M, 2); indices outside the picture go to the nearest square."""
+        row = np.clip((xy[:, 1] + 0.5) / self.side, 0, self.rows - 1).astype(np.intp)
+        column = np.clip((xy[:, 0] + 0.5 + self._shift(row)) / self.side, 0, self.columns - 1).astype(np.intp)
+        return np.asarray(row * self.columns + column, np.intp)
+
+    def _shift(self, row: NDArray[np.intp]) -> Array:
+        return np.asarray(row % 2 * (self.side / 2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Tiling:
+    """Squares of a picture, subdivided into parts where its surface is steep.
+
+    Attributes:
+        squares: the squares.
+        begins, ends: (N, 2) corners of the squares, pixels.
+        parts: (N, 2) number of parts across and down.
+        first: (N,) index of each square's first part.
+        count: total number of parts.
+    """
+
+    squares: _Squares
+    begins: Array
+    ends: Array
+    parts: NDArray[np.intp]
+    first: NDArray[np.intp]
+    count: int
+
+    @staticmethod
+    def of(sloped: _SlopedSurface, side: float) -> _Tiling:
+        """Tile a picture with squares of ``side`` pixels."""
+        squares = _Squares(side, sloped.surface.camera.width, sloped.surface.camera.height)
+        begins, ends = squares.corners()
+        parts = _part_counts(sloped, (begins + ends) / 2 - 0.5)
+        counts = parts.prod(axis=1)
+        return _Tiling(squares, begins, ends, parts, np.cumsum(counts) - counts, int(counts.sum()))
+
+    def centres(self) -> Array:
+        """(count, 2) pixel indices of the centres of the parts."""
+        square = np.repeat(np.arange(len(self.parts)), self.parts.prod(axis=1))
+        number = np.arange(self.count) - self.first[square]
+        position = np.stack([number % self.parts[square, 0], number // self.parts[square, 0]], axis=1) + 0.5
+        size = self.ends[square] - self.begins[square]
+        return np.asarray(self.begins[square] + size * position / self.parts[square] - 0.5)
+
+    def parts_at(self, xy: Array) -> NDArray[np.intp]:
+        """(M,) parts that contain pixel indices (M, 2)."""
+        square = self.squares.squares_at(xy)
+        size = np.maximum(self.ends[square] - self.begins[square], np.finfo(float).tiny)
+        position = (xy + 0.5 - self.begins[square]) / size * self.parts[square]
+        across, down = np.clip(position, 0, self.parts[square] - 1).astype(np.intp).T
+        return np.asarray(self.first[square] + down * self.parts[square, 0] + across, np.intp)
+
+
+def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
+    """(M, 2) parts across and down of squares centred on pixel indices (M, 2): the square root of the slope."""
+    surface = sloped.surface
+    cells = np.maximum(surface.depths.grid.cells_at(xy), 0)
+    slopes = surface.camera.intrinsics[0, 0] * sloped.slopes[cells]
+    parts = np.minimum(np.sqrt(np.hypot(1, slopes)), MAX_PARTS)
+    return np.where(surface.known[cells][:, None], np.rint(parts), 1).astype(np.intp)
+
+
+def _slopes(surface: Surface) -> Array:
+    """(N, 2) relative change of the inverse depth per pixel, across and down; 0 at depth edges."""
+    grid = surface.depths.grid
+    inverse = np.maximum(surface.depths.inverse_depth, np.finfo(np.float32).tiny).astype(np.float64)
+    slopes = surface.depths.planes[:, :2] / inverse[:, None]
+    edge = np.zeros(grid.shape, bool)
+    for axis, slope in ((1, slopes[:, 0]), (0, slopes[:, 1])):
+        edge |= (
+            _extrapolation_error(inverse.reshape(grid.shape), slope.reshape(grid.shape) * grid.stride, axis)
+            > EDGE_TOLERANCE
+        )
+    return np.where(edge.ravel()[:, None], 0.0, slopes)
+
+
+def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
+    """(R, C) smaller relative error with which a cell's plane predicts its two neighbours along an axis."""
+    smallest = np.full_like(inverse, np.inf)
+    for step in (-1, 1):
+        error = np.abs(np.roll(inverse, -step, axis) / inverse - 1 - step * change)
+        outer: list[slice | int] = [slice(None), slice(None)]
+        outer[axis] = -1 if step == 1 else 0
+        error[tuple(outer)] = np.inf
+        smallest = np.minimum(smallest, error)
+    return smallest if inverse.shape[axis] > 1 else np.zeros_like(inverse)
