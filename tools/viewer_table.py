@@ -122,7 +122,7 @@ def _measured(context: moderngl.Context, renderer: Renderer, request: RenderRequ
         context.finish()
         times.append(1e3 * (time.perf_counter() - started))
     renderer.draw(request, canvas, wait=True)
-    picture = canvas.pixels().astype(np.float32) / 255
+    picture = canvas.read_rgb8().astype(np.float32) / 255
     renderer.release()
     canvas.release()
     return Measured(statistics.median(times[1:]), picture)

@@ -1,1 +1,1 @@
-"""Seeing scenes: camera paths and videos."""
+"""Interactive and headless viewing of scenes: renderers, camera paths, playback and the window."""

@@ -1,4 +1,4 @@
-"""Mouse and keys, as Blender and three.js OrbitControls have them."""
+"""Mouse navigation and keyboard shortcuts, as in Blender and three.js OrbitControls."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ import math
 from imgui_bundle import imgui
 
 from fourd.viewer.navigation.pose import Pose
+from fourd.viewer.rendering.renderers import RENDERERS
 from fourd.viewer.session import Session
+from fourd.viewer.state import ViewerState
 
 HELP = (
     ("left or middle drag", "orbit"),
@@ -15,48 +17,73 @@ HELP = (
     ("wheel, Ctrl + drag", "dolly"),
     ("W A S D, Q E", "fly, down and up; Shift: faster"),
     ("Space", "play, pause"),
-    ("Left, Right", "a frame back, on"),
+    ("Left, Right", "previous, next frame"),
     ("Home, End", "first, last frame"),
     ("[ and ]", "slower, faster"),
-    ("N, P", "glide to the next, previous camera"),
-    ("0", "back to the first view"),
+    ("N, P", "move to the next, previous camera"),
+    ("0", "initial view"),
     ("R", "next renderer"),
-    ("F9", "record the path, stop"),
+    ("F9", "start, stop recording the camera path"),
     ("F10", "render the recorded path to MP4"),
     ("F12", "screenshot"),
     ("Tab", "hide or show this panel"),
 )
 
 _LEFT, _RIGHT, _MIDDLE = 0, 1, 2
-_WHEEL = 0.9  # of the distance, a notch
-_SECONDS_ACROSS = 2.0  # to fly as far as the pivot is away
-_FASTER = 4.0
+_WHEEL_FACTOR = 0.9  # on the distance, per notch
+_SECONDS_TO_PIVOT = 2.0  # to fly as far as the pivot is away
+_SHIFT_FACTOR = 4.0
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
-def steer(session: Session, height: float, seconds: float) -> bool:
-    """Move the viewer by what mouse and keys do, unless the panel has them; ``height`` of the window in its units.
+def handle_navigation(session: Session, window_height: float, seconds: float) -> bool:
+    """Move the pose by mouse and keys, unless the panel captures them; ``window_height`` in mouse units.
 
-    Returns whether it moved: a key that is held gives no events to wait for.
+    Returns whether the pose has changed: a key that is held down produces no events.
     """
     io = imgui.get_io()
     if session.pose is None:
         return False
-    moved = session.pose
+    pose = session.pose
     if not io.want_capture_mouse:
-        moved = _dragged(moved, io, height)
+        pose = _drag(pose, io, window_height)
         if io.mouse_wheel:
-            moved = moved.dollied(_WHEEL**io.mouse_wheel)
+            pose = pose.dolly(_WHEEL_FACTOR**io.mouse_wheel)
     if not io.want_text_input:
-        moved = _flown(moved, io, seconds)
-    if moved is session.pose:
+        pose = _fly(pose, io, seconds)
+    if pose is session.pose:
         return False
-    session.move(moved)
+    session.set_pose(pose)
     return True
 
 
-def play(session: Session) -> None:
-    """Playback's keys."""
+def handle_shortcuts(state: ViewerState) -> None:
+    """The keys of the panel, the renderer, the output and the cameras."""
+    if imgui.get_io().want_text_input:
+        return
+    if imgui.is_key_pressed(imgui.Key.tab, False):
+        state.is_panel_open = not state.is_panel_open
+    if imgui.is_key_pressed(imgui.Key.f12, False):
+        state.defer(state.take_screenshot)
+    scene = state.session.scene
+    if scene is None:
+        return
+    if imgui.is_key_pressed(imgui.Key.r, False):
+        next_renderer = RENDERERS[(RENDERERS.index(state.renderer.choice.name) + 1) % len(RENDERERS)]
+        state.defer(lambda: state.switch_renderer(next_renderer))
+    if imgui.is_key_pressed(imgui.Key.f9, False):
+        state.defer(state.toggle_recording)
+    if imgui.is_key_pressed(imgui.Key.f10, False):
+        state.defer(state.render_recorded_path)
+    if imgui.is_key_pressed(imgui.Key._0, False):
+        state.move_to_initial_view()
+    for key, step in ((imgui.Key.n, 1), (imgui.Key.p, -1)):
+        if imgui.is_key_pressed(key, False) and scene.manifest.cameras:
+            state.move_to_camera((state.camera_index + step) % len(scene.manifest.cameras))
+
+
+def handle_playback_keys(session: Session) -> None:
+    """The keys of playback."""
     if imgui.get_io().want_text_input:
         return
     playback = session.playback
@@ -69,29 +96,29 @@ def play(session: Session) -> None:
     if imgui.is_key_pressed(imgui.Key.home, False):
         playback.seek(0)
     if imgui.is_key_pressed(imgui.Key.end, False):
-        playback.seek(playback.frames - 1)
-    for key, on in ((imgui.Key.left_bracket, -1), (imgui.Key.right_bracket, 1)):
+        playback.seek(playback.frame_count - 1)
+    for key, direction in ((imgui.Key.left_bracket, -1), (imgui.Key.right_bracket, 1)):
         if imgui.is_key_pressed(key, False):
-            playback.speed = _next_speed(playback.speed, on)
+            playback.speed = _next_speed(playback.speed, direction)
 
 
-def _dragged(pose: Pose, io: imgui.IO, height: float) -> Pose:
+def _drag(pose: Pose, io: imgui.IO, window_height: float) -> Pose:
     right, down = io.mouse_delta.x, io.mouse_delta.y
     if not (right or down):
         return pose
-    # Held since the picture before: what the mouse moved until it was pressed is no drag.
+    # A duration above 0: the button was down in the previous image too. Motion before the press is not a drag.
     left, other, middle = (io.mouse_down_duration[button] > 0 for button in (_LEFT, _RIGHT, _MIDDLE))
     if other or (io.key_shift and (left or middle)):
-        return pose.panned(right / height, down / height)
+        return pose.pan(right / window_height, down / window_height)
     if not (left or middle):
         return pose
     if io.key_ctrl:
-        return pose.dollied(math.exp(2 * down / height))
-    # A drag over the window's height turns once round, as OrbitControls has it.
-    return pose.orbited(2 * math.pi * right / height, 2 * math.pi * down / height)
+        return pose.dolly(math.exp(2 * down / window_height))
+    # As in OrbitControls, a drag over the window's height is a full turn.
+    return pose.orbit(2 * math.pi * right / window_height, 2 * math.pi * down / window_height)
 
 
-def _flown(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
+def _fly(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
     if io.key_ctrl or io.key_alt or io.key_super:
         return pose
     axes = (
@@ -99,16 +126,21 @@ def _flown(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
         (imgui.Key.e, imgui.Key.q),
         (imgui.Key.w, imgui.Key.s),
     )
-    right, up, forward = (float(imgui.is_key_down(on)) - float(imgui.is_key_down(off)) for on, off in axes)
+    right, up, forward = (
+        float(imgui.is_key_down(positive)) - float(imgui.is_key_down(negative)) for positive, negative in axes
+    )
     if not (right or up or forward):
         return pose
-    length = pose.distance / _SECONDS_ACROSS * seconds * (_FASTER if io.key_shift else 1.0)
-    return pose.flown(right * length, up * length, forward * length)
+    length = pose.distance / _SECONDS_TO_PIVOT * seconds * (_SHIFT_FACTOR if io.key_shift else 1.0)
+    return pose.fly(right * length, up * length, forward * length)
 
 
-def _next_speed(speed: float, on: int) -> float:
-    """The next of the usual speeds in a direction, with the sign kept."""
+def _next_speed(speed: float, direction: int) -> float:
+    """The next preset above (direction 1) or below (-1) the absolute speed; the sign stays."""
     slower = [value for value in _SPEEDS if value < abs(speed) - 1e-9]
     faster = [value for value in _SPEEDS if value > abs(speed) + 1e-9]
-    chosen = (faster[0] if faster else abs(speed)) if on > 0 else (slower[-1] if slower else abs(speed))
-    return math.copysign(chosen, speed)
+    if direction > 0:
+        preset = faster[0] if faster else abs(speed)
+    else:
+        preset = slower[-1] if slower else abs(speed)
+    return math.copysign(preset, speed)

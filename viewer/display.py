@@ -1,4 +1,4 @@
-"""How a scene is shown, apart from where it is seen from."""
+"""What a renderer draws: a frame, a camera and display settings."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ import numpy as np
 from fourd.baking import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 
-SMALLEST_SCALE, LARGEST_SCALE = 0.1, 10.0
+MIN_SCALE, MAX_SCALE = 0.1, 10.0
+"""Range of the panel's point size and density factors."""
 
 
 @dataclass(frozen=True)
 class DisplaySettings:
-    """What the panel's sliders set.
+    """What the panel's Display section sets.
 
     Attributes:
-        layers: points that a pixel composites, K.
+        layers: points composited per pixel, K.
         background: red, green and blue in [0, 1].
         point_scale: factor on the points' radii.
-        density_scale: factor on their densities, which stay at most 1.
+        density_scale: factor on their densities, which are clamped to 1.
     """
 
     layers: int = 12
@@ -28,21 +29,25 @@ class DisplaySettings:
     point_scale: float = 1.0
     density_scale: float = 1.0
 
-    def applied(self, frame: BakedFrame) -> BakedFrame:
-        """The frame with radii and densities scaled; itself where both scales are 1."""
+    def scale_points(self, frame: BakedFrame) -> BakedFrame:
+        """``frame`` with scaled radii and densities; the same object where both factors are 1."""
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame
-        largest = float(np.finfo(np.float16).max)
-        radius = np.minimum(frame.radius.astype(np.float32) * self.point_scale, largest)
+        max_radius = float(np.finfo(np.float16).max)
+        radius = np.minimum(frame.radius.astype(np.float32) * self.point_scale, max_radius)
         density = np.minimum(frame.density.astype(np.float32) * self.density_scale, 1.0)
         return replace(frame, radius=radius.astype(np.float16), density=density.astype(np.float16))
 
 
 @dataclass(frozen=True, eq=False)
 class RenderRequest:
-    """What a renderer is asked for: a frame, from a camera, in a settings.
+    """The input of every renderer.
 
-    ``frame`` has the settings's scales applied already: they are the arrays that every renderer reads.
+    Attributes:
+        frame: the arrays to draw, with the scales of ``settings`` already scale_points.
+        camera: an ideal pinhole; its size is the image's.
+        manifest: of the scene.
+        settings: K and background.
     """
 
     frame: BakedFrame

@@ -1,4 +1,4 @@
-"""Videos and pictures of a scene without a window."""
+"""Renders videos and images of a scene without a window."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rich.progress import track
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.viewer.display import DisplaySettings, RenderRequest
+from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.paths import PathKind, camera_path, fit_camera
 from fourd.viewer.navigation.recorded_path import load_recorded_path
 from fourd.viewer.output.png import write_png
@@ -22,21 +23,20 @@ from fourd.viewer.output.video import write_video
 from fourd.viewer.playback.sources import open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.rendering.renderers import RendererName
-from fourd.viewer.session import LoadedScene
 
 DEFAULT_SIZE = (1280, 720)
-LEAST_STEPS = 120
+MIN_STEPS = 120
 
 
 @dataclass(frozen=True)
 class Headless:
-    """What to make of a scene.
+    """Renders one scene to files.
 
     Attributes:
         source: a `.4dv` or a run.
         renderer: by name, or "auto".
         size: width and height in pixels; None for the camera's, or for DEFAULT_SIZE.
-        settings: as in the window; layers 0 for the scene's own.
+        settings: display settings; layers 0 for the scene's own K.
     """
 
     source: Path
@@ -45,70 +45,71 @@ class Headless:
     settings: DisplaySettings
 
     def video(self, out: Path, path: str, steps: int | None, fps: float | None, console: Console) -> int:
-        """Write an MP4 along ``path``: orbit, spiral, cameras, or a file that the window recorded.
+        """Write an MP4 along ``path``: orbit, spiral, cameras, or a file recorded in the window.
 
-        The scene plays in a loop meanwhile. Returns the number of pictures.
+        The scene plays in a loop meanwhile. Returns the count of images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
-            cameras, frames, pace = _route(scene, path, self.size or DEFAULT_SIZE, steps)
-            with OffscreenRenderer(self.renderer) as offscreen:
-                console.print(f"renderer: {offscreen.chosen.name} ({offscreen.chosen.reason})", soft_wrap=True)
-                jobs = track(list(zip(cameras, frames, strict=True)), description="render", console=console)
-                return write_video(out, self._pictures(scene, offscreen, jobs), fps or pace)
+            cameras, frames, path_fps = _cameras_along_path(scene, path, self.size or DEFAULT_SIZE, steps)
+            with OffscreenRenderer(self.renderer) as renderer:
+                console.print(f"renderer: {renderer.choice.name} ({renderer.choice.reason})", soft_wrap=True)
+                views = track(list(zip(cameras, frames, strict=True)), description="render", console=console)
+                return write_video(out, self._render(scene, renderer, views), fps or path_fps)
         finally:
             scene.close()
 
     def screenshot(self, out: Path, camera: str | None, frame: int, console: Console) -> None:
-        """Write a PNG of a frame (from 0) from a camera of the capture, by name; None for the first."""
+        """Write a PNG of a frame (from 0) from a capture camera, by name; None for the first."""
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
             if not 0 <= frame < scene.manifest.frame_count:
                 raise UserError(f"--frame: expected 0 to {scene.manifest.frame_count - 1}, got {frame}")
-            seen = _camera(scene, camera, self.size)
-            with OffscreenRenderer(self.renderer) as offscreen:
-                console.print(f"renderer: {offscreen.chosen.name} ({offscreen.chosen.reason})", soft_wrap=True)
-                write_png(out, next(self._pictures(scene, offscreen, [(seen, frame)])))
+            chosen = _select_camera(scene, camera, self.size)
+            with OffscreenRenderer(self.renderer) as renderer:
+                console.print(f"renderer: {renderer.choice.name} ({renderer.choice.reason})", soft_wrap=True)
+                write_png(out, next(self._render(scene, renderer, [(chosen, frame)])))
         finally:
             scene.close()
 
-    def _pictures(
-        self, scene: LoadedScene, offscreen: OffscreenRenderer, jobs: Iterable[tuple[Camera, int]]
+    def _render(
+        self, scene: LoadedScene, renderer: OffscreenRenderer, views: Iterable[tuple[Camera, int]]
     ) -> Iterator[NDArray[np.uint8]]:
         settings = replace(self.settings, layers=self.settings.layers or scene.manifest.layers)
-        for camera, index in jobs:
-            frame = scene.stream.get(index, wait=True)
+        for camera, index in views:
+            frame = scene.frames.get(index, wait=True)
             assert frame is not None
-            yield offscreen.picture(RenderRequest(settings.applied(frame), camera, scene.manifest, settings))
+            yield renderer.render(RenderRequest(settings.scale_points(frame), camera, scene.manifest, settings))
 
 
-def _route(
+def _cameras_along_path(
     scene: LoadedScene, path: str, size: tuple[int, int], steps: int | None
 ) -> tuple[list[Camera], list[int], float]:
-    """Cameras, frames and pictures a second."""
+    """Cameras and frames of the images, and images per second. Raises UserError."""
     manifest = scene.manifest
     kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
     if path not in kinds:
         if not Path(path).exists():
             names = ", ".join(kinds)
-            raise UserError(f"--path: expected {names} or a file that the window recorded, got '{path}'")
-        flight = load_recorded_path(Path(path))
-        cameras = [stop.pose.camera(*size) for stop in flight.stops]
-        return cameras, [min(max(stop.frame, 0), manifest.frame_count - 1) for stop in flight.stops], flight.fps
-    count = steps or max(LEAST_STEPS, manifest.frame_count)
+            raise UserError(f"--path: expected {names} or a file recorded in the window, got '{path}'")
+        recorded = load_recorded_path(Path(path))
+        cameras = [sample.pose.camera(*size) for sample in recorded.samples]
+        last = manifest.frame_count - 1
+        return cameras, [min(max(sample.frame, 0), last) for sample in recorded.samples], recorded.fps
+    count = steps or max(MIN_STEPS, manifest.frame_count)
     if manifest.cameras:
         cameras = camera_path(kinds[path], manifest.cameras, manifest.focus, count, size=size)
     else:
-        start = scene.start(size)
-        cameras = [start.orbited(2 * np.pi * step / count, 0.0).camera(*size) for step in range(count)]
+        start = scene.initial_pose(size)
+        cameras = [start.orbit(2 * np.pi * step / count, 0.0).camera(*size) for step in range(count)]
     return cameras, [step % manifest.frame_count for step in range(count)], manifest.fps
 
 
-def _camera(scene: LoadedScene, name: str | None, size: tuple[int, int] | None) -> Camera:
+def _select_camera(scene: LoadedScene, name: str | None, size: tuple[int, int] | None) -> Camera:
     manifest = scene.manifest
     if name is not None and name not in manifest.names:
         raise UserError(f"--camera: expected a name among {', '.join(manifest.names) or '(none)'}, got {name}")
     if not manifest.cameras:
-        return scene.start(size or DEFAULT_SIZE).camera(*(size or DEFAULT_SIZE))
+        return scene.initial_pose(size or DEFAULT_SIZE).camera(*(size or DEFAULT_SIZE))
     camera = manifest.cameras[0] if name is None else manifest.camera(name)
     return camera if size is None else fit_camera(camera, *size)

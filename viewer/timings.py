@@ -1,4 +1,4 @@
-"""Where a picture's time goes, for the plot."""
+"""Time spent per stage of an image, for the panel's plot."""
 
 from __future__ import annotations
 
@@ -9,37 +9,40 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-PARTS = ("draw", "panel", "show")
-KEPT = 120
+STAGES = ("draw", "panel", "present")
+HISTORY = 120
+"""Count of images kept."""
 
 
 class Timings:
-    """Milliseconds of the last pictures by part."""
+    """Milliseconds per stage of the last images."""
 
     def __init__(self) -> None:
-        self._history = np.zeros((KEPT, len(PARTS)))
-        self._now = dict.fromkeys(PARTS, 0.0)
+        self._history = np.zeros((HISTORY, len(STAGES)))
+        self._current = dict.fromkeys(STAGES, 0.0)
 
     @contextmanager
-    def part(self, name: str) -> Iterator[None]:
-        """Time a part of the picture that is being made."""
+    def measure(self, stage: str) -> Iterator[None]:
+        """Add the duration of the block to a stage of the current image."""
         started = time.perf_counter()
         try:
             yield
         finally:
-            self._now[name] += 1e3 * (time.perf_counter() - started)
+            self._current[stage] += 1e3 * (time.perf_counter() - started)
 
-    def finish(self) -> None:
-        """The picture is done."""
+    def finish_image(self) -> None:
+        """Append the current image to the history."""
         self._history = np.roll(self._history, -1, axis=0)
-        self._history[-1] = [self._now[name] for name in PARTS]
-        self._now = dict.fromkeys(PARTS, 0.0)
+        self._history[-1] = [self._current[name] for name in STAGES]
+        self._current = dict.fromkeys(STAGES, 0.0)
 
-    def sums(self) -> NDArray[np.float64]:
-        """(KEPT, parts) running sums over the parts, oldest first: the tops of a stacked plot."""
+    def cumulative(self) -> NDArray[np.float64]:
+        """(HISTORY, stages) cumulative sums over the stages, oldest image first, for a stacked plot."""
         return np.cumsum(self._history, axis=1)
 
     def medians(self) -> dict[str, float]:
-        """Of each part over the last pictures that it took part in: a scene at rest is not drawn anew."""
-        taken = [column[column > 0] for column in self._history.T]
-        return {name: float(np.median(times)) if len(times) else 0.0 for name, times in zip(PARTS, taken, strict=True)}
+        """Median milliseconds per stage over the images that include it; an unchanged scene is not drawn again."""
+        nonzero = [column[column > 0] for column in self._history.T]
+        return {
+            name: float(np.median(times)) if len(times) else 0.0 for name, times in zip(STAGES, nonzero, strict=True)
+        }

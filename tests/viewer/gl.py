@@ -39,6 +39,6 @@ def drawn(renderer: Renderer, request: RenderRequest, context: moderngl.Context)
     """The picture (H, W, 4) in floats, row 0 at the top."""
     canvas = Canvas(context, "f1" if renderer.name == "cpu" else "f4")
     renderer.draw(request, canvas, wait=True)
-    picture = canvas.numbers()
+    picture = canvas.read_rgba32f()
     canvas.release()
     return picture

@@ -16,10 +16,10 @@ from fourd.baking import SceneWriter, combine_frames, open_scene
 from fourd.cameras import Camera, look_at
 from fourd.cli.main import main
 from fourd.viewer.display import DisplaySettings, RenderRequest
-from fourd.viewer.gl.arrays import ArrayTexture, UploadedFrame
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.depth_order import ExactOrders
 from fourd.viewer.gl.discs import Discs
+from fourd.viewer.gl.frame_textures import ArrayTexture, FrameTextures
 from fourd.viewer.playback.sources import open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.rendering.renderers import RENDERERS, RendererName, make_renderer
@@ -102,14 +102,14 @@ def test_large_points_far_away_do_not_slow_sprites_down(context: moderngl.Contex
     camera = replace(PLACES["beside the ball"], intrinsics=np.array([[300.0, 0, 48], [0, 300, 32], [0, 0, 1]]))
     near = replace(camera, translation=camera.translation - [0, 0, 2.0])
     canvas = Canvas(context)
-    canvas.sized(96, 64).use()
-    uploaded = UploadedFrame(context, "float16")
+    canvas.framebuffer(96, 64).use()
+    uploaded = FrameTextures(context, "float16")
     discs = Discs(context, {"blend": "sorted.frag"})
     for seen, sprites in ((camera, True), (near, False)):
         request = RenderRequest(combine_frames(ball, room), seen, full_manifest(), DisplaySettings())
         uploaded.load(request.frame)
-        discs.place(uploaded, ExactOrders().order(request, True).points, request)
-        assert discs.as_sprites == sprites
+        discs.project(uploaded, ExactOrders().order(request, True).points, request)
+        assert discs.uses_sprites == sprites
     for held in (discs, uploaded, canvas):
         held.release()
 
@@ -148,17 +148,17 @@ def test_a_session_plays_a_full_scene(tmp_path: Path) -> None:
     moving, room, _ = write_full_scene(tmp_path / "full.4dv", frames=4, points=300, behind=2500)
     session = Session(DisplaySettings())
     session.open(tmp_path / "full.4dv")
-    opened = session.settle_opening(wait=True)
+    opened = session.take_opened(wait=True)
     assert opened is not None, session.message
-    session.show(opened, opened.start(SIZE))
+    session.show(opened, opened.initial_pose(SIZE))
     with OffscreenRenderer("cpu") as offscreen, open_scene(tmp_path / "full.4dv") as scene:
         for index in range(4):
-            request = session.request(SIZE, wait=True)
+            request = session.render_request(SIZE, wait=True)
             assert request is not None
             assert session.playback.frame == index
             assert request.frame.point_count == moving[index].point_count + room.point_count
             expected = scene.render(request.camera, index).to_uint8()
-            assert np.abs(offscreen.picture(request).astype(int) - expected).max() <= 1
+            assert np.abs(offscreen.render(request).astype(int) - expected).max() <= 1
             session.advance(1 / opened.manifest.fps + 1e-6)
         assert session.playback.frame == 0
     session.close()
@@ -171,7 +171,7 @@ def test_where_one_stands_does_not_depend_on_the_background(tmp_path: Path) -> N
     starts = []
     for name in ("full.4dv", "object.4dv"):
         opened = LoadedScene(tmp_path / name, open_frame_source(tmp_path / name))
-        starts.append(opened.start(SIZE))
+        starts.append(opened.initial_pose(SIZE))
         opened.close()
     assert starts[0].distance == starts[1].distance
     np.testing.assert_array_equal(starts[0].eye, starts[1].eye)
@@ -180,7 +180,7 @@ def test_where_one_stands_does_not_depend_on_the_background(tmp_path: Path) -> N
         writer.add_background(room_frame(100, 0, seed=1))
         writer.add_frame(0, random_frame(100, 0, seed=1))
     opened = LoadedScene(tmp_path / "bare.4dv", open_frame_source(tmp_path / "bare.4dv"))
-    assert opened.start(SIZE).distance < 5
+    assert opened.initial_pose(SIZE).distance < 5
     opened.close()
 
 

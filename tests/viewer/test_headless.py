@@ -19,7 +19,7 @@ from PIL import Image
 from fourd.baking import SceneWriter, open_scene
 from fourd.baking.scene import FORMAT_VERSION
 from fourd.cli.main import main
-from fourd.viewer.navigation.pose import pose_of
+from fourd.viewer.navigation.pose import pose_from_camera
 from fourd.viewer.navigation.recorded_path import PathSample, RecordedPath
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.rendering.renderers import RENDERERS
@@ -92,13 +92,13 @@ def test_a_video_along_a_recorded_path(scene: Path, tmp_path: Path) -> None:
     """Catches a recorded path that is flown elsewhere, or with other frames; and frames that the scene lacks."""
     with open_scene(scene) as opened:
         seen = opened.manifest
-        poses = [pose_of(camera, seen.focus, np.array([0.0, 0, 1]), (48, 48)) for camera in seen.cameras[:3]]
+        poses = [pose_from_camera(camera, seen.focus, np.array([0.0, 0, 1]), (48, 48)) for camera in seen.cameras[:3]]
         flight = RecordedPath(
             tuple(PathSample(pose, frame) for pose, frame in zip(poses, (0, 2, 99), strict=True)), 10.0
         )
         truths = [
             opened.render(pose.camera(48, 48), min(stop.frame, FRAMES - 1)).to_uint8()
-            for pose, stop in zip(poses, flight.stops, strict=True)
+            for pose, stop in zip(poses, flight.samples, strict=True)
         ]
     flight.save(tmp_path / "flight.path.json")
     run(scene, "--headless", tmp_path / "out.mp4", "--path", tmp_path / "flight.path.json", "--size", 48, 48)
@@ -123,7 +123,7 @@ def test_auto_says_what_it_took_and_why(scene: Path, tmp_path: Path, capsys: pyt
     run(scene, "--screenshot", tmp_path / "seen.png")
     assert "renderer: " in capsys.readouterr().err
     with OffscreenRenderer("cpu") as offscreen:
-        assert (offscreen.chosen.name, offscreen.chosen.reason) == ("cpu", "as asked")
+        assert (offscreen.choice.name, offscreen.choice.reason) == ("cpu", "as requested")
 
 
 def rewritten(scene: Path, out: Path, change) -> Path:
@@ -150,7 +150,7 @@ def test_scenes_that_cannot_be_shown(scene: Path, tmp_path: Path, capsys: pytest
     lying = rewritten(scene, tmp_path / "lying.4dv", lambda content: content["frames"][1].update(points=801))
     assert "by the manifest, got" in complaint(capsys, lying, "--screenshot", out)
     empty = rewritten(scene, tmp_path / "empty.4dv", lambda content: content.update(frames=[]))
-    assert "empty.4dv: expected at least one frame, got a scene of none" in complaint(
+    assert "empty.4dv: expected at least one frame, got a scene without frames" in complaint(
         capsys, empty, "--screenshot", out
     )
     with SceneWriter(tmp_path / "bare.4dv", manifest(6, 2)) as writer:
@@ -186,7 +186,7 @@ def test_arguments_out_of_range(scene: Path, tmp_path: Path, capsys: pytest.Capt
     assert "--path: expected orbit" in complaint(capsys, scene, "--headless", video, "--path", "circle")
     (tmp_path / "other.json").write_text("{}")
     told = complaint(capsys, scene, "--headless", video, "--path", tmp_path / "other.json")
-    assert "other.json: expected a camera path that the viewer recorded" in told
+    assert "other.json: expected a camera path recorded by the viewer" in told
     assert "SOURCE: expected" in complaint(capsys, "--screenshot", out)
     assert "--steps: expected at least 1" in complaint(capsys, scene, "--headless", video, "--steps", 0)
     assert not out.exists()
@@ -222,7 +222,7 @@ def test_no_opengl_is_told_and_auto_does_without(scene: Path, tmp_path: Path) ->
     assert "add --renderer cpu" in done.stderr
     done = in_a_process(without, scene, "--screenshot", tmp_path / "b.png")
     assert done.returncode == 0, done.stderr
-    assert "renderer: cpu (there is no OpenGL here)" in done.stderr
+    assert "renderer: cpu (OpenGL is not available)" in done.stderr
     assert png(tmp_path / "b.png").any()
 
 

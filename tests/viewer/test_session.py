@@ -1,4 +1,4 @@
-"""A viewer's state without its window: scenes opened and left, waiting for frames, and runs that go on training."""
+"""A viewer's state without its window: scenes opened and left, is_waiting for frames, and runs that go on training."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fourd.errors import UserError
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.playback.sources import RunSource, open_frame_source
 from fourd.viewer.rendering.offscreen import OffscreenRenderer
-from fourd.viewer.session import GLIDE_SECONDS, LoadedScene, Session
+from fourd.viewer.session import TRANSITION_SECONDS, LoadedScene, Session
 from tests.baking.scenes import manifest, random_frame, write_scene
 from tests.training.small import SMALL, train, trained_run, with_steps
 
@@ -29,9 +29,9 @@ def scene(tmp_path: Path) -> Path:
 
 def opened(session: Session, path: Path) -> LoadedScene:
     session.open(path)
-    found = session.settle_opening(wait=True)
+    found = session.take_opened(wait=True)
     assert found is not None, session.message
-    session.show(found, found.start(SIZE))
+    session.show(found, found.initial_pose(SIZE))
     return found
 
 
@@ -39,12 +39,12 @@ def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path
     """Catches a viewer that is left with nothing to show, and a message that does not name the file."""
     session = Session(DisplaySettings())
     opened(session, scene)
-    before = session.request(SIZE, wait=True)
+    before = session.render_request(SIZE, wait=True)
     (tmp_path / "broken.4dv").write_bytes(b"no scene")
     session.open(tmp_path / "broken.4dv")
-    assert session.settle_opening(wait=True) is None
+    assert session.take_opened(wait=True) is None
     assert "broken.4dv: expected a whole .4dv scene" in session.message
-    after = session.request(SIZE, wait=True)
+    after = session.render_request(SIZE, wait=True)
     assert before is not None
     assert after is not None
     assert (after.frame, after.camera) == (before.frame, before.camera)
@@ -61,18 +61,18 @@ def test_a_damaged_frame_keeps_the_one_before_it_and_says_so(scene: Path) -> Non
     session = Session(DisplaySettings())
     opened(session, scene)
     session.playback.seek(1)
-    good = session.request(SIZE, wait=True)
+    good = session.render_request(SIZE, wait=True)
     session.playback.seek(2)
     with pytest.raises(UserError, match=r"one\.4dv"):
-        session.request(SIZE, wait=True)
-    damaged = session.request(SIZE)
+        session.render_request(SIZE, wait=True)
+    damaged = session.render_request(SIZE)
     assert good is not None
     assert damaged is not None
     assert damaged.frame is good.frame
     assert "one.4dv" in session.message
-    assert not session.waiting
+    assert not session.is_waiting
     session.playback.seek(3)
-    assert session.request(SIZE, wait=True) is not None
+    assert session.render_request(SIZE, wait=True) is not None
     session.close()
 
 
@@ -95,14 +95,14 @@ def test_a_slow_disk_is_waited_for_without_a_stop(tmp_path: Path) -> None:
     """Catches a window that freezes until a frame is read, and time that runs on meanwhile."""
     source = SlowSource()
     session = Session(DisplaySettings())
-    session.show(LoadedScene(tmp_path / "slow.4dv", source), LoadedScene(tmp_path, SlowSource()).start(SIZE))
-    assert session.request(SIZE) is None
-    assert session.waiting
+    session.show(LoadedScene(tmp_path / "slow.4dv", source), LoadedScene(tmp_path, SlowSource()).initial_pose(SIZE))
+    assert session.render_request(SIZE) is None
+    assert session.is_waiting
     session.advance(0.05)
     assert session.playback.frame == 0, "frames are skipped while none is there"
     source.answers.set()
-    assert session.request(SIZE, wait=True) is not None
-    assert not session.waiting
+    assert session.render_request(SIZE, wait=True) is not None
+    assert not session.is_waiting
     session.close()
 
 
@@ -110,14 +110,14 @@ def test_what_does_not_change_is_the_same_object(scene: Path) -> None:
     """Catches cameras and scaled frames made anew for every picture: renderers would sort and upload each time."""
     session = Session(replace(DisplaySettings(), point_scale=1.5))
     opened(session, scene)
-    one, other = session.request(SIZE, wait=True), session.request(SIZE, wait=True)
+    one, other = session.render_request(SIZE, wait=True), session.render_request(SIZE, wait=True)
     assert one is not None
     assert other is not None
     assert one.frame is other.frame
     assert one.camera is other.camera
     assert session.pose is not None
-    session.move(session.pose.dollied(0.9))
-    moved = session.request(SIZE, wait=True)
+    session.set_pose(session.pose.dolly(0.9))
+    moved = session.render_request(SIZE, wait=True)
     assert moved is not None
     assert moved.camera is not one.camera
     assert moved.frame is one.frame
@@ -130,7 +130,7 @@ def test_the_scene_s_layers_are_taken_unless_the_user_chose(tmp_path: Path) -> N
     session = Session(DisplaySettings(layers=0))
     opened(session, tmp_path / "one.4dv")
     assert session.settings.layers == 12
-    session.choose_layers(5)
+    session.set_layers(5)
     opened(session, tmp_path / "one.4dv")
     assert session.settings.layers == 5
     session.close()
@@ -141,15 +141,15 @@ def test_a_glide_ends_where_it_should_and_a_move_ends_it(scene: Path) -> None:
     session = Session(DisplaySettings())
     found = opened(session, scene)
     end = found.camera_pose(3, SIZE)
-    session.glide_to(end)
-    session.advance(GLIDE_SECONDS / 2)
+    session.move_to(end)
+    session.advance(TRANSITION_SECONDS / 2)
     assert session.pose is not end
-    assert session.gliding
-    session.advance(GLIDE_SECONDS)
+    assert session.is_moving
+    session.advance(TRANSITION_SECONDS)
     assert session.pose is end
-    assert not session.gliding
-    session.glide_to(found.start(SIZE))
-    session.move(end.dollied(2))
+    assert not session.is_moving
+    session.move_to(found.initial_pose(SIZE))
+    session.set_pose(end.dolly(2))
     session.advance(1)
     assert session.pose is not None
     assert session.pose.distance == 2 * end.distance
@@ -160,20 +160,20 @@ def test_a_run_is_shown_and_shown_again_when_it_has_learnt_more(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a run that stays at the checkpoint at which it was opened."""
-    monkeypatch.setattr("fourd.viewer.session._LOOK_EVERY", 0.0)
+    monkeypatch.setattr("fourd.viewer.loaded_scene._CHECKPOINT_POLL_SECONDS", 0.0)
     run = trained_run(ball_capture, tmp_path / "run")
     session = Session(DisplaySettings())
     found = opened(session, run.folder)
     assert found.checkpoint == "00000006.safetensors"
     assert not session.advance(0)
-    before = session.request(SIZE, wait=True)
+    before = session.render_request(SIZE, wait=True)
     assert before is not None
     with OffscreenRenderer("cpu") as offscreen:
-        assert offscreen.picture(before).max() > 30
+        assert offscreen.render(before).max() > 30
     train(run, with_steps(SMALL, 12))
     assert session.advance(0)
-    assert session.request(SIZE) is not None, "what was there stays until the new one comes"
-    after = session.request(SIZE, wait=True)
+    assert session.render_request(SIZE) is not None, "what was there stays until the new one comes"
+    after = session.render_request(SIZE, wait=True)
     assert after is not None
     assert not np.array_equal(after.frame.sh, before.frame.sh)
     session.close()
@@ -227,9 +227,9 @@ def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None
         with OffscreenRenderer("cpu") as offscreen:
             for number in range(pictures):
                 session.playback.seek(number % 50)
-                request = session.request(SIZE, wait=True)
+                request = session.render_request(SIZE, wait=True)
                 assert request is not None
-                offscreen.picture(request)
+                offscreen.render(request)
 
     opened(session, tmp_path / "long.4dv")
     play(200)

@@ -1,1 +1,1 @@
-"""Drawing with OpenGL 3.3 core."""
+"""The OpenGL 3.3 core renderers."""

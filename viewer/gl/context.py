@@ -1,4 +1,4 @@
-"""Contexts, and what their driver is."""
+"""OpenGL contexts and what their drivers report."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import moderngl
 
 from fourd.errors import UserError
 
-LEAST_VERSION = 330
+REQUIRED_VERSION = 330
 
 
 def offscreen_context() -> moderngl.Context:
-    """A context without a window: by EGL on Linux, so that no display is needed.
+    """A context without a window; by EGL on Linux, which needs no display.
 
-    Raises UserError where there is none.
+    Raises UserError where OpenGL 3.3 is not available.
     """
     backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
     try:
-        return moderngl.create_context(standalone=True, require=LEAST_VERSION, **backend)  # type: ignore[arg-type]
+        return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **backend)  # type: ignore[arg-type]
     except Exception as error:  # moderngl and glcontext raise plain Exceptions
         raise UserError(
             f"OpenGL: expected version 3.3 or newer, got '{' '.join(str(error).split())}'; "
@@ -27,15 +27,15 @@ def offscreen_context() -> moderngl.Context:
         ) from error
 
 
-def information(context: moderngl.Context) -> dict[str, Any]:
-    """The driver's names and limits, by GL's names for them."""
-    found = context.info
-    # moderngl asks for those of later versions as well, and each that the driver does not know leaves an error.
+def driver_info(context: moderngl.Context) -> dict[str, Any]:
+    """The driver's names and limits, keyed by their GL constants."""
+    info = context.info
+    # moderngl also queries limits of newer versions; each one unknown to the driver sets a GL error.
     while context.error != "GL_NO_ERROR":
         pass
-    return found
+    return info
 
 
 def driver_name(context: moderngl.Context) -> str:
-    """What the driver calls what it draws with, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
-    return str(information(context)["GL_RENDERER"])
+    """GL_RENDERER, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
+    return str(driver_info(context)["GL_RENDERER"])

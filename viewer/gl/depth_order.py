@@ -1,4 +1,4 @@
-"""Orders of points by depth: at once, or from a background thread."""
+"""Depth orders of points: sorted on request, or by a background thread."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from fourd.viewer.display import RenderRequest
 
 
 @dataclass(frozen=True, eq=False)
-class Order:
-    """Points of a frame as a camera ordered them.
+class DepthOrder:
+    """The points of a frame sorted by depth.
 
     Attributes:
-        frame: whose points they are.
-        camera: that ordered them.
+        frame: the frame of the points.
+        camera: the camera that defines depth.
         points: indices, nearest first.
-        seconds: what the sorting took.
+        seconds: duration of the sort.
     """
 
     frame: BakedFrame
@@ -32,103 +32,106 @@ class Order:
     points: NDArray[np.uint32]
     seconds: float
 
-    def fits(self, request: RenderRequest) -> bool:
-        """Whether it is the request's own: of the same frame and camera, as objects."""
+    def matches(self, request: RenderRequest) -> bool:
+        """Whether frame and camera are the same objects as the request's."""
         return self.frame is request.frame and self.camera is request.camera
 
 
-class Orders(Protocol):
-    """Gives an order for a request."""
+class DepthOrders(Protocol):
+    """Supplies a depth order for each request."""
 
-    def order(self, request: RenderRequest, wait: bool) -> Order:
-        """An order that fits the request; with ``wait``, exactly its."""
+    def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
+        """A depth order, possibly of an earlier request; with ``wait``, of this one."""
 
     def release(self) -> None:
-        """Stop what goes on in the background."""
+        """Stop background work."""
 
 
 class ExactOrders:
-    """Sorts when asked, unless the frame and the camera are those of the time before."""
+    """Sorts on request; the last order is reused for the same frame and camera."""
 
     def __init__(self) -> None:
         self._sorter = DepthSorter()
-        self._last: Order | None = None
+        self._last: DepthOrder | None = None
 
-    def order(self, request: RenderRequest, wait: bool) -> Order:
-        if self._last is None or not self._last.fits(request):
+    def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
+        """The order of this request."""
+        if self._last is None or not self._last.matches(request):
             started = time.perf_counter()
             points = self._sorter.sort(request.frame, request.camera, request.manifest.near)
-            self._last = Order(request.frame, request.camera, points, time.perf_counter() - started)
+            self._last = DepthOrder(request.frame, request.camera, points, time.perf_counter() - started)
         return self._last
 
     def release(self) -> None:
+        """Drop the last order."""
         self._last = None
 
 
 class BackgroundOrders:
-    """Sorts in a thread: the order drawn may be that of a camera, or of a frame, a little older.
+    """Sorts in a thread, which always takes the newest request; :meth:`order` may return an earlier order.
 
-    The thread always takes the newest request. Its camera looks wider than the picture, so that
-    points that come into sight before the next order are there.
+    The thread sorts for twice the field of view, so that points which enter the image before the
+    next order are in this one.
     """
 
     def __init__(self) -> None:
         self._sorter = DepthSorter()
         self._changed = threading.Condition()
-        self._wanted: RenderRequest | None = None
-        self._done: Order | None = None
+        self._newest: RenderRequest | None = None
+        self._order: DepthOrder | None = None
         self._failure: BaseException | None = None
-        self._stopped = False
+        self._is_stopped = False
         self._thread = threading.Thread(target=self._run, name="depth order", daemon=True)
         self._thread.start()
 
-    def order(self, request: RenderRequest, wait: bool) -> Order:
+    def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
+        """The newest order; the first call waits for one. Raises RuntimeError when sorting has failed."""
         with self._changed:
-            self._wanted = request
+            self._newest = request
             self._changed.notify_all()
             while True:
                 if self._failure is not None:
                     raise RuntimeError("the points cannot be sorted") from self._failure
-                if self._stopped:
-                    raise RuntimeError("the sorting has been stopped")
-                if self._done is not None and (self._done.fits(request) or not wait):
-                    return self._done
+                if self._is_stopped:
+                    raise RuntimeError("the sorting thread has stopped")
+                if self._order is not None and (self._order.matches(request) or not wait):
+                    return self._order
                 self._changed.wait()
 
     def release(self) -> None:
+        """Stop the thread."""
         with self._changed:
-            self._stopped = True
+            self._is_stopped = True
             self._changed.notify_all()
         self._thread.join()
-        self._done = self._wanted = None
+        self._order = self._newest = None
 
     def _run(self) -> None:
         while True:
             with self._changed:
-                while not self._stopped and not self._work():
+                while not self._is_stopped and not self._has_work():
                     self._changed.wait()
-                if self._stopped:
+                if self._is_stopped:
                     return
-                request = self._wanted
+                request = self._newest
             assert request is not None
             try:
-                done = self._sorted(request)
+                order = self._sort(request)
             except BaseException as error:
                 with self._changed:
                     self._failure = error
                     self._changed.notify_all()
                 raise
             with self._changed:
-                self._done = done
+                self._order = order
                 self._changed.notify_all()
 
-    def _work(self) -> bool:
-        """Whether the newest request still lacks its order."""
-        return self._wanted is not None and (self._done is None or not self._done.fits(self._wanted))
+    def _has_work(self) -> bool:
+        return self._newest is not None and (self._order is None or not self._order.matches(self._newest))
 
-    def _sorted(self, request: RenderRequest) -> Order:
+    def _sort(self, request: RenderRequest) -> DepthOrder:
         started = time.perf_counter()
         camera = request.camera
         wider = camera.crop(-(camera.width // 2), -(camera.height // 2), 2 * camera.width, 2 * camera.height)
         points = self._sorter.sort(request.frame, wider, request.manifest.near / 2)
-        return Order(request.frame, camera, points, time.perf_counter() - started)
+        return DepthOrder(request.frame, camera, points, time.perf_counter() - started)

@@ -1,4 +1,4 @@
-"""A renderer that draws with OpenGL: uploads, orders, composites and shows."""
+"""The OpenGL renderer: uploads, sorts, projects and composites."""
 
 from __future__ import annotations
 
@@ -6,62 +6,63 @@ from dataclasses import replace
 
 import moderngl
 
+from fourd.baking import BakedFrame
 from fourd.viewer.display import RenderRequest
-from fourd.viewer.gl.arrays import Precision, UploadedFrame
 from fourd.viewer.gl.canvas import Canvas
-from fourd.viewer.gl.depth_order import Orders
-from fourd.viewer.gl.techniques import Technique
+from fourd.viewer.gl.compositors import Compositor
+from fourd.viewer.gl.depth_order import DepthOrders
+from fourd.viewer.gl.frame_textures import FrameTextures, Precision
 
 
 class GLRenderer:
-    """Draws shots with one technique. Not to be shared between contexts or threads."""
+    """Renders requests with one compositor. Not to be shared between contexts or threads."""
 
     def __init__(
         self,
         context: moderngl.Context,
         name: str,
-        technique: Technique,
-        orders: Orders,
+        compositor: Compositor,
+        orders: DepthOrders,
         precision: Precision = "float16",
     ) -> None:
         self.name = name
         self._context = context
-        self._technique = technique
+        self._compositor = compositor
         self._orders = orders
-        # Two: while a frame waits for its order, the one before is drawn.
-        self._uploaded = [UploadedFrame(context, precision) for _ in range(2)]
-        self._behind = 0
+        # Two: the previous frame is drawn while the next one waits for its order.
+        self._textures = [FrameTextures(context, precision) for _ in range(2)]
+        self._stale_images = 0
         self.sort_seconds = 0.0
 
     @property
-    def behind(self) -> int:
-        """How many pictures in a row were drawn with an order that is not their own; 0 at rest."""
-        return self._behind
+    def stale_images(self) -> int:
+        """Count of consecutive images drawn with an older depth order; 0 once the order is current."""
+        return self._stale_images
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw on ``canvas``, in the camera's size; with ``wait``, with the request's own order."""
+        """Draw into ``canvas`` at the camera's size. With ``wait``, the depth order is the request's own."""
         order = self._orders.order(request, wait)
-        self._behind = 0 if order.fits(request) else self._behind + 1
+        self._stale_images = 0 if order.matches(request) else self._stale_images + 1
         self.sort_seconds = order.seconds
-        drawn = replace(request, frame=order.frame)
+        ordered_request = replace(request, frame=order.frame)
         self._context.disable(moderngl.CULL_FACE | moderngl.BLEND | moderngl.DEPTH_TEST)
-        # Without a window there is no default framebuffer, and transform feedback fails while none is in use.
-        target = canvas.sized(request.camera.width, request.camera.height)
+        # Without a window there is no default framebuffer, and transform feedback fails while none is bound.
+        target = canvas.framebuffer(request.camera.width, request.camera.height)
         target.use()
-        self._technique.discs.place(self._upload(drawn), order.points, drawn)
-        self._technique.draw(drawn, target)
+        self._compositor.discs.project(self._upload(order.frame), order.points, ordered_request)
+        self._compositor.draw(ordered_request, target)
 
     def release(self) -> None:
-        """Give back every GL object and stop the sorting."""
+        """Free all GL objects and stop the sorting thread."""
         self._orders.release()
-        self._technique.release()
-        for uploaded in self._uploaded:
-            uploaded.release()
+        self._compositor.release()
+        for textures in self._textures:
+            textures.release()
 
-    def _upload(self, request: RenderRequest) -> UploadedFrame:
-        for uploaded in self._uploaded:
-            if uploaded.frame is request.frame:
-                return uploaded
-        self._uploaded.reverse()
-        self._uploaded[0].load(request.frame)
-        return self._uploaded[0]
+    def _upload(self, frame: BakedFrame) -> FrameTextures:
+        for textures in self._textures:
+            if textures.frame is frame:
+                return textures
+        self._textures.reverse()
+        self._textures[0].load(frame)
+        return self._textures[0]

@@ -1,4 +1,4 @@
-"""GLSL files of viewer/shaders, joined and compiled."""
+"""Loads, joins and compiles the GLSL files of viewer/shaders."""
 
 from __future__ import annotations
 
@@ -11,35 +11,37 @@ import moderngl
 
 from fourd.ops.play.op import MIN_TRANSMITTANCE
 
-TEXELS_A_ROW = 4096
-"""Of textures that hold arrays; a power of two."""
+TEXELS_PER_ROW = 4096
+"""Width of the textures that hold arrays; a power of two."""
+NONE = 1e9
+"""A rank behind every layer; as bounds of a dual peeling pass: no layer."""
 
-_DEFINED = {"TEXELS_A_ROW": str(TEXELS_A_ROW), "NONE": "1e9", "HIDDEN": str(MIN_TRANSMITTANCE)}
+_DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}
 _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
 
 
-def program(
+def compile_program(
     context: moderngl.Context, vertex: str, fragment: str | None = None, varyings: Sequence[str] = ()
 ) -> moderngl.Program:
-    """Compile the files of these names; ``varyings`` are what transform feedback keeps."""
+    """Compile shader files by name; ``varyings`` are the outputs captured by transform feedback."""
     return context.program(
-        vertex_shader=_source(vertex),
-        fragment_shader=None if fragment is None else _source(fragment),
+        vertex_shader=_load_source(vertex),
+        fragment_shader=None if fragment is None else _load_source(fragment),
         varyings=tuple(varyings),
     )
 
 
-def set_uniforms(compiled: moderngl.Program, **values: Any) -> None:
-    """Set uniforms by name; those that the compiler has dropped as unused are left out."""
+def set_uniforms(program: moderngl.Program, **values: Any) -> None:
+    """Set uniforms by name; names that the compiler removed as unused are skipped."""
     for name, value in values.items():
-        uniform = compiled.get(name, None)
+        uniform = program.get(name, None)
         if isinstance(uniform, moderngl.Uniform):
             uniform.value = value
 
 
-def _source(name: str) -> str:
+def _load_source(name: str) -> str:
     folder = files("fourd.viewer") / "shaders"
     text = _INCLUDE.sub(lambda match: (folder / match[1]).read_text(), (folder / name).read_text())
     version, _, rest = text.partition("\n")
-    defines = "\n".join(f"#define {key} {value}" for key, value in _DEFINED.items())
+    defines = "\n".join(f"#define {key} {value}" for key, value in _DEFINES.items())
     return f"{version}\n{defines}\n{rest}"

@@ -1,1 +1,1 @@
-"""Where the viewer stands: poses, camera paths, saved views."""
+"""Viewer poses, camera paths and saved views."""

@@ -1,4 +1,4 @@
-"""Where a viewer stands, and how dragging and keys move it, as in Blender and three.js OrbitControls."""
+"""The viewer's pose, and how mouse and keys move it; the same motions as in Blender and three.js OrbitControls."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from fourd.cameras import Camera, look_at
 
 Array = NDArray[np.float64]
 
-NARROWEST, WIDEST = np.radians(2.0), np.radians(150.0)
-"""Of the vertical field of view."""
+MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW = np.radians(2.0), np.radians(150.0)
+"""Vertical, in radians."""
 
-_POLE = np.radians(1.0)  # how near to straight up or down an orbit may come
-_NEAREST = 1e-3  # of a dolly, world units
-_FARTHEST = 1e6
+_MIN_POLE_ANGLE = np.radians(1.0)  # between the view direction and the up axis
+_MIN_DISTANCE = 1e-3  # world units
+_MAX_DISTANCE = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A viewer that looks at a pivot. All lengths in world units.
+    """An eye and a pivot on its viewing axis. Lengths are in world units.
 
     Attributes:
-        pivot: (3,) point that orbits go round, on the viewing axis.
+        pivot: (3,) centre of orbits.
         rotation: (3, 3) R_camera_world; x right, y down, z forward.
         distance: from the eye to the pivot, above 0.
         field_of_view: vertical, in radians.
-        up: (3,) unit vector, the world's up.
-        offset: (x, y) of the principal point from the picture's centre, in picture heights.
+        up: (3,) unit vector, the up direction of the world.
+        offset: (x, y) of the principal point from the image centre, in image heights.
     """
 
     pivot: Array
@@ -43,11 +43,11 @@ class Pose:
 
     @property
     def eye(self) -> Array:
-        """(3,) position of the viewer."""
+        """(3,) position of the eye."""
         return self.pivot - self.distance * self.rotation[2]
 
     def camera(self, width: int, height: int) -> Camera:
-        """What the viewer sees in a picture of ``width`` x ``height`` pixels."""
+        """The camera of an image of ``width`` x ``height`` pixels."""
         focal = height / 2 / np.tan(self.field_of_view / 2)
         intrinsics = np.array(
             [
@@ -58,51 +58,53 @@ class Pose:
         )
         return Camera(intrinsics, self.rotation, -self.rotation @ self.eye, width, height)
 
-    def orbited(self, right: float, down: float) -> Pose:
-        """Turned about the pivot as if the scene were dragged by these angles in radians; never over a pole."""
+    def orbit(self, right: float, down: float) -> Pose:
+        """Rotate about the pivot, as if the scene were dragged by these angles in radians; stops at the poles."""
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # Not the picture's own x axis: that of a camera with roll leads past the pole, and over.
+        # The image's x axis would pass over the pole where the camera has roll.
         level = level / length if length > 1e-6 else self.rotation[0]
-        if level @ self.rotation[0] < 0:  # upside down: the mouse moves what it sees
+        if level @ self.rotation[0] < 0:  # upside down: keep the drag direction on screen
             right, down = -right, -down
-        now = float(np.arccos(np.clip(forward @ self.up, -1, 1)))
-        wanted = float(np.clip(now + down, min(now, _POLE), max(now, np.pi - _POLE)))
-        turn = _turn(-right * self.up) @ _turn(-(wanted - now) * level)
-        return replace(self, rotation=_orthonormal(self.rotation @ turn.T))
+        angle = float(np.arccos(np.clip(forward @ self.up, -1, 1)))
+        limits = min(angle, _MIN_POLE_ANGLE), max(angle, np.pi - _MIN_POLE_ANGLE)
+        new_angle = float(np.clip(angle + down, *limits))
+        turn = _rotation_matrix(-right * self.up) @ _rotation_matrix(-(new_angle - angle) * level)
+        return replace(self, rotation=_nearest_rotation(self.rotation @ turn.T))
 
-    def panned(self, right: float, down: float) -> Pose:
-        """Moved sideways as if the scene at the pivot were dragged by these parts of the picture's height."""
+    def pan(self, right: float, down: float) -> Pose:
+        """Translate, as if the scene at the pivot's depth were dragged by these fractions of the image height."""
         length = 2 * np.tan(self.field_of_view / 2) * self.distance
         return replace(self, pivot=self.pivot - length * (right * self.rotation[0] + down * self.rotation[1]))
 
-    def dollied(self, factor: float) -> Pose:
-        """With the distance to the pivot multiplied by ``factor``, above 0."""
-        return replace(self, distance=float(np.clip(self.distance * factor, _NEAREST, _FARTHEST)))
+    def dolly(self, factor: float) -> Pose:
+        """Multiply the distance to the pivot by ``factor``, above 0."""
+        return replace(self, distance=float(np.clip(self.distance * factor, _MIN_DISTANCE, _MAX_DISTANCE)))
 
-    def flown(self, right: float, up: float, forward: float) -> Pose:
-        """Moved by world units along its own axes; the pivot comes along."""
+    def fly(self, right: float, up: float, forward: float) -> Pose:
+        """Translate eye and pivot along the eye's axes, in world units."""
         step = right * self.rotation[0] - up * self.rotation[1] + forward * self.rotation[2]
         return replace(self, pivot=self.pivot + step)
 
-    def widened(self, field_of_view: float) -> Pose:
-        """With another vertical field of view, in radians, brought into its range."""
-        return replace(self, field_of_view=float(np.clip(field_of_view, NARROWEST, WIDEST)))
+    def with_field_of_view(self, radians: float) -> Pose:
+        """The pose with another vertical field of view, clamped to its range."""
+        return replace(self, field_of_view=float(np.clip(radians, MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW)))
 
 
-def pose_of(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
-    """The pose that sees what ``camera`` does, in a picture of ``size`` (width, height): nothing of it is cut off.
+def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
+    """The pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
-    The pivot is the point of the viewing axis nearest to ``focus``, where that lies ahead.
+    The pivot is the point of the viewing axis nearest to ``focus`` where that is in front of the
+    camera, else a point at distance 1.
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
-    # Pixels of a pose are square: where those of the camera are not, the longer focal length would cut something off.
+    # A pose has square pixels; the shorter focal length of the two crops nothing.
     focal = zoom * float(min(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
     distance = float((np.asarray(focus, np.float64) - camera.centre) @ camera.forward)
-    if not distance > _NEAREST:
-        distance = max(1.0, _NEAREST)
+    if not distance > _MIN_DISTANCE:
+        distance = max(1.0, _MIN_DISTANCE)
     return Pose(
         pivot=camera.centre + distance * camera.forward,
         rotation=camera.rotation,
@@ -116,21 +118,21 @@ def pose_of(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tup
     )
 
 
-def facing(eye: Array, pivot: Array, up: Array, field_of_view: float) -> Pose:
-    """At ``eye``, looking at ``pivot`` with ``up`` towards the top."""
-    seen = look_at(eye, pivot, up, np.eye(3), 1, 1)
-    return Pose(pivot, seen.rotation, float(np.linalg.norm(pivot - eye)), field_of_view, up)
+def pose_facing(eye: Array, pivot: Array, up: Array, field_of_view: float) -> Pose:
+    """The pose at ``eye`` that faces ``pivot``, with ``up`` towards the top of the image."""
+    camera = look_at(eye, pivot, up, np.eye(3), 1, 1)
+    return Pose(pivot, camera.rotation, float(np.linalg.norm(pivot - eye)), field_of_view, up)
 
 
-def between(start: Pose, end: Pose, share: float) -> Pose:
-    """On the way from one pose to another; ``share`` in [0, 1], slow at both ends."""
-    t = share * share * (3 - 2 * share)
-    if share >= 1:
+def interpolate_poses(start: Pose, end: Pose, fraction: float) -> Pose:
+    """The pose at ``fraction`` in [0, 1] of the way from ``start`` to ``end``, with smoothstep easing."""
+    t = fraction * fraction * (3 - 2 * fraction)
+    if fraction >= 1:
         return end
-    whole = np.asarray(cv2.Rodrigues(end.rotation @ start.rotation.T)[0], np.float64).ravel()
+    total = np.asarray(cv2.Rodrigues(end.rotation @ start.rotation.T)[0], np.float64).ravel()
     return Pose(
         pivot=start.pivot + t * (end.pivot - start.pivot),
-        rotation=_orthonormal(_turn(t * whole) @ start.rotation),
+        rotation=_nearest_rotation(_rotation_matrix(t * total) @ start.rotation),
         distance=float(np.exp((1 - t) * np.log(start.distance) + t * np.log(end.distance))),
         field_of_view=(1 - t) * start.field_of_view + t * end.field_of_view,
         up=end.up,
@@ -141,12 +143,12 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     )
 
 
-def _turn(vector: Array) -> Array:
+def _rotation_matrix(vector: Array) -> Array:
     """The rotation about ``vector`` (3,) by its length in radians."""
     return np.asarray(cv2.Rodrigues(np.ascontiguousarray(vector, np.float64))[0], np.float64)
 
 
-def _orthonormal(rotation: Array) -> Array:
-    """The nearest rotation: thousands of small turns add up their rounding."""
+def _nearest_rotation(rotation: Array) -> Array:
+    """The nearest rotation matrix; removes the rounding that accumulates over thousands of small rotations."""
     left, _, right = np.linalg.svd(rotation)
     return left @ right

@@ -1,4 +1,4 @@
-"""A recorded camera path: poses and frames at an even pace, and its file."""
+"""A recorded camera path: poses and frames at a constant rate, and its file format."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from fourd.viewer.navigation.saved_views import pose_from_json, pose_to_json
 FORMAT = "fourd-path"
 VERSION = 1
 RECORDED_FPS = 30.0
-_MOST_BYTES = 256 << 20
+_MAX_BYTES = 256 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class PathSample:
-    """Where the viewer was, and which frame was shown."""
+    """The pose and the frame at one time."""
 
     pose: Pose
     frame: int
@@ -27,69 +27,67 @@ class PathSample:
 
 @dataclass(frozen=True, eq=False)
 class RecordedPath:
-    """Stops at ``fps`` a second."""
+    """Samples at ``fps`` per second."""
 
-    stops: tuple[PathSample, ...]
+    samples: tuple[PathSample, ...]
     fps: float = RECORDED_FPS
 
     def save(self, path: Path) -> None:
-        """Write a JSON file, whole or not at all."""
+        """Write a JSON file atomically."""
         content = {
             "format": FORMAT,
             "version": VERSION,
             "fps": self.fps,
-            "stops": [{"frame": stop.frame, **pose_to_json(stop.pose)} for stop in self.stops],
+            "stops": [{"frame": sample.frame, **pose_to_json(sample.pose)} for sample in self.samples],
         }
         write_text_atomically(path, json.dumps(content, indent=1))
 
 
 class PathRecorder:
-    """Takes a stop at every tick of RECORDED_FPS while it runs, whatever the pace of the pictures."""
+    """Records samples at RECORDED_FPS, independent of the rate of :meth:`advance`."""
 
     def __init__(self) -> None:
-        self._stops: list[PathSample] = []
+        self._samples: list[PathSample] = []
         self._seconds = 0.0
 
     @property
     def seconds(self) -> float:
-        """How long it runs already."""
+        """Duration of the recording so far."""
         return self._seconds
 
     def advance(self, seconds: float, pose: Pose, frame: int) -> None:
-        """Let time pass; the viewer is at ``pose`` at its end."""
+        """Advance the recording by ``seconds``, to ``pose`` and ``frame``."""
         self._seconds += seconds
-        while len(self._stops) < self._seconds * RECORDED_FPS:
-            self._stops.append(PathSample(pose, frame))
+        while len(self._samples) < self._seconds * RECORDED_FPS:
+            self._samples.append(PathSample(pose, frame))
 
-    def flight(self) -> RecordedPath:
-        """What was recorded."""
-        return RecordedPath(tuple(self._stops))
+    def path(self) -> RecordedPath:
+        """The recording so far."""
+        return RecordedPath(tuple(self._samples))
 
 
 def load_recorded_path(path: Path) -> RecordedPath:
-    """Read a recorded path. Raises UserError that names the file and the mend."""
+    """Read a recorded path. Raises UserError that names the file and the fix."""
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ValueError(f"expected at most {_MOST_BYTES} bytes")
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"expected at most {_MAX_BYTES} bytes")
         content = json.loads(path.read_text("utf-8"))
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f'expected "format": "{FORMAT}"')
         if content.get("version") != VERSION:
             raise ValueError(f"expected version {VERSION}, got {str(content.get('version'))[:20]}")
-        stops = tuple(PathSample(pose_from_json(stop), _frame(stop["frame"])) for stop in content["stops"])
+        samples = tuple(PathSample(pose_from_json(item), _frame_index(item["frame"])) for item in content["stops"])
         fps = float(content["fps"])
-        if not stops or not 0 < fps <= 1000:
-            raise ValueError("expected at least one stop, and fps above 0")
+        if not samples or not 0 < fps <= 1000:
+            raise ValueError("expected at least one stop, and fps above 0 and at most 1000")
     except OSError as error:
         raise UserError(f"{path}: expected a camera path, got '{(error.strerror or '').lower()}'; check it") from error
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
-        raise UserError(
-            f"{path}: expected a camera path that the viewer recorded, got another file ({error})"
-        ) from error
-    return RecordedPath(stops, fps)
+        raise UserError(f"{path}: expected a camera path recorded by the viewer, got another file ({error})") from error
+    return RecordedPath(samples, fps)
 
 
-def _frame(value: object) -> int:
+def _frame_index(value: object) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise ValueError(f"expected frames as whole numbers from 0, got {str(value)[:20]}")
     return value

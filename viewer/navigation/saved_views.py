@@ -1,4 +1,4 @@
-"""The last view of each scene, in the user's own folder for state."""
+"""The last view of each scene, in the user's state folder."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import platformdirs
 from fourd.files import write_text_atomically
 from fourd.viewer.navigation.pose import Pose
 
-_MOST_SCENES = 200
+_MAX_SCENES = 200
 
 
 def default_file() -> Path:
-    """Where views are kept, by the platform's custom."""
+    """The file for saved views in the platform's state folder."""
     return platformdirs.user_state_path("fourd") / "views.json"
 
 
 def pose_to_json(pose: Pose) -> dict[str, Any]:
-    """A pose as plain numbers."""
+    """The pose as JSON values."""
     return {
         "pivot": pose.pivot.tolist(),
         "rotation": pose.rotation.tolist(),
@@ -34,7 +34,7 @@ def pose_to_json(pose: Pose) -> dict[str, Any]:
 
 
 def pose_from_json(content: Any) -> Pose:
-    """The inverse of :func:`pose_to_json`. Raises ValueError for anything that is no usable pose."""
+    """The inverse of :func:`pose_to_json`. Raises ValueError when ``content`` is not a valid pose."""
     try:
         pose = Pose(
             pivot=_numbers(content["pivot"], (3,)),
@@ -48,36 +48,36 @@ def pose_from_json(content: Any) -> Pose:
         raise ValueError(f"expected a pose, got {str(content)[:60]}") from error
     if not (pose.distance > 0 and 1e-3 < pose.field_of_view < math.pi and abs(np.linalg.norm(pose.up) - 1) < 1e-3):
         raise ValueError("expected a distance above 0, a field of view from 0.001 to pi and a unit vector up")
-    pose.camera(16, 16)  # which checks the rotation
+    pose.camera(16, 16)  # validates the rotation
     return pose
 
 
 class SavedViews:
-    """Poses by scene. A file that cannot be read or written costs the memory, nothing else."""
+    """Poses by scene. A file that cannot be read counts as empty; one that cannot be written stays unchanged."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
 
-    def recall(self, scene: Path) -> Pose | None:
-        """The last pose in which the scene was seen, if it is known."""
+    def load(self, scene: Path) -> Pose | None:
+        """The saved pose of a scene; None where there is none."""
         try:
-            return pose_from_json(self._all().get(_key(scene)))
+            return pose_from_json(self._read().get(_key(scene)))
         except ValueError:
             return None
 
-    def remember(self, scene: Path, pose: Pose) -> None:
-        """Keep the pose; the scenes that were seen longest ago are forgotten."""
-        views = self._all()
+    def save(self, scene: Path, pose: Pose) -> None:
+        """Save the pose; above 200 scenes, the oldest views are dropped."""
+        views = self._read()
         views.pop(_key(scene), None)
         views[_key(scene)] = pose_to_json(pose)
-        while len(views) > _MOST_SCENES:
+        while len(views) > _MAX_SCENES:
             views.pop(next(iter(views)))
         try:
             write_text_atomically(self._file, json.dumps(views))
         except OSError:
             return
 
-    def _all(self) -> dict[str, Any]:
+    def _read(self) -> dict[str, Any]:
         try:
             content = json.loads(self._file.read_text("utf-8"))
         except (OSError, ValueError, RecursionError):

@@ -1,4 +1,4 @@
-"""Which way is up: nothing in a capture says so, but people hold cameras upright."""
+"""Estimates the up direction of a capture, which its calibration does not define."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def estimate_up(cameras: Sequence[Camera]) -> Array:
-    """(3,) unit mean of the cameras' upward (-y) axes; the first camera's where they cancel out."""
+    """(3,) unit mean of the cameras' -y axes; the first camera's where they cancel out."""
     mean = np.mean([-camera.rotation[1] for camera in cameras], axis=0)
     if np.linalg.norm(mean) < 1e-3:
         mean = -cameras[0].rotation[1]

@@ -1,1 +1,1 @@
-"""PNG and MP4 files."""
+"""Writers of PNG and MP4 files."""

@@ -1,4 +1,4 @@
-"""Writing MP4 files, H.264, a picture at a time."""
+"""Writes MP4 files (H.264) image by image."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "h264")
 
 
 def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *, quality: int = 18) -> int:
-    """Write pictures as an MP4 (H.264, yuv420p, BT.709) that every player opens.
+    """Write images as an MP4 (H.264, yuv420p, BT.709), which every player opens.
 
     Args:
-        path: the file; it appears whole at the end, and not at all when something raises.
-        images: (H, W, 3) RGB, uint8 or float in [0, 1], all of one size. They are taken one by
-            one, so a generator keeps memory flat. Odd sides get one more row or column, a copy of
-            the last, since yuv420p halves both.
-        fps: pictures a second, more than 0.
+        path: the file, written atomically: when an image raises, no file is left.
+        images: (H, W, 3) RGB, uint8 or float in [0, 1], all of one size. They are consumed one by
+            one, so a generator keeps memory constant. Odd sides are padded by a copy of the last
+            row or column, because yuv420p needs even sides.
+        fps: images per second, above 0.
         quality: x264's CRF, 0 (lossless) to 51; smaller is better and larger.
 
     Returns:
-        The number of pictures written.
+        The count of images written.
 
     Raises:
-        UserError: when no H.264 encoder is there, or ``images`` is empty.
-        ValueError: when a picture is of another shape than the first.
+        UserError: when there is no H.264 encoder, or ``images`` is empty.
+        ValueError: when an image differs in shape from the first.
     """
     path = Path(path)
     if not fps > 0:
         raise ValueError(f"fps: expected more than 0, got {fps}")
-    encoder = _encoder(path)
+    encoder = _find_encoder(path)
     count = 0
     stream: Any = None
     shape: tuple[int, ...] = ()
@@ -51,18 +51,18 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
         for image in images:
             if stream is None:
                 shape = image.shape
-                stream = _stream(container, encoder, shape, fps, quality)
+                stream = _add_stream(container, encoder, shape, fps, quality)
             if image.shape != shape:
-                raise ValueError(f"images: expected {shape} like the first, got {image.shape} at {count}")
-            _encode(container, stream, _frame(image))
+                raise ValueError(f"images: expected {shape} like the first, got {image.shape} at index {count}")
+            _encode(container, stream, _to_yuv(image))
             count += 1
         if stream is None:
-            raise UserError(f"{path}: expected at least one picture for a video, got none")
+            raise UserError(f"{path}: expected at least one image for a video, got none")
         _encode(container, stream, None)
     return count
 
 
-def _encoder(path: Path) -> str:
+def _find_encoder(path: Path) -> str:
     for name in _ENCODERS:
         if name in av.codecs_available:
             try:
@@ -72,11 +72,11 @@ def _encoder(path: Path) -> str:
             return name
     raise UserError(
         f"{path}: expected FFmpeg with an H.264 encoder in PyAV, got none; "
-        "pip install --force-reinstall --only-binary=:all: av, or name a folder to get PNG pictures"
+        "pip install --force-reinstall --only-binary=:all: av, or name a folder to get PNG images"
     )
 
 
-def _stream(container: Any, encoder: str, shape: tuple[int, ...], fps: float, quality: int) -> Any:
+def _add_stream(container: Any, encoder: str, shape: tuple[int, ...], fps: float, quality: int) -> Any:
     if len(shape) != 3 or shape[2] != 3 or min(shape) < 1:
         raise ValueError(f"images: expected (H, W, 3), got {shape}")
     options = {"crf": str(quality), "preset": "medium"} if encoder == "libx264" else {}
@@ -88,7 +88,7 @@ def _stream(container: Any, encoder: str, shape: tuple[int, ...], fps: float, qu
     return stream
 
 
-def _frame(image: NDArray[Any]) -> Any:
+def _to_yuv(image: NDArray[Any]) -> Any:
     if image.dtype != np.uint8:
         image = np.round(np.nan_to_num(np.clip(image, 0, 1)) * 255).astype(np.uint8)
     height, width = image.shape[:2]

@@ -1,1 +1,1 @@
-"""Which frame is shown when, and reading ahead."""
+"""The playback clock, frame sources and prefetching."""

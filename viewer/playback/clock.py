@@ -1,4 +1,4 @@
-"""Which frame is shown at which time."""
+"""The playback clock: which frame is shown at which time."""
 
 from __future__ import annotations
 
@@ -11,62 +11,63 @@ class Playback:
     """A clock over the frames of a scene.
 
     Attributes:
-        frames: how many there are, at least 1.
-        fps: frames a second at speed 1.
-        speed: factor; negative plays backwards.
-        playing, looping: what the buttons say.
+        frame_count: at least 1.
+        fps: frames per second at speed 1.
+        speed: factor on ``fps``; negative plays backwards.
+        is_playing: whether :meth:`advance` moves the clock.
+        is_looping: whether playback wraps at the ends; otherwise it pauses there.
     """
 
-    frames: int
+    frame_count: int
     fps: float
     speed: float = 1.0
-    playing: bool = True
-    looping: bool = True
+    is_playing: bool = True
+    is_looping: bool = True
     _position: float = 0.0
 
     @property
     def frame(self) -> int:
         """The frame to show, from 0."""
-        return min(int(self._position), self.frames - 1)
+        return min(int(self._position), self.frame_count - 1)
 
     @property
     def direction(self) -> int:
-        """1 or -1: which frames come next."""
+        """1 when playing forwards, -1 when playing backwards."""
         return -1 if self.speed < 0 else 1
 
     def advance(self, seconds: float) -> None:
-        """Let time pass; at an end, start again or stop there."""
-        if not self.playing or self.frames < 2:
+        """Move the clock by ``seconds``; at an end, wrap or pause."""
+        if not self.is_playing or self.frame_count < 2:
             return
         self._position += seconds * self.fps * self.speed
-        if 0 <= self._position < self.frames:
+        if 0 <= self._position < self.frame_count:
             return
-        if self.looping:
-            self._position %= self.frames
+        if self.is_looping:
+            self._position %= self.frame_count
         else:
-            self._position = 0.0 if self._position < 0 else float(self.frames - 1)
-            self.playing = False
+            self._position = 0.0 if self._position < 0 else float(self.frame_count - 1)
+            self.is_playing = False
 
-    def seconds_to_next(self) -> float:
-        """Until another frame is shown; infinite while none will be."""
-        if not self.playing or self.frames < 2 or self.speed == 0:
+    def seconds_to_next_frame(self) -> float:
+        """Time until the frame changes; infinite while paused."""
+        if not self.is_playing or self.frame_count < 2 or self.speed == 0:
             return math.inf
-        within = self._position - int(self._position)
-        frames = 1 - within if self.speed > 0 else within
+        fraction = self._position - int(self._position)
+        frames = 1 - fraction if self.speed > 0 else fraction
         return frames / (self.fps * abs(self.speed))
 
     def seek(self, frame: int) -> None:
-        """Go to a frame, brought into range."""
-        self._position = float(min(max(frame, 0), self.frames - 1))
+        """Go to a frame, clamped to the scene."""
+        self._position = float(min(max(frame, 0), self.frame_count - 1))
 
     def step(self, frames: int) -> None:
-        """Stop, and go on by some frames, round the end."""
-        self.playing = False
-        self._position = float((self.frame + frames) % self.frames)
+        """Pause and move by ``frames``, wrapping at the ends."""
+        self.is_playing = False
+        self._position = float((self.frame + frames) % self.frame_count)
 
     def toggle(self) -> None:
-        """Play or pause; from the last frame of a scene that does not loop, play from the first."""
-        self.playing = not self.playing
-        last = self.frames - 1 if self.direction > 0 else 0
-        if self.playing and not self.looping and self.frame == last:
-            self._position = 0.0 if self.direction > 0 else float(self.frames - 1)
+        """Play or pause. At the last frame of a scene that does not loop, play from the first."""
+        self.is_playing = not self.is_playing
+        last = self.frame_count - 1 if self.direction > 0 else 0
+        if self.is_playing and not self.is_looping and self.frame == last:
+            self._position = 0.0 if self.direction > 0 else float(self.frame_count - 1)

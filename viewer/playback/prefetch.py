@@ -1,4 +1,4 @@
-"""Frames read ahead of the one that is shown, by a thread, into bounded memory."""
+"""Prefetches frames in playback order with a thread, in bounded memory."""
 
 from __future__ import annotations
 
@@ -10,88 +10,90 @@ from typing import Protocol
 from fourd.baking import BakedFrame, SceneManifest
 from fourd.errors import UserError
 
-RING_BYTES = 384 << 20
-_LEAST = 2
-_MOST = 32
+BUFFER_BYTES = 384 << 20
+_MIN_FRAMES = 2
+_MAX_FRAMES = 32
 
 
 class BakedFrameSource(Protocol):
-    """Where frames come from; read by one thread at a time."""
+    """Reads baked frames; used by one thread at a time."""
 
     @property
     def manifest(self) -> SceneManifest:
-        """What holds for all frames."""
+        """The manifest of the scene."""
 
     def read(self, index: int) -> BakedFrame:
-        """A frame's arrays; slow. Raises UserError when it is damaged."""
+        """Read a frame; slow. Raises UserError when it is damaged."""
 
     def close(self) -> None:
-        """Let go of files."""
+        """Close files."""
 
 
 class FramePrefetcher:
-    """Gives frames that are there, and reads those that come next. Frames are asked for by one thread."""
+    """Returns buffered frames and reads the following ones in a thread. :meth:`get` is for one thread."""
 
-    def __init__(self, source: BakedFrameSource, ring_bytes: int = RING_BYTES) -> None:
-        """Takes ``source`` over and closes it.
+    def __init__(self, source: BakedFrameSource, buffer_bytes: int = BUFFER_BYTES) -> None:
+        """Owns ``source`` and closes it.
 
-        The frames kept fit ``ring_bytes`` together with a background, which the source keeps, but are at least two.
+        ``buffer_bytes`` covers the buffered frames and the background that the source keeps. At
+        least two frames are buffered.
         """
         self._source = source
-        self._frames = source.manifest.frame_count
-        self._room = ring_bytes - source.manifest.background_nbytes
+        self._frame_count = source.manifest.frame_count
+        self._frame_bytes = buffer_bytes - source.manifest.background_nbytes
         self._changed = threading.Condition()
-        self._ring: dict[int, BakedFrame | UserError] = {}
+        self._buffer: dict[int, BakedFrame | UserError] = {}
         self._head, self._direction = 0, 1
-        self._wants = False
-        self._largest: int | None = None  # bytes of a frame
-        self._age = 0  # of what is read: frames of an older one are dropped when they come
-        self._stopped = False
+        self._has_started = False
+        self._largest: int | None = None  # bytes of the largest frame so far
+        self._generation = 0  # frames read for an earlier generation are dropped
+        self._is_stopped = False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="frame reader", daemon=True)
         self._thread.start()
 
     def get(self, index: int, direction: int = 1, wait: bool = False) -> BakedFrame | None:
-        """A frame, or None while it is being read; those after it in ``direction`` are read ahead.
+        """A frame, or None while it is being read; the frames after it in ``direction`` are prefetched.
 
-        Raises UserError when the file is damaged there, IndexError outside the scene.
+        Raises UserError when the frame is damaged, IndexError outside the scene.
         """
-        if not 0 <= index < self._frames:
-            raise IndexError(f"frame: expected 0 to {self._frames - 1}, got {index}")
+        if not 0 <= index < self._frame_count:
+            raise IndexError(f"frame: expected 0 to {self._frame_count - 1}, got {index}")
         with self._changed:
-            self._head, self._direction, self._wants = index, direction, True
+            self._head, self._direction, self._has_started = index, direction, True
             self._changed.notify_all()
-            while wait and index not in self._ring:
+            while wait and index not in self._buffer:
                 self._raise_failure()
                 self._changed.wait()
             self._raise_failure()
-            found = self._ring.get(index)
+            found = self._buffer.get(index)
         if isinstance(found, UserError):
-            raise UserError(str(found))  # a new one: each time that one is raised, it keeps more of its callers
+            raise UserError(str(found))  # a new one, because the traceback of an exception grows with every raise
         return found
 
     @property
-    def ahead(self) -> int:
-        """How many frames after the one asked for last are there without a gap."""
+    def frames_ahead(self) -> int:
+        """How many frames after the current one are buffered without a gap."""
         with self._changed:
-            wanted = self._after(self._head, self._direction)
-            next(wanted)
-            return next((count for count, index in enumerate(wanted) if index not in self._ring), self._frames - 1)
+            upcoming = self._playback_order()
+            next(upcoming)
+            missing = (count for count, index in enumerate(upcoming) if index not in self._buffer)
+            return next(missing, self._frame_count - 1)
 
-    def forget(self) -> None:
-        """Read everything again: the source has changed."""
+    def invalidate(self) -> None:
+        """Read all frames again, because the source has changed."""
         with self._changed:
-            self._ring.clear()
-            self._age += 1
+            self._buffer.clear()
+            self._generation += 1
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Stop reading and close the source."""
+        """Stop the thread and close the source."""
         with self._changed:
-            self._stopped = True
+            self._is_stopped = True
             self._changed.notify_all()
         self._thread.join()
-        self._ring.clear()
+        self._buffer.clear()
         self._source.close()
 
     def _raise_failure(self) -> None:
@@ -108,48 +110,50 @@ class FramePrefetcher:
                 self._changed.notify_all()
 
     def _read_next(self) -> bool:
+        """Wait for a frame to read and read it. Returns False once stopped."""
         with self._changed:
-            wanted = self._wanted()
-            while not self._stopped and wanted is None:
+            index = self._first_missing()
+            while not self._is_stopped and index is None:
                 self._changed.wait()
-                wanted = self._wanted()
-            if self._stopped:
+                index = self._first_missing()
+            if self._is_stopped:
                 return False
-            age = self._age
-        assert wanted is not None
+            generation = self._generation
+        assert index is not None
         frame: BakedFrame | UserError
         try:
-            frame = self._source.read(wanted)
+            frame = self._source.read(index)
         except UserError as error:
             frame = error
         with self._changed:
             if isinstance(frame, BakedFrame):
                 self._largest = max(self._largest or 0, frame.nbytes)
-            if age == self._age:
-                self._ring[wanted] = frame
-            self._drop()
+            if generation == self._generation:
+                self._buffer[index] = frame
+            self._evict()
             self._changed.notify_all()
         return True
 
-    def _wanted(self) -> int | None:
-        """The first frame that should be there and is not."""
-        if not self._wants:
+    def _first_missing(self) -> int | None:
+        """The first frame in playback order that fits and is not buffered."""
+        if not self._has_started:
             return None
-        coming = islice(self._after(self._head, self._direction), self._capacity())
-        return next((index for index in coming if index not in self._ring), None)
+        upcoming = islice(self._playback_order(), self._capacity())
+        return next((index for index in upcoming if index not in self._buffer), None)
 
-    def _drop(self) -> None:
-        keep = list(islice(self._after(self._head, self._direction), self._capacity()))
-        for index in [index for index in self._ring if index not in keep]:
-            del self._ring[index]
+    def _evict(self) -> None:
+        keep = list(islice(self._playback_order(), self._capacity()))
+        for index in [index for index in self._buffer if index not in keep]:
+            del self._buffer[index]
 
     def _capacity(self) -> int:
-        """How many frames fit if all were as large as the largest so far: dropping that makes no new room."""
+        """How many frames of the largest size so far fit; the bound is conservative, so eviction frees enough."""
         if self._largest is None:
-            return min(_LEAST, self._frames)
-        return min(max(_LEAST, self._room // max(self._largest, 1)), _MOST, self._frames)
+            return min(_MIN_FRAMES, self._frame_count)
+        fitting = self._frame_bytes // max(self._largest, 1)
+        return min(max(_MIN_FRAMES, fitting), _MAX_FRAMES, self._frame_count)
 
-    def _after(self, head: int, direction: int) -> Iterator[int]:
-        """All frames in the order in which they are played."""
-        for step in range(self._frames):
-            yield (head + direction * step) % self._frames
+    def _playback_order(self) -> Iterator[int]:
+        """All frames in playback order, from the current one."""
+        for step in range(self._frame_count):
+            yield (self._head + self._direction * step) % self._frame_count

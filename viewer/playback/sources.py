@@ -1,4 +1,4 @@
-"""What can be opened: a `.4dv`, or a run, which is baked frame by frame while it trains."""
+"""Frame sources: a `.4dv` file, or a run whose newest checkpoint is baked frame by frame."""
 
 from __future__ import annotations
 
@@ -13,66 +13,67 @@ from fourd.viewer.playback.prefetch import BakedFrameSource
 if TYPE_CHECKING:
     from fourd.training.run import TrainedRun
 
-_NICE = 10
+_NICENESS = 10
 
 
 class RunSource:
-    """The newest checkpoint of a run; torch is loaded for it. Read by one thread at a time.
+    """Bakes frames of a run's newest checkpoint; needs torch. Used by one thread at a time.
 
-    Raises UserError when the folder is no run, has no good checkpoint, or cannot be baked.
+    Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """
 
     def __init__(self, folder: Path) -> None:
         from fourd.baking.bake import make_manifest, require_bakeable
 
-        _yield_to_training()
+        _lower_priority()
         self._folder = folder
         self._trained: TrainedRun | None = None
         self._background: BakedFrame | None = None
-        self._trained_step = -1  # of the checkpoint that the background is of
-        trained = self._newest()
+        self._background_step = -1  # of the checkpoint that the background is baked from
+        trained = self._load_newest()
         require_bakeable(trained.run)
         self.manifest: SceneManifest = make_manifest(trained)
 
     @property
     def checkpoint(self) -> str:
-        """Name of the newest checkpoint file, which need not be read yet; empty while there is none."""
+        """File name of the newest checkpoint on disk; empty when there is none."""
         names = [path.name for path in (self._folder / "checkpoints").glob("*.safetensors") if path.stem.isdecimal()]
         return max(names, default="")
 
     def read(self, index: int) -> BakedFrame:
-        """Bake a frame of the newest checkpoint."""
+        """Bake a frame of the newest checkpoint. Raises UserError when it has values that are not finite."""
         try:
-            return self._baked(index)
-        except FileNotFoundError:  # training has dropped that checkpoint meanwhile: there is a newer one
-            return self._baked(index)
+            return self._bake(index)
+        except FileNotFoundError:  # training replaced the checkpoint while it was loaded
+            return self._bake(index)
 
     def close(self) -> None:
+        """Drop the model."""
         self._trained = None
 
-    def _baked(self, index: int) -> BakedFrame:
+    def _bake(self, index: int) -> BakedFrame:
         import torch
 
         from fourd.baking.bake import bake_background, bake_frame, select_baked_views
 
-        trained, last = self._newest(), self._trained_step
-        sources = select_baked_views(trained.run)
+        trained = self._load_newest()
+        views = select_baked_views(trained.run)
         with torch.no_grad():
-            frame = bake_frame(trained, index, sources)
-            if trained.step != last:
-                self._background = bake_background(trained, sources)
-                self._trained_step = trained.step
+            frame = bake_frame(trained, index, views)
+            if trained.step != self._background_step:
+                self._background = bake_background(trained, views)
+                self._background_step = trained.step
         if self._background is not None:
             frame = combine_frames(frame, self._background)
-        bad = frame.find_invalid_array()
-        if bad is not None:
+        invalid = frame.find_invalid_array()
+        if invalid is not None:
             raise UserError(
-                f"{self._folder}: expected finite numbers, got others in {bad} of frame {index} "
+                f"{self._folder}: expected finite numbers, got others in {invalid} of frame {index} "
                 f"at step {trained.step}; training has failed: lower the learning rates"
             )
         return frame
 
-    def _newest(self) -> TrainedRun:
+    def _load_newest(self) -> TrainedRun:
         from fourd.training.run import load_run
 
         if self._trained is None or self.checkpoint != f"{self._trained.step:08d}.safetensors":
@@ -80,16 +81,16 @@ class RunSource:
         return self._trained
 
 
-def _yield_to_training() -> None:
-    """Run at a lower priority from now on, once: who looks at a run should not hold it up."""
-    if hasattr(os, "nice") and os.nice(0) < _NICE:
-        os.nice(_NICE - os.nice(0))
+def _lower_priority() -> None:
+    """Lower the priority of this process, so that viewing a run does not slow its training."""
+    if hasattr(os, "nice") and os.nice(0) < _NICENESS:
+        os.nice(_NICENESS - os.nice(0))
 
 
 def open_frame_source(path: Path) -> BakedFrameSource:
     """Open a `.4dv` file or a run's folder.
 
-    Raises UserError: one line that names the file and the mend.
+    Raises UserError that names the file and the fix.
     """
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
@@ -97,8 +98,8 @@ def open_frame_source(path: Path) -> BakedFrameSource:
     manifest = source.manifest
     if manifest.frame_count == 0:
         source.close()
-        raise UserError(f"{path}: expected at least one frame, got a scene of none; export it again")
+        raise UserError(f"{path}: expected at least one frame, got a scene without frames; export it again")
     if manifest.points and not any(manifest.points) and manifest.background_nbytes == 0:
         source.close()
-        raise UserError(f"{path}: expected points in some frame, got a scene of none; export it again")
+        raise UserError(f"{path}: expected points in some frame, got a scene without points; export it again")
     return source

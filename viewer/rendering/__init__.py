@@ -1,1 +1,1 @@
-"""Renderers behind one interface."""
+"""The renderers behind one interface, and the choice among them."""

@@ -1,4 +1,4 @@
-"""The renderer that needs no GPU: the native kernel, whose bytes are uploaded where there is a window."""
+"""The renderer that needs no GPU: the native kernel."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
 
 class CPURenderer:
-    """Draws shots with the native kernel."""
+    """Renders with the native kernel; in a window, the image is uploaded."""
 
     name = "cpu"
-    behind = 0
+    stale_images = 0
     sort_seconds = 0.0
 
     def __init__(self) -> None:
@@ -26,8 +26,8 @@ class CPURenderer:
         self._player = Player()
         self._pixels: NDArray[np.uint8] | None = None
 
-    def picture(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """The request, (H, W, 4) uint8; the array is drawn over by the next call."""
+    def render(self, request: RenderRequest) -> NDArray[np.uint8]:
+        """The image, (H, W, 4) uint8. The next call overwrites the array."""
         shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
             self._pixels = np.empty(shape, np.uint8)
@@ -41,8 +41,8 @@ class CPURenderer:
         )
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw on ``canvas``, in the camera's size."""
-        canvas.write(self.picture(request))
+        """Draw into ``canvas`` at the camera's size."""
+        canvas.write(self.render(request))
 
     def release(self) -> None:
-        """Nothing is held of GL's."""
+        """Does nothing: this renderer owns no GL objects."""

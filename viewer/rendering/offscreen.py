@@ -1,4 +1,4 @@
-"""Pictures without a window, drawn by the same renderers."""
+"""Rendering without a window."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ if TYPE_CHECKING:
 
 
 class OffscreenRenderer:
-    """Draws shots to arrays; by the CPU without any GL. Use as a context manager."""
+    """Renders requests to arrays with any renderer; with cpu it needs no OpenGL. Use as a context manager."""
 
-    def __init__(self, wanted: RendererName | Literal["auto"]) -> None:
-        """Raises UserError when a GL renderer is wanted and there is no GL."""
-        self._context = None if wanted == "cpu" else _context_if_any(wanted)
-        self.chosen: RendererChoice = choose_renderer(wanted, None if self._context is None else _driver(self._context))
-        if self.chosen.name == "cpu":
+    def __init__(self, requested: RendererName | Literal["auto"]) -> None:
+        """Raises UserError when a GL renderer is requested and there is no OpenGL."""
+        self._context = None if requested == "cpu" else _make_context(requested)
+        self.choice: RendererChoice = choose_renderer(
+            requested, None if self._context is None else _driver_name(self._context)
+        )
+        if self.choice.name == "cpu":
             self._release_context()
-        self._renderer: Renderer = make_renderer(self.chosen.name, self._context)
-        self._canvas = None if self._context is None else _canvas(self._context)
+        self._renderer: Renderer = make_renderer(self.choice.name, self._context)
+        self._canvas = None if self._context is None else _make_canvas(self._context)
 
-    def picture(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8, a new array."""
+    def render(self, request: RenderRequest) -> NDArray[np.uint8]:
+        """The image, (H, W, 3) uint8, in a new array."""
         if isinstance(self._renderer, CPURenderer):
-            return self._renderer.picture(request)[..., :3].copy()
+            return self._renderer.render(request)[..., :3].copy()
         assert self._canvas is not None
         self._renderer.draw(request, self._canvas, wait=True)
-        return self._canvas.pixels()
+        return self._canvas.read_rgb8()
 
     def __enter__(self) -> OffscreenRenderer:
         return self
@@ -56,24 +58,25 @@ class OffscreenRenderer:
             self._context = None
 
 
-def _context_if_any(wanted: RendererName | Literal["auto"]) -> moderngl.Context | None:
+def _make_context(requested: RendererName | Literal["auto"]) -> moderngl.Context | None:
+    """A context; None where there is no OpenGL and the renderer is chosen automatically."""
     from fourd.viewer.gl.context import offscreen_context
 
     try:
         return offscreen_context()
     except UserError:
-        if wanted != "auto":
+        if requested != "auto":
             raise
         return None
 
 
-def _canvas(context: moderngl.Context) -> Canvas:
+def _make_canvas(context: moderngl.Context) -> Canvas:
     from fourd.viewer.gl.canvas import Canvas
 
     return Canvas(context)
 
 
-def _driver(context: moderngl.Context) -> str:
+def _driver_name(context: moderngl.Context) -> str:
     from fourd.viewer.gl.context import driver_name
 
     return driver_name(context)

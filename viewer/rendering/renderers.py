@@ -1,4 +1,4 @@
-"""Renderers behind one small interface, and which of them suits the machine."""
+"""The renderer interface, and the choice of a renderer for this machine."""
 
 from __future__ import annotations
 
@@ -12,84 +12,95 @@ from fourd.viewer.rendering.cpu import CPURenderer
 if TYPE_CHECKING:
     import moderngl
 
-    from fourd.viewer.gl.arrays import Precision
     from fourd.viewer.gl.canvas import Canvas
+    from fourd.viewer.gl.frame_textures import Precision
 
 RendererName = Literal["sorted", "peel", "dual", "cpu"]
 RENDERERS: tuple[RendererName, ...] = get_args(RendererName)
 
-SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software", "gdi generic", "microsoft basic render")
-"""What drivers that draw on the CPU call themselves."""
+SOFTWARE_DRIVERS = (
+    "llvmpipe",
+    "softpipe",
+    "swrast",
+    "swiftshader",
+    "software",
+    "gdi generic",
+    "microsoft basic render",
+)
+"""Parts of the names of drivers that render on the CPU, in lower case."""
 
 
 class Renderer(Protocol):
-    """Draws shots on canvases."""
+    """Draws requests into canvases."""
 
     @property
     def name(self) -> str:
         """One of RENDERERS."""
 
     @property
-    def behind(self) -> int:
-        """How many pictures in a row were drawn with an order of points older than the request; 0 when exact."""
+    def stale_images(self) -> int:
+        """Count of consecutive images drawn with the depth order of an earlier request; 0 when exact."""
 
     @property
     def sort_seconds(self) -> float:
-        """What sorting took last; 0 for renderers that do not sort."""
+        """Duration of the last depth sort; 0 for renderers that do not sort."""
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw the request on ``canvas``, in its camera's size.
+        """Draw into ``canvas`` at the camera's size.
 
-        Nothing is drawn from the past with ``wait``; without it, the order of points may be a little older.
+        With ``wait``, frame and depth order are the request's own; otherwise they may be of an
+        earlier request.
         """
 
     def release(self) -> None:
-        """Give back every GL object, and stop threads."""
+        """Free all GL objects and stop threads."""
 
 
 @dataclass(frozen=True)
 class RendererChoice:
-    """A renderer's name, and why it was taken, in words for the user."""
+    """A renderer's name and the reason for it, as shown to the user."""
 
     name: RendererName
     reason: str
 
 
-def choose_renderer(wanted: RendererName | Literal["auto"], driver: str | None) -> RendererChoice:
-    """Which renderer to take.
+def choose_renderer(requested: RendererName | Literal["auto"], driver: str | None) -> RendererChoice:
+    """Choose a renderer.
 
     Args:
-        wanted: by the user.
-        driver: what GL calls its renderer; None where there is no GL.
+        requested: the user's choice.
+        driver: GL_RENDERER; None where there is no OpenGL.
 
     Raises:
-        UserError: when a GL renderer is wanted and there is no GL.
+        UserError: when a GL renderer is requested and there is no OpenGL.
     """
-    if wanted == "cpu":
-        return RendererChoice("cpu", "as asked")
-    if wanted != "auto":
+    if requested == "cpu":
+        return RendererChoice("cpu", "as requested")
+    if requested != "auto":
         if driver is None:
-            raise UserError(f"--renderer: expected cpu, as there is no OpenGL here, got {wanted}; add --renderer cpu")
-        return RendererChoice(wanted, "as asked")
+            raise UserError(
+                f"--renderer: expected cpu, as OpenGL is not available, got {requested}; add --renderer cpu"
+            )
+        return RendererChoice(requested, "as requested")
     if driver is None:
-        return RendererChoice("cpu", "there is no OpenGL here")
-    if any(name in driver.lower() for name in SOFTWARE):
-        return RendererChoice("cpu", f"OpenGL is drawn by the CPU here ({driver}), where our own kernel is faster")
-    return RendererChoice("sorted", f"OpenGL is drawn by {driver}")
+        return RendererChoice("cpu", "OpenGL is not available")
+    if any(name in driver.lower() for name in SOFTWARE_DRIVERS):
+        return RendererChoice("cpu", f"OpenGL runs on the CPU ({driver}); the native kernel is faster")
+    return RendererChoice("sorted", f"OpenGL runs on {driver}")
 
 
 def make_renderer(name: RendererName, context: moderngl.Context | None, precision: Precision = "float16") -> Renderer:
-    """A renderer by name; ``precision`` is that of arrays and pictures in GL.
+    """Create a renderer; ``precision`` is that of arrays and render targets on the GPU.
 
     Raises ImportError where the native module is not built.
     """
     if name == "cpu" or context is None:
         return CPURenderer()
+    from fourd.viewer.gl.compositors import DepthPeeling, DualDepthPeeling, SortedBlending
     from fourd.viewer.gl.depth_order import BackgroundOrders, ExactOrders
     from fourd.viewer.gl.renderer import GLRenderer
-    from fourd.viewer.gl.techniques import Dual, Peel, Sorted
 
     if name == "sorted":
-        return GLRenderer(context, name, Sorted(context), BackgroundOrders(), precision)
-    technique = Peel(context, precision) if name == "peel" else Dual(context, precision)
-    return GLRenderer(context, name, technique, ExactOrders(), precision)
+        return GLRenderer(context, name, SortedBlending(context), BackgroundOrders(), precision)
+    compositor = DepthPeeling(context, precision) if name == "peel" else DualDepthPeeling(context, precision)
+    return GLRenderer(context, name, compositor, ExactOrders(), precision)

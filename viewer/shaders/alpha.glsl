@@ -1,7 +1,8 @@
-// The alpha of a point at this pixel; discards the pixel where the point does not reach.
-float alpha_here(vec3 place, float density) {
-    vec2 d = place.xy - gl_FragCoord.xy;
-    float alpha = density * (1.0 - dot(d, d) * place.z);
+// Alpha of a disc at this fragment; discards fragments outside the disc.
+// disc_centre: window position of the centre, and 1 / radius^2 in pixels.
+float disc_alpha(vec3 disc_centre, float density) {
+    vec2 d = disc_centre.xy - gl_FragCoord.xy;
+    float alpha = density * (1.0 - dot(d, d) * disc_centre.z);
     if (!(alpha > 0.0)) discard;
     return alpha;
 }

@@ -1,8 +1,8 @@
 #version 330 core
-// Another picture of the same size, to be blended.
+// Copies an image of the same size; the blend function of the pass decides how.
 
-uniform sampler2D picture;
+uniform sampler2D image;
 
 out vec4 colour;
 
-void main() { colour = texelFetch(picture, ivec2(gl_FragCoord.xy), 0); }
+void main() { colour = texelFetch(image, ivec2(gl_FragCoord.xy), 0); }

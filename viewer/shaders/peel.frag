@@ -1,20 +1,20 @@
 #version 330 core
-// The nearest point behind the layer before: the depth test chooses among those that are left (Everitt 2001).
+// One layer of depth peeling (Everitt 2001): the depth test keeps the nearest disc behind the previous layer.
 
-uniform sampler2D peeled;  // rank of the layer before
+uniform sampler2D peeled_rank;  // of the previous layer
 
 #include "alpha.glsl"
 
-flat in vec3 place;
+flat in vec3 disc_centre;
 flat in vec4 tint;
 flat in float rank;
 
 layout(location = 0) out vec4 layer;
-layout(location = 1) out float taken;
+layout(location = 1) out float layer_rank;
 
 void main() {
-    if (rank <= texelFetch(peeled, ivec2(gl_FragCoord.xy), 0).r) discard;
-    float alpha = alpha_here(place, tint.a);
+    if (rank <= texelFetch(peeled_rank, ivec2(gl_FragCoord.xy), 0).r) discard;
+    float alpha = disc_alpha(disc_centre, tint.a);
     layer = vec4(tint.rgb * alpha, alpha);
-    taken = rank;
+    layer_rank = rank;
 }

@@ -1,14 +1,14 @@
 #version 330 core
-// Farthest first, to be blended over what is there already.
+// The premultiplied colour of a disc. Discs come farthest first, each blended over those before it.
 
 #include "alpha.glsl"
 
-flat in vec3 place;
+flat in vec3 disc_centre;
 flat in vec4 tint;
 
 out vec4 colour;
 
 void main() {
-    float alpha = alpha_here(place, tint.a);
+    float alpha = disc_alpha(disc_centre, tint.a);
     colour = vec4(tint.rgb * alpha, alpha);
 }

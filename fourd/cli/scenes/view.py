@@ -51,9 +51,9 @@ def run(arguments: Arguments) -> None:
     _check(arguments)
     settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background)
     if arguments.headless is None and arguments.screenshot is None:
-        from fourd.viewer.app import show
+        from fourd.viewer.app import run_viewer
 
-        show(arguments.source, arguments.renderer, arguments.size or (1280, 720), settings, console)
+        run_viewer(arguments.source, arguments.renderer, arguments.size or (1280, 720), settings, console)
         return
     from fourd.viewer.headless import Headless
 

@@ -15,7 +15,7 @@ from fourd.viewer.navigation.paths import (
     fit_camera,
     interpolate,
     orbit,
-    ring_order,
+    order_by_azimuth,
     spiral,
 )
 from tests.captures import ring_cameras
@@ -52,7 +52,7 @@ def test_focus_and_order_are_found() -> None:
     """Catches a focus on the wrong side, and a flight that zigzags."""
     cameras = ring_cameras(8, 64)
     assert np.abs(estimate_focus(cameras)).max() < 0.05
-    order = ring_order([cameras[index] for index in (3, 0, 6, 1, 7, 2, 5, 4)])
+    order = order_by_azimuth([cameras[index] for index in (3, 0, 6, 1, 7, 2, 5, 4)])
     places = [(3, 0, 6, 1, 7, 2, 5, 4)[index] for index in order]
     assert {abs(a - b) for a, b in itertools.pairwise(places)} <= {1, 7}
 

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from fourd.cameras import Camera, look_at
-from fourd.viewer.navigation.pose import NARROWEST, WIDEST, Pose, between, facing, pose_of
+from fourd.viewer.navigation.pose import (
+    MAX_FIELD_OF_VIEW,
+    MIN_FIELD_OF_VIEW,
+    Pose,
+    interpolate_poses,
+    pose_facing,
+    pose_from_camera,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,7 +36,7 @@ def capture(width: int, height: int, shift: tuple[float, float] = (0.0, 0.0), as
 def viewer(seed: int = 0, offset: tuple[float, float] = (0.04, -0.02)) -> Pose:
     """Somewhere around the origin, level, with an eccentric principal point."""
     rng = np.random.default_rng(seed)
-    pose = facing(rng.uniform([2, 2, -1], [3, 3, 1]), rng.uniform(-0.2, 0.2, 3), UP, 0.9)
+    pose = pose_facing(rng.uniform([2, 2, -1], [3, 3, 1]), rng.uniform(-0.2, 0.2, 3), UP, 0.9)
     return Pose(pose.pivot, pose.rotation, pose.distance, pose.field_of_view, UP, offset)
 
 
@@ -56,7 +63,7 @@ def assert_rotation(rotation: Array) -> None:
 def test_a_capture_camera_comes_back(size: tuple[int, int], shift: tuple[float, float]) -> None:
     """Catches a jump between a capture's picture and the viewer's: a lost principal point, or a field of view."""
     camera = capture(*size, shift)
-    again = pose_of(camera, (0.0, 0.0, 0.0), UP, size).camera(*size)
+    again = pose_from_camera(camera, (0.0, 0.0, 0.0), UP, size).camera(*size)
     assert (again.width, again.height) == size
     np.testing.assert_allclose(again.intrinsics, camera.intrinsics, rtol=1e-12)
     np.testing.assert_array_equal(again.rotation, camera.rotation)
@@ -87,14 +94,14 @@ def corners_seen(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array]:
     corners = np.array([[x, y, 1.0] for x in (0, camera.width) for y in (0, camera.height)])
     rays = 2.0 * corners @ np.linalg.inv(camera.intrinsics).T
     points = (rays - camera.translation) @ camera.rotation
-    pixels, _ = pose_of(camera, (0.0, 0.0, 0.0), UP, size).camera(*size).project(points)
+    pixels, _ = pose_from_camera(camera, (0.0, 0.0, 0.0), UP, size).camera(*size).project(points)
     return pixels.min(axis=0), pixels.max(axis=0)
 
 
 def test_the_pivot_is_where_the_view_passes_the_focus() -> None:
     """Catches orbits round a point beside the subject, or at another depth."""
     camera, focus = capture(64, 48), np.array([0.3, -0.4, 0.1])
-    pose = pose_of(camera, focus, UP, (64, 48))
+    pose = pose_from_camera(camera, focus, UP, (64, 48))
     assert abs((focus - pose.pivot) @ camera.forward) < 1e-12
     np.testing.assert_allclose(np.cross(pose.pivot - camera.centre, camera.forward), 0, atol=1e-12)
     np.testing.assert_allclose(pose.eye, camera.centre, atol=1e-12)
@@ -104,7 +111,7 @@ def test_the_pivot_is_where_the_view_passes_the_focus() -> None:
 def test_a_focus_that_is_not_ahead(ahead: float) -> None:
     """Catches a viewer that is turned about or stands in its pivot, where a camera looks away from the scene."""
     camera = capture(64, 48)
-    pose = pose_of(camera, camera.centre + ahead * camera.forward, UP, (64, 48))
+    pose = pose_from_camera(camera, camera.centre + ahead * camera.forward, UP, (64, 48))
     assert pose.distance > 0.1
     assert (pose.pivot - camera.centre) @ camera.forward > 0
     np.testing.assert_allclose(pose.camera(64, 48).translation, camera.translation, atol=1e-12)
@@ -113,7 +120,7 @@ def test_a_focus_that_is_not_ahead(ahead: float) -> None:
 def test_facing_looks_at_the_pivot_with_up_on_top() -> None:
     """Catches a start that looks away or stands on its head."""
     eye, pivot = np.array([1.0, 2.0, 3.0]), np.array([0.2, 0.1, -0.3])
-    pose = facing(eye, pivot, UP, 0.8)
+    pose = pose_facing(eye, pivot, UP, 0.8)
     np.testing.assert_allclose(pose.eye, eye, atol=1e-12)
     np.testing.assert_allclose(pixel(pose, pivot), np.array(SIZE) / 2, atol=1e-9)
     assert pixel(pose, pivot + 0.1 * UP)[1] < SIZE[1] / 2
@@ -125,7 +132,7 @@ def test_orbits_keep_the_pivot_in_its_pixel() -> None:
     pose = viewer()
     place = pixel(pose, pose.pivot)
     for right, down in rng.uniform(-1, 1, (50, 2)):
-        turned = pose.orbited(right, down)
+        turned = pose.orbit(right, down)
         assert np.abs(pixel(turned, pose.pivot) - place).max() < 1e-6
         assert np.linalg.norm(turned.eye - pose.pivot) == pytest.approx(pose.distance)
         pose = turned
@@ -136,17 +143,17 @@ def test_orbits_drag_what_is_in_front_of_the_pivot_with_the_mouse() -> None:
     pose = viewer()
     point = pose.pivot - 0.3 * pose.distance * pose.rotation[2]
     before = pixel(pose, point)
-    right, down = pixel(pose.orbited(0.05, 0), point) - before, pixel(pose.orbited(0, 0.05), point) - before
+    right, down = pixel(pose.orbit(0.05, 0), point) - before, pixel(pose.orbit(0, 0.05), point) - before
     assert right[0] > 1 > abs(right[1])
     assert down[1] > 1 > abs(down[0])
 
 
 def test_an_orbit_turns_by_the_asked_angle() -> None:
     """Catches half or double angles, and degrees taken for radians."""
-    pose = facing(np.array([3.0, 0.0, 0.0]), np.zeros(3), UP, 0.9)
-    np.testing.assert_allclose(pose.orbited(0.4, 0).eye, 3 * np.array([np.cos(0.4), -np.sin(0.4), 0]), atol=1e-12)
-    np.testing.assert_allclose(pose.orbited(0, 0.4).eye, 3 * np.array([np.cos(0.4), 0, np.sin(0.4)]), atol=1e-12)
-    np.testing.assert_allclose(pose.orbited(0, 0).rotation, pose.rotation, atol=1e-12)
+    pose = pose_facing(np.array([3.0, 0.0, 0.0]), np.zeros(3), UP, 0.9)
+    np.testing.assert_allclose(pose.orbit(0.4, 0).eye, 3 * np.array([np.cos(0.4), -np.sin(0.4), 0]), atol=1e-12)
+    np.testing.assert_allclose(pose.orbit(0, 0.4).eye, 3 * np.array([np.cos(0.4), 0, np.sin(0.4)]), atol=1e-12)
+    np.testing.assert_allclose(pose.orbit(0, 0).rotation, pose.rotation, atol=1e-12)
 
 
 @pytest.mark.parametrize("down", [0.03, -0.03, 2.0, -2.0])
@@ -155,7 +162,7 @@ def test_orbits_never_pass_a_pole(roll: float, down: float) -> None:
     """Catches a picture that stands on its head after a long drag, also from a camera that is a little tilted."""
     pose = rolled(viewer(), roll)
     for _ in range(200):
-        pose = pose.orbited(0.01, down)
+        pose = pose.orbit(0.01, down)
         assert -pose.rotation[1] @ UP > 0
         assert abs(pose.rotation[2] @ UP) < 1
     assert -np.sign(down) * pose.rotation[2] @ UP > 0.98
@@ -165,18 +172,18 @@ def test_a_viewer_at_a_pole_is_not_thrown_away_from_it() -> None:
     """Catches a camera on the ceiling that jumps at its first touch, or that cannot be turned any more."""
     straight_down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     pose = Pose(np.zeros(3), straight_down, 2.0, 0.9, UP)
-    np.testing.assert_allclose(pose.orbited(0, 0.1).rotation, straight_down, atol=1e-9)
-    raised = pose.orbited(0, -0.1)
+    np.testing.assert_allclose(pose.orbit(0, 0.1).rotation, straight_down, atol=1e-9)
+    raised = pose.orbit(0, -0.1)
     assert np.arccos(-raised.rotation[2] @ UP) == pytest.approx(0.1)
     assert -raised.rotation[1] @ UP > 0
-    assert_rotation(pose.orbited(0.3, 0).rotation)
+    assert_rotation(pose.orbit(0.3, 0).rotation)
 
 
 def test_thousands_of_turns_leave_a_rotation() -> None:
     """Catches rounding that adds up until the camera is refused."""
     pose = viewer()
     for right, down in np.random.default_rng(2).normal(0, 0.3, (2000, 2)):
-        pose = pose.orbited(right, down)
+        pose = pose.orbit(right, down)
     assert_rotation(pose.rotation)
     assert -pose.rotation[1] @ UP > 0
     pose.camera(*SIZE)
@@ -185,8 +192,8 @@ def test_thousands_of_turns_leave_a_rotation() -> None:
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_pans_drag_the_pivot_with_the_mouse(scale: float) -> None:
     """Catches pans of a fixed speed, which are lost in large scenes, and the wrong direction."""
-    pose = viewer().dollied(scale)
-    moved = pose.panned(0.25, -0.1)
+    pose = viewer().dolly(scale)
+    moved = pose.pan(0.25, -0.1)
     step = pixel(moved, pose.pivot) - pixel(pose, pose.pivot)
     np.testing.assert_allclose(step, [0.25 * SIZE[1], -0.1 * SIZE[1]], atol=1e-6)
     np.testing.assert_array_equal(moved.rotation, pose.rotation)
@@ -196,22 +203,22 @@ def test_pans_drag_the_pivot_with_the_mouse(scale: float) -> None:
 def test_dollies_come_nearer_without_passing_the_pivot() -> None:
     """Catches a dolly that moves the pivot, goes through it, or gets stuck at 0 or infinity."""
     pose = viewer()
-    nearer = pose.dollied(0.5)
+    nearer = pose.dolly(0.5)
     np.testing.assert_allclose(nearer.eye, (pose.eye + pose.pivot) / 2, atol=1e-12)
     np.testing.assert_array_equal(nearer.pivot, pose.pivot)
     for factor in (1e-30, 1e30):
-        end = pose.dollied(factor)
+        end = pose.dolly(factor)
         for _ in range(3):
-            end = end.dollied(factor)
+            end = end.dolly(factor)
         assert 0 < end.distance < np.inf
-        assert end.dollied(1 / pose.distance).camera(*SIZE)
-        assert (end.dollied(1 / factor).distance < end.distance) == (factor > 1)
+        assert end.dolly(1 / pose.distance).camera(*SIZE)
+        assert (end.dolly(1 / factor).distance < end.distance) == (factor > 1)
 
 
 def test_flights_follow_the_viewers_own_axes() -> None:
     """Catches keys that move along the world's axes, up and down the wrong way, and a pivot left behind."""
     pose, point = viewer(), np.array([0.1, -0.2, 0.3])
-    moved = pose.flown(0.3, 0.2, 0.1)
+    moved = pose.fly(0.3, 0.2, 0.1)
     before, after = (
         camera.rotation @ point + camera.translation for camera in (pose.camera(*SIZE), moved.camera(9, 9))
     )
@@ -223,17 +230,19 @@ def test_flights_follow_the_viewers_own_axes() -> None:
 def test_the_field_of_view_stays_in_its_range() -> None:
     """Catches a slider's end that gives a focal length of 0 or infinity, and a view that moves while it widens."""
     pose = viewer()
-    assert pose.widened(0.0).field_of_view == NARROWEST
-    assert pose.widened(10.0).field_of_view == WIDEST
-    assert pose.widened(1.2).field_of_view == 1.2
+    assert pose.with_field_of_view(0.0).field_of_view == MIN_FIELD_OF_VIEW
+    assert pose.with_field_of_view(10.0).field_of_view == MAX_FIELD_OF_VIEW
+    assert pose.with_field_of_view(1.2).field_of_view == 1.2
     for angle in (0.0, 1.2, 10.0):
-        np.testing.assert_allclose(pixel(pose.widened(angle), pose.pivot), pixel(pose, pose.pivot), atol=1e-9)
+        np.testing.assert_allclose(
+            pixel(pose.with_field_of_view(angle), pose.pivot), pixel(pose, pose.pivot), atol=1e-9
+        )
 
 
 def test_a_glide_begins_and_ends_exactly() -> None:
     """Catches a jump at either end of a glide."""
-    start, end = viewer(1), viewer(2, offset=(-0.1, 0.05)).widened(0.5).dollied(3)
-    first, last = between(start, end, 0.0), between(start, end, 1.0)
+    start, end = viewer(1), viewer(2, offset=(-0.1, 0.05)).with_field_of_view(0.5).dolly(3)
+    first, last = interpolate_poses(start, end, 0.0), interpolate_poses(start, end, 1.0)
     for pose, expected in ((first, start), (last, end)):
         got, wanted = pose.camera(*SIZE), expected.camera(*SIZE)
         np.testing.assert_allclose(got.intrinsics, wanted.intrinsics, rtol=1e-12)
@@ -247,9 +256,9 @@ def test_a_glide_begins_and_ends_exactly() -> None:
 def test_a_glide_stays_a_view_on_its_way(turn: float) -> None:
     """Catches NaN between equal or opposite directions, a time past the end, and a way that turns back."""
     start = viewer()
-    end = start.orbited(turn, 0.2).dollied(1e4)
+    end = start.orbit(turn, 0.2).dolly(1e4)
     shares = [*np.linspace(0, 1, 21), np.nextafter(1, 0)]
-    poses = [between(start, end, float(share)) for share in shares]
+    poses = [interpolate_poses(start, end, float(share)) for share in shares]
     for pose in poses:
         pose.camera(*SIZE)
         assert_rotation(pose.rotation)

@@ -12,7 +12,7 @@ import pytest
 
 from fourd.errors import UserError
 from fourd.viewer.navigation import saved_views as remembered
-from fourd.viewer.navigation.pose import Pose, facing
+from fourd.viewer.navigation.pose import Pose, pose_facing
 from fourd.viewer.navigation.recorded_path import (
     RECORDED_FPS,
     PathRecorder,
@@ -29,7 +29,7 @@ def viewer(seed: int, across: float = 0.0) -> Pose:
     """A random place; ``across`` becomes the pivot's x."""
     rng = np.random.default_rng(seed)
     up = np.array([0.6, 0.0, 0.8])
-    pose = facing(rng.uniform(2, 3, 3), np.array([across, *rng.normal(size=2)]), up, rng.uniform(0.3, 1.2))
+    pose = pose_facing(rng.uniform(2, 3, 3), np.array([across, *rng.normal(size=2)]), up, rng.uniform(0.3, 1.2))
     return Pose(pose.pivot, pose.rotation, pose.distance, pose.field_of_view, up, (rng.normal(), 0.25))
 
 
@@ -60,8 +60,8 @@ def test_a_flight_comes_back_as_it_was_saved(tmp_path: Path) -> None:
     flight.save(tmp_path / "new folder" / "a.path.json")
     again = load_recorded_path(tmp_path / "new folder" / "a.path.json")
     assert again.fps == 24.5
-    assert len(again.stops) == 20
-    for got, expected in zip(again.stops, flight.stops, strict=True):
+    assert len(again.samples) == 20
+    for got, expected in zip(again.samples, flight.samples, strict=True):
         assert got.frame == expected.frame
         assert_same(got.pose, expected.pose)
     assert len(list((tmp_path / "new folder").iterdir())) == 1
@@ -82,8 +82,8 @@ def test_a_recording_has_an_even_pace(ticks: str) -> None:
     for number, step in enumerate(steps):
         time += step
         recorder.advance(step, viewer(0, across=time), number)
-    stops = recorder.flight().stops
-    assert recorder.flight().fps == RECORDED_FPS == 30
+    stops = recorder.path().samples
+    assert recorder.path().fps == RECORDED_FPS == 30
     assert recorder.seconds == pytest.approx(time)
     assert abs(len(stops) - 30 * time) <= 1
     late = np.array([stop.pose.pivot[0] for stop in stops]) - np.arange(len(stops)) / 30
@@ -95,11 +95,11 @@ def test_a_recording_has_an_even_pace(ticks: str) -> None:
 def test_nothing_recorded_is_nothing() -> None:
     """Catches a stop at the moment in which the button is pressed, before any time has passed."""
     recorder = PathRecorder()
-    assert recorder.flight().stops == ()
+    assert recorder.path().samples == ()
     recorder.advance(0.0, viewer(0), 0)
-    assert recorder.flight().stops == ()
+    assert recorder.path().samples == ()
     recorder.advance(1e-6, viewer(0), 0)
-    assert len(recorder.flight().stops) == 1
+    assert len(recorder.path().samples) == 1
 
 
 CHANGES: dict[str, Callable[[Content], Any]] = {
@@ -192,15 +192,15 @@ def test_a_view_is_remembered_by_scene(tmp_path: Path, monkeypatch: pytest.Monke
     """Catches views of one scene shown in another, old ones that stay, and names that depend on the folder."""
     views = SavedViews(tmp_path / "state" / "fourd" / "views.json")
     one, other = tmp_path / "one.4dv", tmp_path / "other.4dv"
-    assert views.recall(one) is None
-    views.remember(one, viewer(1))
-    views.remember(other, viewer(2))
-    views.remember(one, viewer(3))
+    assert views.load(one) is None
+    views.save(one, viewer(1))
+    views.save(other, viewer(2))
+    views.save(one, viewer(3))
     monkeypatch.chdir(tmp_path)
     for memory in (views, SavedViews(tmp_path / "state" / "fourd" / "views.json")):
-        assert_same(memory.recall(one), viewer(3))
-        assert_same(memory.recall(Path("other.4dv")), viewer(2))
-        assert memory.recall(tmp_path / "third.4dv") is None
+        assert_same(memory.load(one), viewer(3))
+        assert_same(memory.load(Path("other.4dv")), viewer(2))
+        assert memory.load(tmp_path / "third.4dv") is None
 
 
 @pytest.mark.parametrize(
@@ -213,9 +213,9 @@ def test_a_broken_file_costs_the_memory_alone(tmp_path: Path, content: bytes) ->
     file, scene = tmp_path / "views.json", tmp_path / "scene.4dv"
     file.write_bytes(content)
     views = SavedViews(file)
-    assert views.recall(scene) is None
-    views.remember(scene, viewer(1))
-    assert_same(views.recall(scene), viewer(1))
+    assert views.load(scene) is None
+    views.save(scene, viewer(1))
+    assert_same(views.load(scene), viewer(1))
 
 
 @pytest.mark.parametrize(
@@ -235,12 +235,12 @@ def test_a_broken_view_is_none_and_the_others_stay(tmp_path: Path, change: Conte
     file = tmp_path / "views.json"
     views = SavedViews(file)
     for seed, name in enumerate(("bad.4dv", "good.4dv")):
-        views.remember(tmp_path / name, viewer(seed))
+        views.save(tmp_path / name, viewer(seed))
     content = json.loads(file.read_text())
     content[str((tmp_path / "bad.4dv").resolve())].update(change)
     file.write_text(json.dumps(content))
-    assert views.recall(tmp_path / "bad.4dv") is None
-    assert_same(views.recall(tmp_path / "good.4dv"), viewer(1))
+    assert views.load(tmp_path / "bad.4dv") is None
+    assert_same(views.load(tmp_path / "good.4dv"), viewer(1))
 
 
 def test_a_place_that_cannot_be_written_costs_the_memory_alone(tmp_path: Path) -> None:
@@ -249,15 +249,15 @@ def test_a_place_that_cannot_be_written_costs_the_memory_alone(tmp_path: Path) -
     (tmp_path / "folder.json").mkdir()
     for place in (tmp_path / "file" / "views.json", tmp_path / "folder.json"):
         views = SavedViews(place)
-        views.remember(tmp_path / "scene.4dv", viewer(1))
-        assert views.recall(tmp_path / "scene.4dv") is None
+        views.save(tmp_path / "scene.4dv", viewer(1))
+        assert views.load(tmp_path / "scene.4dv") is None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.json"]
 
 
 def test_the_scenes_seen_longest_ago_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a file that grows for ever, and a scene forgotten although it was seen just now."""
-    monkeypatch.setattr(remembered, "_MOST_SCENES", 3)
+    monkeypatch.setattr(remembered, "_MAX_SCENES", 3)
     views = SavedViews(tmp_path / "views.json")
     for name in ("a", "b", "c", "a", "d"):
-        views.remember(tmp_path / name, viewer(0))
-    assert [name for name in "abcd" if views.recall(tmp_path / name) is not None] == ["a", "c", "d"]
+        views.save(tmp_path / name, viewer(0))
+    assert [name for name in "abcd" if views.load(tmp_path / name) is not None] == ["a", "c", "d"]

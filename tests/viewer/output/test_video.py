@@ -37,7 +37,7 @@ def test_what_is_written_is_what_plays(tmp_path: Path) -> None:
 
 def test_nothing_to_write_leaves_nothing(tmp_path: Path) -> None:
     """Catches an empty file that no player opens."""
-    with pytest.raises(UserError, match="expected at least one picture"):
+    with pytest.raises(UserError, match="expected at least one image"):
         write_video(tmp_path / "a.mp4", iter(()), 24)
     mixed = [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 10, 3), np.uint8)]
     with pytest.raises(ValueError, match="like the first"):

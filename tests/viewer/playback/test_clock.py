@@ -22,7 +22,7 @@ def test_a_loop_shows_every_frame_equally_long() -> None:
     """Catches a first or last frame that is skipped or shown twice where the loop closes."""
     playback = Playback(4, 10.0)
     assert shown(playback, 16, 0.05) == [0, 1, 1, 2, 2, 3, 3, 0] * 2
-    assert playback.playing
+    assert playback.is_playing
 
 
 def test_a_loop_backwards() -> None:
@@ -37,23 +37,23 @@ def test_a_loop_backwards() -> None:
 @pytest.mark.parametrize(("speed", "end"), [(1.0, 4), (-1.0, 0)])
 def test_without_a_loop_it_stops_at_its_end(speed: float, end: int) -> None:
     """Catches a run past the end, and a button that still says that it plays."""
-    playback = Playback(5, 10.0, speed=speed, looping=False)
+    playback = Playback(5, 10.0, speed=speed, is_looping=False)
     playback.seek(2)
     assert set(shown(playback, 10, 0.125)) <= set(range(5))
-    assert (playback.frame, playback.playing) == (end, False)
+    assert (playback.frame, playback.is_playing) == (end, False)
     playback.advance(1.0)
     assert playback.frame == end
 
 
 def test_the_last_frame_is_shown_for_its_time_before_the_stop() -> None:
     """Catches a last frame that flashes by."""
-    playback = Playback(3, 8.0, looping=False)
+    playback = Playback(3, 8.0, is_looping=False)
     assert shown(playback, 2, 0.125) == [1, 2]
-    assert playback.playing
+    assert playback.is_playing
     playback.advance(0.0625)
-    assert playback.playing
+    assert playback.is_playing
     playback.advance(0.0625)
-    assert not playback.playing
+    assert not playback.is_playing
 
 
 @pytest.mark.parametrize("speed", [0.1, 1.0, -3.7, 1e6])
@@ -83,7 +83,7 @@ def test_seeking_is_brought_into_range(frame: int, expected: int) -> None:
     playback = Playback(5, 10.0)
     playback.seek(frame)
     assert playback.frame == expected
-    assert playback.playing
+    assert playback.is_playing
 
 
 @pytest.mark.parametrize(("start", "steps", "expected"), [(0, 1, 1), (0, -1, 4), (4, 1, 0), (2, -7, 0), (2, 10, 2)])
@@ -93,7 +93,7 @@ def test_steps_pause_and_wrap(start: int, steps: int, expected: int) -> None:
     playback.seek(start)
     playback.step(steps)
     assert playback.frame == expected
-    assert not playback.playing
+    assert not playback.is_playing
 
 
 def test_steps_begin_at_the_frame_that_is_seen() -> None:
@@ -109,21 +109,21 @@ def test_steps_begin_at_the_frame_that_is_seen() -> None:
 @pytest.mark.parametrize(("speed", "begin", "end"), [(1.0, 0, 4), (-1.0, 4, 0)])
 def test_play_at_the_end_begins_again(speed: float, begin: int, end: int) -> None:
     """Catches a play button that seems dead at the end of a scene that does not loop."""
-    playback = Playback(5, 10.0, speed=speed, looping=False)
+    playback = Playback(5, 10.0, speed=speed, is_looping=False)
     playback.seek(end)
     playback.advance(10.0)
-    assert not playback.playing
+    assert not playback.is_playing
     playback.toggle()
-    assert (playback.frame, playback.playing) == (begin, True)
+    assert (playback.frame, playback.is_playing) == (begin, True)
 
 
 def test_play_elsewhere_goes_on() -> None:
     """Catches a play button that always begins again."""
-    for looping, frame in ((True, 4), (False, 2)):
-        playback = Playback(5, 10.0, playing=False, looping=looping)
+    for is_looping, frame in ((True, 4), (False, 2)):
+        playback = Playback(5, 10.0, is_playing=False, is_looping=is_looping)
         playback.seek(frame)
         playback.toggle()
-        assert (playback.frame, playback.playing) == (frame, True)
+        assert (playback.frame, playback.is_playing) == (frame, True)
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.3, -1.0, -2.5])
@@ -133,7 +133,7 @@ def test_the_next_frame_comes_when_it_is_announced(speed: float) -> None:
     playback.seek(2)
     playback.advance(0.01)
     for _ in range(12):
-        seconds, frame = playback.seconds_to_next(), playback.frame
+        seconds, frame = playback.seconds_to_next_frame(), playback.frame
         assert 0 < seconds <= 1 / (24.0 * abs(speed)) + 1e-9
         playback.advance(0.9 * seconds)
         assert playback.frame == frame
@@ -143,25 +143,25 @@ def test_the_next_frame_comes_when_it_is_announced(speed: float) -> None:
 
 @pytest.mark.parametrize(
     "playback",
-    [Playback(5, 30.0, playing=False), Playback(5, 30.0, speed=0.0), Playback(1, 30.0)],
+    [Playback(5, 30.0, is_playing=False), Playback(5, 30.0, speed=0.0), Playback(1, 30.0)],
     ids=["paused", "speed 0", "one frame"],
 )
 def test_no_next_frame_is_infinitely_far(playback: Playback) -> None:
     """Catches a division by a speed of 0, and a viewer that draws without end while nothing moves."""
-    assert playback.seconds_to_next() == math.inf
+    assert playback.seconds_to_next_frame() == math.inf
     playback.advance(1e3)
     assert playback.frame == 0
 
 
-@pytest.mark.parametrize("looping", [True, False])
-def test_a_single_frame_stays(looping: bool) -> None:
+@pytest.mark.parametrize("is_looping", [True, False])
+def test_a_single_frame_stays(is_looping: bool) -> None:
     """Catches a scene of one frame that stops, wraps or divides by its length."""
-    playback = Playback(1, 30.0, looping=looping)
+    playback = Playback(1, 30.0, is_looping=is_looping)
     playback.advance(5.0)
-    assert (playback.frame, playback.playing) == (0, True)
+    assert (playback.frame, playback.is_playing) == (0, True)
     playback.seek(3)
     assert playback.frame == 0
     playback.step(1)
     assert playback.frame == 0
     playback.toggle()
-    assert (playback.frame, playback.playing) == (0, True)
+    assert (playback.frame, playback.is_playing) == (0, True)

@@ -140,7 +140,7 @@ def damaged_scene(path: Path, kind: str) -> list[BakedFrame]:
 def test_frames_are_those_of_the_file(tmp_path: Path) -> None:
     """Catches frames given under another's number, forwards, backwards, in jumps and round the end."""
     written = write_scene(tmp_path / "scene.4dv", frames=5)
-    stream = FramePrefetcher(SceneReader(tmp_path / "scene.4dv"), ring_bytes=2 * written[-1].nbytes)
+    stream = FramePrefetcher(SceneReader(tmp_path / "scene.4dv"), buffer_bytes=2 * written[-1].nbytes)
     for index, direction in [
         *((i % 5, 1) for i in range(11)),
         *((i % 5, -1) for i in range(10, 2, -1)),
@@ -175,7 +175,7 @@ def test_nothing_is_read_before_a_frame_is_asked_for() -> None:
 def test_a_turn_reads_what_comes_next_now() -> None:
     """Catches a ring that stays behind when playback turns round, and one that reads again what it has."""
     source = CountedSource([10] * 10)
-    stream = FramePrefetcher(source, ring_bytes=3 * frame_bytes(10))
+    stream = FramePrefetcher(source, buffer_bytes=3 * frame_bytes(10))
     stream.get(5, 1)
     assert rest(source, 3) == [5, 6, 7]
     stream.get(5, -1)
@@ -189,11 +189,11 @@ def test_a_turn_reads_what_comes_next_now() -> None:
 def test_only_frames_that_fit_are_kept(room: int) -> None:
     """Catches memory that grows while a scene plays, and less than two frames, which would stop playback."""
     source = CountedSource([10] * 12)
-    stream = FramePrefetcher(source, ring_bytes=room)
+    stream = FramePrefetcher(source, buffer_bytes=room)
     fitting = max(2, room // frame_bytes(10))
     for index in [0, 1, 2, 3, 9, 10, 11, 0, 1]:
         stream.get(index, wait=True)
-        eventually(lambda: stream.ahead == fitting - 1)
+        eventually(lambda: stream.frames_ahead == fitting - 1)
         eventually(lambda: len(source.kept) == fitting)
     assert source.most_kept == fitting
     stream.close()
@@ -204,7 +204,7 @@ def test_frames_of_different_sizes_fit_together() -> None:
     rng = np.random.default_rng(3)
     room = 3 * frame_bytes(400)
     source = CountedSource([int(points) for points in rng.integers(1, 400, 30)], room)
-    stream = FramePrefetcher(source, ring_bytes=room)
+    stream = FramePrefetcher(source, buffer_bytes=room)
     for index in range(60):
         assert_same(stream.get(index % 30, wait=True), source.frame(index % 30))
     stream.close()
@@ -214,17 +214,17 @@ def test_a_background_takes_room_too() -> None:
     """Catches memory that is given to frames and is the background's already."""
     source = CountedSource([10] * 12)
     source.manifest = replace(source.manifest, kind="full", background=SceneBackground(30))
-    stream = FramePrefetcher(source, ring_bytes=5 * frame_bytes(10) + frame_bytes(30) - 1)
+    stream = FramePrefetcher(source, buffer_bytes=5 * frame_bytes(10) + frame_bytes(30) - 1)
     stream.get(0, wait=True)
     rest(source, 4)
-    assert (stream.ahead, len(source.kept)) == (3, 4)
+    assert (stream.frames_ahead, len(source.kept)) == (3, 4)
     stream.close()
 
 
 def test_a_large_frame_ahead_is_not_read_over_and_over() -> None:
     """Catches a disk that never rests: a large frame drops out for its size, and is then wanted again."""
     source = CountedSource([10] * 5 + [100] + [10] * 14)
-    stream = FramePrefetcher(source, ring_bytes=3 * frame_bytes(100))
+    stream = FramePrefetcher(source, buffer_bytes=3 * frame_bytes(100))
     stream.get(0, wait=True)
     time.sleep(0.04)
     stream.close()
@@ -251,13 +251,13 @@ def test_how_many_frames_are_ahead() -> None:
     """Catches a count that includes the frame shown, or that looks the wrong way or over a gap."""
     source = CountedSource([10] * 6)
     source.gate.clear()
-    stream = FramePrefetcher(source, ring_bytes=4 * frame_bytes(10))
+    stream = FramePrefetcher(source, buffer_bytes=4 * frame_bytes(10))
     stream.get(0)
-    assert stream.ahead == 0
+    assert stream.frames_ahead == 0
     source.gate.set()
-    eventually(lambda: stream.ahead == 3)
+    eventually(lambda: stream.frames_ahead == 3)
     stream.get(2, -1, wait=True)
-    eventually(lambda: stream.ahead == 3)
+    eventually(lambda: stream.frames_ahead == 3)
     stream.close()
 
 
@@ -268,7 +268,7 @@ def test_a_scene_that_is_read_as_a_whole_is_ahead_by_all_others(frames: int) -> 
     stream = FramePrefetcher(source)
     for index in [*range(frames), 0]:
         stream.get(index, wait=True)
-    assert stream.ahead == frames - 1
+    assert stream.frames_ahead == frames - 1
     stream.close()
 
 
@@ -326,7 +326,7 @@ def test_forgetting_reads_again() -> None:
     rest(source, 3)
     source.failures.clear()
     source.seed = 1
-    stream.forget()
+    stream.invalidate()
     for index in range(3):
         assert_same(stream.get(index, wait=True), source.frame(index))
     assert len(source.reads) == 6
@@ -341,7 +341,7 @@ def test_what_is_read_while_it_is_forgotten_does_not_come_back() -> None:
     assert stream.get(0) is None
     assert source.begun.wait(10)
     source.seed = 1
-    stream.forget()
+    stream.invalidate()
     source.gate.set()
     assert_same(stream.get(0, wait=True), source.frame(0))
     assert rest(source, 4) == [0, 0, 1, 2]

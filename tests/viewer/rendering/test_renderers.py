@@ -20,10 +20,10 @@ from fourd.errors import UserError
 from fourd.raster import render_points
 from fourd.training.memory import resident_bytes
 from fourd.viewer.display import DisplaySettings, RenderRequest
-from fourd.viewer.gl.arrays import Precision
 from fourd.viewer.gl.canvas import Canvas
-from fourd.viewer.gl.context import information
-from fourd.viewer.gl.pictures import release_framebuffer
+from fourd.viewer.gl.context import driver_info
+from fourd.viewer.gl.frame_textures import Precision
+from fourd.viewer.gl.passes import release_framebuffer
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 from tests.baking.scenes import manifest, random_frame, ring
 from tests.viewer.gl import contexts, drawn
@@ -206,24 +206,24 @@ def test_an_order_from_the_background_is_exact_at_rest(make, context: moderngl.C
         canvas = Canvas(context)
         renderer.draw(request, canvas)
         for _ in range(1000):
-            if renderer.behind == 0:
+            if renderer.stale_images == 0:
                 break
             renderer.draw(request, canvas)
         canvas.release()
-        assert renderer.behind == 0
+        assert renderer.stale_images == 0
         require_parity("sorted", drawn(renderer, request, context), reference(request))
 
 
 def test_a_scene_that_no_texture_holds_is_told(context: moderngl.Context) -> None:
     """Catches a driver's error, or half a scene, where the arrays are larger than its textures."""
-    from fourd.viewer.gl.arrays import ArrayTexture
-    from fourd.viewer.gl.shaders import TEXELS_A_ROW
+    from fourd.viewer.gl.frame_textures import ArrayTexture
+    from fourd.viewer.gl.shaders import TEXELS_PER_ROW
 
-    rows = information(context)["GL_MAX_TEXTURE_SIZE"] + 1
-    huge = np.broadcast_to(np.uint8(0), (rows * TEXELS_A_ROW, 1))
+    rows = driver_info(context)["GL_MAX_TEXTURE_SIZE"] + 1
+    huge = np.broadcast_to(np.uint8(0), (rows * TEXELS_PER_ROW, 1))
     texture = ArrayTexture(context, 1, "f1")
     with pytest.raises(UserError, match=r"expected textures of 4096 x \d+ texels .* add --renderer cpu"):
-        texture.require_room(huge.shape[0])
+        texture.reserve(huge.shape[0])
 
 
 @pytest.mark.parametrize("name", RENDERERS)

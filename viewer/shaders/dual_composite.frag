@@ -1,9 +1,8 @@
 #version 330 core
-// The two layers that a pass of dual peeling has found, composited: one behind what came from the front, one before what
-// came from the back.
+// Composites the two layers of a dual peeling pass: the nearer one behind `front`, the farther one in front of `back`.
 
-uniform sampler2D ends;    // minus the rank of the nearer layer, and that of the farther
-uniform sampler2D discs;   // two texels a disc, by rank
+uniform sampler2D bounds;  // minus the rank of the nearer layer, and the rank of the farther one
+uniform sampler2D discs;   // two texels per disc, by rank
 uniform sampler2D front;
 uniform sampler2D back;
 uniform bool front_only;
@@ -11,9 +10,10 @@ uniform bool front_only;
 layout(location = 0) out vec4 next_front;
 layout(location = 1) out vec4 next_back;
 
+// The premultiplied colour of the disc with this rank.
 vec4 layer(float rank) {
     int texel = 2 * (int(rank) - 1);
-    ivec2 at = ivec2(texel & (TEXELS_A_ROW - 1), texel / TEXELS_A_ROW);
+    ivec2 at = ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW);
     vec4 disc = texelFetch(discs, at, 0), paint = texelFetch(discs, at + ivec2(1, 0), 0);
     vec2 d = disc.xy - gl_FragCoord.xy;
     return vec4(paint.rgb, 1.0) * paint.a * (1.0 - dot(d, d) * disc.z);
@@ -21,7 +21,7 @@ vec4 layer(float rank) {
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
-    vec2 found = texelFetch(ends, pixel, 0).rg;
+    vec2 found = texelFetch(bounds, pixel, 0).rg;
     next_front = texelFetch(front, pixel, 0);
     next_back = texelFetch(back, pixel, 0);
     if (found.x == -NONE) return;

@@ -18,7 +18,7 @@ from fourd.baking.depth_order import DepthSorter
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.viewer.display import DisplaySettings, RenderRequest
-from fourd.viewer.gl.depth_order import BackgroundOrders, ExactOrders, Order
+from fourd.viewer.gl.depth_order import BackgroundOrders, DepthOrder, ExactOrders
 from fourd.viewer.rendering.renderers import RENDERERS, RendererName, choose_renderer
 from tests.baking.scenes import manifest, random_frame, ring, write_scene
 
@@ -38,7 +38,7 @@ def exact(request: RenderRequest) -> NDArray[np.uint32]:
     return DepthSorter().sort(request.frame, request.camera, MANIFEST.near)
 
 
-def fits(order: Order, request: RenderRequest) -> bool:
+def fits(order: DepthOrder, request: RenderRequest) -> bool:
     return order.frame is request.frame and order.camera is request.camera
 
 
@@ -51,7 +51,7 @@ def eventually(condition: Callable[[], bool]) -> None:
     raise AssertionError("it never came")
 
 
-def assert_orders(order: Order, request: RenderRequest) -> None:
+def assert_orders(order: DepthOrder, request: RenderRequest) -> None:
     """The order is the request's: all that it sees is there, nearest first."""
     assert fits(order, request)
     seen = exact(request)
@@ -73,14 +73,14 @@ def orders() -> Iterator[BackgroundOrders]:
 def test_a_look_of_no_scales_gives_the_frame_itself() -> None:
     """Catches arrays that are copied and uploaded again for every picture."""
     frame = random_frame(20, VIEWS, seed=2)
-    assert DisplaySettings(layers=3, background=(1, 0, 0)).applied(frame) is frame
+    assert DisplaySettings(layers=3, background=(1, 0, 0)).scale_points(frame) is frame
 
 
 def test_a_look_scales_radii_and_densities_and_nothing_else() -> None:
     """Catches scales on the wrong array, densities above 1, and radii that overflow to infinity and vanish."""
     frame = random_frame(200, VIEWS, seed=2)
     frame.radius[:3] = (0.0, 0.5, 60000.0)
-    scaled = DisplaySettings(point_scale=2.0, density_scale=1.5).applied(frame)
+    scaled = DisplaySettings(point_scale=2.0, density_scale=1.5).scale_points(frame)
     assert scaled.radius.dtype == scaled.density.dtype == np.float16
     np.testing.assert_allclose(scaled.radius[3:], 2.0 * frame.radius[3:], rtol=1e-3)
     assert scaled.radius[:3].tolist() == [0.0, 1.0, 65504.0]
@@ -92,9 +92,12 @@ def test_a_look_scales_radii_and_densities_and_nothing_else() -> None:
 
 
 def test_one_scale_alone_leaves_the_other_array() -> None:
-    """Catches a scale that is applied only where the other is set too, and rounding of what is not scaled."""
+    """Catches a scale that is scale_points only where the other is set too, and rounding of what is not scaled."""
     frame = random_frame(50, VIEWS, seed=3)
-    larger, denser = DisplaySettings(point_scale=0.5).applied(frame), DisplaySettings(density_scale=0.5).applied(frame)
+    larger, denser = (
+        DisplaySettings(point_scale=0.5).scale_points(frame),
+        DisplaySettings(density_scale=0.5).scale_points(frame),
+    )
     np.testing.assert_array_equal(larger.density, frame.density)
     np.testing.assert_array_equal(denser.radius, frame.radius)
     np.testing.assert_array_equal(larger.radius, frame.radius / 2)

@@ -1,0 +1,209 @@
+"""Three ways to composite depth-sorted discs."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import moderngl
+
+from fourd.viewer.display import RenderRequest
+from fourd.viewer.gl.discs import Discs
+from fourd.viewer.gl.frame_textures import Precision
+from fourd.viewer.gl.passes import (
+    FullScreenPass,
+    RenderTargets,
+    SampleCounter,
+    blend_max,
+    blend_over,
+    blend_under,
+    disable_blending,
+)
+from fourd.viewer.gl.shaders import NONE
+
+
+class Compositor(Protocol):
+    """Composites the discs of a request."""
+
+    @property
+    def discs(self) -> Discs:
+        """The disc geometry; the caller projects the points of the request into it before :meth:`draw`."""
+
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+        """Composite ``discs`` over the background of the request, into ``target``."""
+
+    def release(self) -> None:
+        """Free all GL objects."""
+
+
+class OverBackground:
+    """Draws a composited image, stored with row 0 first, over the background."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._pass = FullScreenPass(context, "over_background.frag")
+
+    def run(self, image: moderngl.Texture, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+        """Draw into ``target``, which stays bound."""
+        target.use()
+        disable_blending(self._context)
+        self._pass.run({"image": image}, background=request.settings.background)
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        self._pass.release()
+
+
+class SortedBlending:
+    """One pass, farthest disc first, each blended over those behind it. It ignores K and composites all layers."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self.discs = Discs(context, {"blend": "sorted.frag"}, farthest_first=True)
+
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+        """See :meth:`Compositor.draw`."""
+        target.clear(color=(*request.settings.background, 0.0))
+        blend_over(self._context)
+        self.discs.draw("blend", target, upright=True)
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        self.discs.release()
+
+
+class DepthPeeling:
+    """Depth peeling (Everitt 2001), as in 4K4D: K passes, each of which finds the next layer of every pixel."""
+
+    def __init__(self, context: moderngl.Context, precision: Precision) -> None:
+        self._context = context
+        self.discs = Discs(context, {"peel": "peel.frag"})
+        short = _short_dtype(precision)
+        formats = {"sum": (4, short), "layer": (4, short), "ranks 0": (1, "f4"), "ranks 1": (1, "f4")}
+        self._targets = RenderTargets(context, formats, has_depth=True)
+        self._copy = FullScreenPass(context, "copy.frag")
+        self._over_background = OverBackground(context)
+
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+        """See :meth:`Compositor.draw`."""
+        targets = self._targets
+        targets.resize((request.camera.width, request.camera.height))
+        targets.clear("sum")
+        targets.clear("ranks 1")
+        for layer in range(request.settings.layers):
+            self._peel_layer(f"ranks {layer % 2}", f"ranks {1 - layer % 2}")
+            targets.framebuffer(["sum"]).use()
+            blend_under(self._context)
+            self._copy.run({"image": targets.texture("layer")})
+        self._over_background.run(targets.texture("sum"), request, target)
+
+    def _peel_layer(self, ranks: str, previous_ranks: str) -> None:
+        targets = self._targets
+        targets.clear(ranks, NONE)  # pixels with no layer left get none in later passes either
+        targets.clear_with_depth("layer")
+        disable_blending(self._context)
+        self._context.enable(moderngl.DEPTH_TEST)
+        targets.texture(previous_ranks).use(0)
+        self.discs.draw("peel", targets.framebuffer(["layer", ranks], with_depth=True), peeled_rank=0)
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        for item in (self._copy, self._over_background, self._targets, self.discs):
+            item.release()
+
+
+class DualDepthPeeling:
+    """Dual depth peeling (Bavoil and Myers 2008): each pass finds a layer from the front and one from the back.
+
+    Where a pixel has more than K layers, the layers from the back are dropped, and peeling goes on
+    from the front while hidden layers could be visible. The result has the K nearest layers, as in
+    :class:`DepthPeeling`.
+    """
+
+    def __init__(self, context: moderngl.Context, precision: Precision) -> None:
+        self._context = context
+        self.discs = Discs(context, {"peel": "dual_peel.frag"}, as_texture=True)
+        formats = {}
+        for parity in range(2):
+            formats[f"bounds {parity}"] = (2, "f4")
+            formats[f"front {parity}"] = formats[f"back {parity}"] = (4, _short_dtype(precision))
+        self._targets = RenderTargets(context, formats)
+        self._composite_layers = FullScreenPass(context, "dual_composite.frag")
+        self._remaining_layers = FullScreenPass(context, "remaining_layers.frag")
+        self._copy = FullScreenPass(context, "copy.frag")
+        self._over_background = OverBackground(context)
+        self._counter = SampleCounter()
+
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+        """See :meth:`Compositor.draw`."""
+        targets = self._targets
+        targets.resize((request.camera.width, request.camera.height))
+        targets.clear("bounds 1", 0.0, NONE)
+        targets.clear("front 1")
+        targets.clear("back 1")
+        pair_count = request.settings.layers // 2
+        for index in range(pair_count):
+            self._peel(index)
+            self._composite(index)
+        last = self._peel_front(pair_count, request.settings.layers - pair_count)
+        targets.framebuffer([f"front {last % 2}"]).use()
+        blend_under(self._context)
+        self._copy.run({"image": targets.texture(f"back {last % 2}")})
+        self._over_background.run(targets.texture(f"front {last % 2}"), request, target)
+
+    def _peel(self, index: int, front_only: bool = False) -> None:
+        """Geometry pass ``index``, from 0: the nearest and farthest ranks inside the bounds of the previous pass."""
+        targets = self._targets
+        bounds, previous_bounds = f"bounds {index % 2}", f"bounds {1 - index % 2}"
+        targets.clear(bounds, -NONE, -NONE)
+        targets.texture(previous_bounds).use(0)
+        blend_max(self._context)
+        self.discs.draw("peel", targets.framebuffer([bounds]), bounds=0, front_only=front_only)
+
+    def _composite(self, index: int, front_only: bool = False) -> None:
+        """Composite the layers that geometry pass ``index`` has found."""
+        targets = self._targets
+        current, previous = index % 2, 1 - index % 2
+        targets.framebuffer([f"front {current}", f"back {current}"]).use()
+        disable_blending(self._context)
+        sources = {"bounds": f"bounds {current}", "front": f"front {previous}", "back": f"back {previous}"}
+        textures = {name: targets.texture(source) for name, source in sources.items()}
+        self._composite_layers.run({**textures, "discs": self.discs.texture}, front_only=front_only)
+
+    def _peel_front(self, first: int, max_layers: int) -> int:
+        """Peel up to ``max_layers`` from the front, from pass ``first`` on. Returns the last pass composited."""
+        self._peel(first)
+        if not self._has_remaining_layers(first, clear_back=True):
+            return first - 1
+        for index in range(first, first + max_layers):
+            if index > first:
+                self._peel(index, front_only=True)
+            if not self._has_remaining_layers(index, clear_back=False):
+                return index - 1
+            self._composite(index, front_only=True)
+        return first + max_layers - 1
+
+    def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
+        """Whether pass ``index`` has found layers: any with ``clear_back``, which erases the back of their pixels;
+        otherwise visible ones.
+        """
+        targets = self._targets
+        previous = 1 - index % 2
+        # The bounds of the previous pass are free to be overwritten: no pass reads them again.
+        targets.framebuffer([f"back {previous}" if clear_back else f"bounds {previous}"]).use()
+        disable_blending(self._context)
+        with self._counter:
+            self._remaining_layers.run(
+                {"bounds": targets.texture(f"bounds {index % 2}"), "front": targets.texture(f"front {previous}")},
+                visible_only=not clear_back,
+            )
+        return self._counter.samples > 0
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        passes = (self._composite_layers, self._remaining_layers, self._copy, self._over_background)
+        for item in (*passes, self._counter, self._targets, self.discs):
+            item.release()
+
+
+def _short_dtype(precision: Precision) -> str:
+    return "f2" if precision == "float16" else "f4"

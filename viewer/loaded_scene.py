@@ -1,0 +1,70 @@
+"""An open scene: its frames, its cameras and its initial view."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from fourd.baking import SceneManifest
+from fourd.viewer.navigation.pose import Pose, pose_facing, pose_from_camera
+from fourd.viewer.navigation.up_direction import estimate_up
+from fourd.viewer.playback.prefetch import BUFFER_BYTES, BakedFrameSource, FramePrefetcher
+from fourd.viewer.playback.sources import RunSource
+
+_CHECKPOINT_POLL_SECONDS = 1.0
+
+
+class LoadedScene:
+    """An open `.4dv` file or run.
+
+    Attributes:
+        path: the file, or the run's folder.
+        manifest: of the scene.
+        frames: prefetched frames.
+        up: (3,) up direction.
+        checkpoint: file name of the run's checkpoint on display; empty for a `.4dv`.
+    """
+
+    def __init__(self, path: Path, source: BakedFrameSource) -> None:
+        """Owns ``source`` and closes it."""
+        self.path = path
+        self.manifest: SceneManifest = source.manifest
+        self._run = source if isinstance(source, RunSource) else None
+        # Frames of a run are baked on demand; the minimal buffer leaves the processor to training.
+        self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
+        self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
+        self.checkpoint = self._run.checkpoint if self._run else ""
+        self._last_poll = time.monotonic()
+
+    def initial_pose(self, size: tuple[int, int]) -> Pose:
+        """The pose of the first camera; without cameras, a pose that shows the whole scene."""
+        if self.manifest.cameras:
+            return self.camera_pose(0, size)
+        lower, upper = (np.asarray(corner) for corner in self.manifest.bounds)
+        diagonal = max(float(np.linalg.norm(upper - lower)), 1e-3)
+        centre = (lower + upper) / 2
+        side = np.array([0.0, -1.0, 0.0]) if abs(self.up[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        return pose_facing(centre + 1.2 * diagonal * side, centre, self.up, np.radians(50))
+
+    def camera_pose(self, index: int, size: tuple[int, int]) -> Pose:
+        """The pose of a camera of the capture."""
+        return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size)
+
+    def poll_checkpoint(self) -> bool:
+        """Whether the run has a new checkpoint, whose frames replace the buffered ones; checked once per second."""
+        now = time.monotonic()
+        if self._run is None or now - self._last_poll < _CHECKPOINT_POLL_SECONDS:
+            return False
+        self._last_poll = now
+        newest = self._run.checkpoint
+        if newest in ("", self.checkpoint):
+            return False
+        self.checkpoint = newest
+        self.frames.invalidate()
+        return True
+
+    def close(self) -> None:
+        """Stop prefetching and close the source."""
+        self.frames.close()

@@ -1,0 +1,1 @@
+"""The viewer's panel: one file per section, listed in panel.py."""

@@ -1,0 +1,23 @@
+"""Output: screenshots, recorded paths, videos."""
+
+from __future__ import annotations
+
+from imgui_bundle import imgui
+
+from fourd.viewer.panel.section import Section
+from fourd.viewer.state import ViewerState
+
+
+def _draw(state: ViewerState) -> None:
+    if imgui.button("Screenshot"):
+        state.defer(state.take_screenshot)
+    recorder = state.recorder
+    if imgui.button("Record path" if recorder is None else f"Stop ({recorder.seconds:.1f} s)"):
+        state.defer(state.toggle_recording)
+    if state.recorded_path is not None:
+        imgui.same_line()
+        if imgui.button(f"Render {len(state.recorded_path.samples)} images to MP4"):
+            state.defer(state.render_recorded_path)
+
+
+OUTPUT = Section("Output", _draw)

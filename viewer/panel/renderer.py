@@ -1,0 +1,50 @@
+"""Renderer: its name, why it was chosen, and the time per stage."""
+
+from __future__ import annotations
+
+import numpy as np
+from imgui_bundle import imgui, implot
+
+from fourd.viewer.panel.section import PANEL_WIDTH, Section, text_scale
+from fourd.viewer.rendering.renderers import RENDERERS
+from fourd.viewer.state import ViewerState
+from fourd.viewer.timings import STAGES
+
+_PLOT_HEIGHT = 110.0
+
+
+def _draw(state: ViewerState) -> None:
+    choice, renderer = state.renderer.choice, state.renderer.renderer
+    changed, index = imgui.combo("renderer", RENDERERS.index(choice.name), list(RENDERERS))
+    if changed:
+        state.defer(lambda: state.switch_renderer(RENDERERS[index]))
+    imgui.text_wrapped(choice.reason)
+    if choice.name != "cpu":
+        age = renderer.stale_images
+        imgui.text_disabled(f"sorted in {1e3 * renderer.sort_seconds:.1f} ms, {age} image{'' if age == 1 else 's'} old")
+    medians = state.timings.medians()
+    imgui.text(", ".join(f"{stage} {medians[stage]:.1f}" for stage in STAGES) + " ms")
+    _draw_plot(state)
+
+
+def _draw_plot(state: ViewerState) -> None:
+    """A stacked plot of the time per stage."""
+    tops = state.timings.cumulative()
+    scale = text_scale(state)
+    size = imgui.ImVec2(scale * (PANEL_WIDTH - 20), scale * _PLOT_HEIGHT)
+    bare_axis = implot.AxisFlags_.no_tick_labels | implot.AxisFlags_.no_grid_lines
+    if not implot.begin_plot("##times", size, implot.Flags_.no_inputs | implot.Flags_.no_title):
+        return
+    implot.setup_legend(implot.Location_.north, implot.LegendFlags_.outside | implot.LegendFlags_.horizontal)
+    implot.setup_axes("", "ms", bare_axis, implot.AxisFlags_.auto_fit)
+    implot.setup_axis_limits(implot.ImAxis_.x1, 0, len(tops), imgui.Cond_.always)
+    bottom = np.zeros(len(tops))
+    positions = np.arange(len(tops), dtype=np.float64)
+    for column, stage in enumerate(STAGES):
+        top = np.ascontiguousarray(tops[:, column])
+        implot.plot_shaded(stage, positions, bottom, top)
+        bottom = top
+    implot.end_plot()
+
+
+RENDERER = Section("Renderer", _draw, needs_scene=False)

@@ -1,0 +1,20 @@
+#version 330 core
+// Geometry pass of dual depth peeling (Bavoil and Myers 2008): with max blending, one pass finds the nearest and the
+// farthest remaining layer of each pixel. Ranks replace depths, because no two points share a rank.
+#include "alpha.glsl"
+
+uniform sampler2D bounds;  // of the previous pass: minus the nearest rank, and the farthest; (-NONE, -NONE) where empty
+uniform bool front_only;
+
+flat in vec3 disc_centre;
+flat in vec4 tint;
+flat in float rank;
+
+out vec2 next_bounds;
+
+void main() {
+    vec2 previous = texelFetch(bounds, ivec2(gl_FragCoord.xy), 0).rg;
+    if (rank <= -previous.x || rank >= (front_only ? NONE : previous.y)) discard;
+    disc_alpha(disc_centre, tint.a);
+    next_bounds = vec2(-rank, rank);
+}

@@ -1,0 +1,16 @@
+#version 330 core
+// Keeps the pixels that have layers left between front and back; with `visible_only`, only those whose next layer is
+// visible through the front. An occlusion query counts them.
+
+uniform sampler2D bounds;
+uniform sampler2D front;
+uniform bool visible_only;
+
+out vec4 nothing;
+
+void main() {
+    ivec2 pixel = ivec2(gl_FragCoord.xy);
+    if (texelFetch(bounds, pixel, 0).r == -NONE) discard;
+    if (visible_only && 1.0 - texelFetch(front, pixel, 0).a < MIN_TRANSMITTANCE) discard;
+    nothing = vec4(0.0);
+}

@@ -1,0 +1,182 @@
+"""The state of the interactive viewer and the actions of its panel and keys."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.errors import UserError
+from fourd.viewer.display import RenderRequest
+from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.loaded_scene import LoadedScene
+from fourd.viewer.navigation.recorded_path import PathRecorder, PathSample, RecordedPath
+from fourd.viewer.navigation.saved_views import SavedViews, default_file
+from fourd.viewer.output.png import write_png
+from fourd.viewer.progress_window import draw_progress
+from fourd.viewer.rendering.renderers import RendererName
+from fourd.viewer.session import Session
+from fourd.viewer.timings import Timings
+from fourd.viewer.window import Window
+from fourd.viewer.window_renderer import WindowRenderer
+
+
+class Cancelled(Exception):
+    """The user has cancelled a video."""
+
+
+class ViewerState:
+    """What the panel shows and changes.
+
+    Attributes:
+        window, session, renderer, timings: of the viewer.
+        recorder: of the camera path; None while nothing is recorded.
+        recorded_path: the last recording of this scene.
+        is_panel_open: whether the panel is visible.
+        camera_index: the capture camera selected in the panel.
+    """
+
+    def __init__(self, window: Window, session: Session, renderer: WindowRenderer) -> None:
+        self.window = window
+        self.session = session
+        self.renderer = renderer
+        self.timings = Timings()
+        self.recorder: PathRecorder | None = None
+        self.recorded_path: RecordedPath | None = None
+        self.is_panel_open = True
+        self.camera_index = 0
+        self._saved_views = SavedViews(default_file())
+        self._deferred: list[Callable[[], None]] = []
+
+    def defer(self, action: Callable[[], None]) -> None:
+        """Run an action that draws after the current image: nothing else may draw while the panel is built."""
+        self._deferred.append(action)
+
+    def run_deferred(self) -> bool:
+        """Run the deferred actions. Returns whether there were any."""
+        actions, self._deferred = self._deferred, []
+        for action in actions:
+            action()
+        return bool(actions)
+
+    def show_scene(self, scene: LoadedScene) -> None:
+        """Replace the open scene; start from its saved view."""
+        self.save_view()
+        size = self.window.framebuffer_size
+        self.session.show(scene, self._saved_views.load(scene.path) or scene.initial_pose(size))
+        self.renderer.reset()
+        self.recorded_path = self.recorder = None
+
+    def save_view(self) -> None:
+        """Save the pose of the open scene for the next time."""
+        if self.session.scene is not None and self.session.pose is not None:
+            self._saved_views.save(self.session.scene.path, self.session.pose)
+
+    def switch_renderer(self, name: RendererName, reason: str = "as requested") -> None:
+        """Switch to another renderer; the current one stays where that fails."""
+        try:
+            self.renderer.switch(name, reason)
+        except Exception as error:
+            self.session.message = f"{name}: not available ({error})"
+
+    def move_to_camera(self, index: int) -> None:
+        """Start a transition to a camera of the capture."""
+        if self.session.scene is not None:
+            self.camera_index = index
+            self.session.move_to(self.session.scene.camera_pose(index, self.window.framebuffer_size))
+
+    def move_to_initial_view(self) -> None:
+        """Start a transition to the initial view of the scene."""
+        if self.session.scene is not None:
+            self.session.move_to(self.session.scene.initial_pose(self.window.framebuffer_size))
+
+    def take_screenshot(self) -> None:
+        """Write the image without the panel to a PNG in the working directory."""
+        if self.session.scene is None:
+            return
+        image = self.renderer.draw_exact()
+        if image is None:
+            return
+        path = unused_path(self.session.scene.path.stem, ".png")
+        self._write(path, lambda: write_png(path, image))
+
+    def toggle_recording(self) -> None:
+        """Start to record the camera path; or stop, keep the path and write it to the working directory."""
+        if self.recorder is None:
+            self.recorder = PathRecorder()
+            return
+        recorded, self.recorder = self.recorder.path(), None
+        if not recorded.samples or self.session.scene is None:
+            return
+        self.recorded_path = recorded
+        path = unused_path(self.session.scene.path.stem, ".path.json")
+        self._write(path, lambda: recorded.save(path))
+
+    def render_recorded_path(self) -> None:
+        """Render the recorded path at the window's size to an MP4 in the working directory."""
+        if self.recorded_path is None or self.session.scene is None:
+            return
+        from fourd.viewer.output.video import write_video
+
+        path, recorded = unused_path(self.session.scene.path.stem, ".mp4"), self.recorded_path
+        try:
+            self._write(path, lambda: write_video(path, self._render_samples(path, recorded), recorded.fps))
+        except Cancelled:
+            self.session.message = f"{path}: cancelled, nothing was written"
+        self.renderer.invalidate()
+
+    def release(self) -> None:
+        """Save the view, close the scene and free all GL objects."""
+        self.save_view()
+        self.session.close()
+        self.renderer.release()
+
+    def _render_samples(self, path: Path, recorded: RecordedPath) -> Iterator[NDArray[np.uint8]]:
+        """The images of a recorded path; draws the progress window before each."""
+        size, canvas = self.window.framebuffer_size, Canvas(self.renderer.context)
+        try:
+            for index, sample in enumerate(recorded.samples):
+                self._show_progress(path, index, len(recorded.samples))
+                yield self._render_sample(sample, size, canvas)
+        finally:
+            canvas.release()
+
+    def _render_sample(self, sample: PathSample, size: tuple[int, int], canvas: Canvas) -> NDArray[np.uint8]:
+        scene, settings = self.session.scene, self.session.settings
+        assert scene is not None
+        frame = scene.frames.get(min(sample.frame, scene.manifest.frame_count - 1), wait=True)
+        assert frame is not None
+        camera = sample.pose.camera(*size)
+        request = RenderRequest(settings.scale_points(frame), camera, scene.manifest, settings)
+        self.renderer.renderer.draw(request, canvas, wait=True)
+        return canvas.read_rgb8()
+
+    def _show_progress(self, path: Path, done: int, count: int) -> None:
+        """Handle events and draw the progress window. Raises Cancelled."""
+        self.window.wait_events(0)
+        self.renderer.present(shows_image=False)
+        self.window.begin_ui()
+        is_cancelled = draw_progress(self.window, path, done, count)
+        self.window.end_ui()
+        self.window.swap_buffers()
+        if is_cancelled or self.window.should_close:
+            raise Cancelled
+
+    def _write(self, path: Path, write: Callable[[], object]) -> None:
+        """Write a file and report the result in the session's message."""
+        try:
+            write()
+        except (OSError, UserError) as error:
+            self.session.message = f"{path}: cannot be written ({error})"
+            return
+        self.session.message = f"{path.resolve()}: written"
+
+
+def unused_path(stem: str, suffix: str) -> Path:
+    """A path in the working directory that does not exist: STEM-001SUFFIX, STEM-002SUFFIX and so on."""
+    number = 1
+    while (path := Path(f"{stem}-{number:03d}{suffix}")).exists():
+        number += 1
+    return path

@@ -1,0 +1,89 @@
+"""Draws a session into a window, with a renderer that can be switched."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.viewer.display import RenderRequest
+from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.gl.context import REQUIRED_VERSION, driver_name
+from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererName, choose_renderer, make_renderer
+from fourd.viewer.window import Window
+
+
+class WindowRenderer:
+    """A renderer, the canvas it draws into, and the window that shows the canvas."""
+
+    def __init__(self, window: Window, requested: RendererName | Literal["auto"]) -> None:
+        """Raises UserError when the requested renderer is not available."""
+        self.window = window
+        self.context = moderngl.create_context(require=REQUIRED_VERSION)
+        self.choice: RendererChoice = choose_renderer(requested, driver_name(self.context))
+        self.renderer: Renderer = make_renderer(self.choice.name, self.context)
+        self._canvas = Canvas(self.context)
+        self._screen: moderngl.Framebuffer | None = None
+        self._drawn: RenderRequest | None = None
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether the last image was drawn with an older depth order."""
+        return self.renderer.stale_images > 0
+
+    def switch(self, name: RendererName, reason: str = "as requested") -> None:
+        """Switch to another renderer. When that raises, the current one stays."""
+        renderer = make_renderer(name, self.context)
+        self.renderer.release()
+        self.renderer, self.choice, self._drawn = renderer, RendererChoice(name, reason), None
+
+    def reset(self) -> None:
+        """Start again with the same renderer, whose textures and threads may hold frames of a closed scene."""
+        self.renderer.release()
+        self.renderer, self._drawn = make_renderer(self.choice.name, self.context), None
+
+    def invalidate(self) -> None:
+        """Draw the next request even if it equals the last one."""
+        self._drawn = None
+
+    def needs_draw(self, request: RenderRequest) -> bool:
+        """Whether the canvas does not show ``request`` exactly."""
+        last = self._drawn
+        is_same = (
+            last is not None
+            and request.frame is last.frame
+            and request.camera is last.camera
+            and request.settings == last.settings
+        )
+        return self.is_stale or not is_same
+
+    def draw(self, request: RenderRequest) -> None:
+        """Draw into the canvas. Raises UserError."""
+        self.renderer.draw(request, self._canvas)
+        self._drawn = request
+
+    def draw_exact(self) -> NDArray[np.uint8] | None:
+        """The last request with its own frame and depth order, (H, W, 3) uint8; None before the first one."""
+        if self._drawn is None:
+            return None
+        self.renderer.draw(self._drawn, self._canvas, wait=True)
+        return self._canvas.read_rgb8()
+
+    def present(self, shows_image: bool) -> None:
+        """Copy the canvas to the window's back buffer, or clear the buffer."""
+        size = self.window.framebuffer_size
+        if self._screen is None or self._screen.size != size:
+            self._screen = self.context.detect_framebuffer(0)
+        self._screen.use()
+        if shows_image and self._canvas.size == size:
+            self.window.copy_framebuffer(self._canvas.framebuffer(*size).glo)
+            self._screen.use()
+        else:
+            self._screen.clear()
+
+    def release(self) -> None:
+        """Free all GL objects and stop threads."""
+        self.renderer.release()
+        self._canvas.release()
