@@ -1,4 +1,4 @@
-"""From a trained run to a scene file: all that needs the networks is evaluated once a frame."""
+"""From a trained run to a scene file: everything that needs the networks is evaluated once per frame."""
 
 from __future__ import annotations
 
@@ -25,18 +25,25 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
 
-SeenFrom = Callable[[int, EvaluatedPoints], SourceViews]
-"""A source view (camera index) of evaluated points, with what hides them."""
+GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
+"""Returns the source view of a camera index, with the depth that occludes the given points."""
 
 BAKED_LAYERS = 12
-LARGEST_WEIGHT = 1024.0
+MAX_BAKED_WEIGHT = 1024.0
+"""Every point's largest blend weight is scaled to this value, so that fp16 keeps the small ones."""
 
 
 def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float = 30.0) -> None:
-    """Write the run's newest checkpoint as the scene file ``out`` (4K4D, sec. 3.4), a frame at a time.
+    """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
-    Blend weights and colours are baked for every training view, in fp16 and uint8. Raises
-    UserError for a model whose blend weights depend on the viewer.
+    Blend weights (fp16) and colours (uint8) are baked for every training view.
+
+    Args:
+        layers: K of the scene, the most points that a pixel composites.
+        fps: playback rate, frames per second.
+
+    Raises:
+        UserError: for a model whose blend weights depend on the viewer, or a file that cannot be written.
     """
     run = trained.run
     require_bakeable(run)
@@ -50,7 +57,7 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
 
 
 def require_bakeable(run: Run) -> None:
-    """Raises UserError for a model whose blend weights depend on the viewer."""
+    """Check that the model's blend weights do not depend on the viewer. Raises UserError."""
     if run.config.train.model.continuous:
         raise UserError(
             f"{run.folder}: expected blend weights that can be baked, got model.continuous: true; "
@@ -59,12 +66,12 @@ def require_bakeable(run: Run) -> None:
 
 
 def select_baked_views(run: Run) -> list[int]:
-    """Indices of the cameras whose colours are baked: those trained on, where images give colour at all."""
+    """Return the camera indices whose colours are baked: the training views; none for SH-only appearance."""
     return run.training if run.config.train.model.appearance != "sh" else []
 
 
 def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
-    """What holds for all frames of a run; the numbers of points are for the writer to fill in."""
+    """Describe a run's scene; the writer sets the numbers of points."""
     run, background = trained.run, trained.renderer.background
     sources = select_baked_views(run)
     others = [index for index in range(len(run.capture.names)) if index not in sources]
@@ -89,30 +96,36 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate everything of one frame's own points but what depends on the viewer; ``sources`` are camera indices."""
+    """Evaluate everything that does not depend on the viewer for one frame's dynamic points.
+
+    ``sources`` are the camera indices from :func:`select_baked_views`.
+    """
     views = trained.renderer.views
     occlusion = trained.model.config.occlusion
 
-    def seen_from(index: int, seen: EvaluatedPoints) -> SourceViews:
-        return with_surface_depth(views.sources([index], frame), seen, occlusion)
+    def get_source_view(index: int, points: EvaluatedPoints) -> SourceViews:
+        return with_surface_depth(views.sources([index], frame), points, occlusion)
 
     points, time = trained.frames.get(frame), trained.run.capture.time(frame)
-    return _baked(trained.model, points, time, sources, seen_from)
+    return _bake_points(trained.model, points, time, sources, get_source_view)
 
 
 def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:
-    """The same of the points that all frames share, seen in the clean plates; None of an object scene."""
+    """Evaluate the same for the points that all frames share, with clean plates as source views; None without them."""
     background = trained.renderer.background
     if background is None:
         return None
-    plates = background
-    return _baked(
-        background.model, background.points, 0.0, sources, lambda index, seen: plates.sources([index], points=seen)
+    return _bake_points(
+        background.model,
+        background.points,
+        0.0,
+        sources,
+        lambda index, points: background.sources([index], points=points),
     )
 
 
 def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
-    """What a frame's shadow multiplies the background's colours by, (M,) in 1/SHADOW_IDENTITY; None without shadows."""
+    """Evaluate a frame's shadow: (M,) uint8 factors of the background's colours in units of 1/128; None without any."""
     background = trained.renderer.background
     if background is None or background.model.shadow is None:
         return None
@@ -120,13 +133,15 @@ def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
     return (SHADOW_IDENTITY * factor).round().clamp(0, 255).byte().numpy()
 
 
-def _baked(model: PointModel, points: FramePoints, time: float, sources: list[int], seen_from: SeenFrom) -> BakedFrame:
+def _bake_points(
+    model: PointModel, points: FramePoints, time: float, sources: list[int], get_source_view: GetSourceView
+) -> BakedFrame:
     parameters = points.parameters
     evaluated = model.evaluate(
         points.xyz, points.spacing, time, explicit_sh=parameters.get("sh"), rgb=parameters.get("rgb")
     )
     sh = model.harmonics(evaluated)
-    weights, rgb = _blend_data(model, evaluated, sources, seen_from)
+    weights, rgb = _bake_blending(model, evaluated, sources, get_source_view)
     count = evaluated.xyz.shape[0]
     return BakedFrame(
         xyz=evaluated.xyz.numpy(),
@@ -138,15 +153,15 @@ def _baked(model: PointModel, points: FramePoints, time: float, sources: list[in
     )
 
 
-def _blend_data(
-    model: PointModel, points: EvaluatedPoints, sources: list[int], seen_from: SeenFrom
+def _bake_blending(
+    model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView
 ) -> tuple[Tensor, Tensor]:
-    """Weights (N, V), scaled to each point's largest, 0 where invisible, and colours (N, V, 3); a view at a time."""
+    """Compute blend weights (N, V), 0 where invisible, and colours (N, V, 3) in [0, 1], one view at a time."""
     count = points.xyz.shape[0]
     weights = torch.zeros(count, len(sources))
     rgb = torch.zeros(count, len(sources), 3)
     for column, index in enumerate(sources):
-        view = seen_from(index, points)
+        view = get_source_view(index, points)
         encoded = model.encode_images(view.images) if view.encoded is None else view.encoded
         samples = sample_sources(points.xyz, view, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)
         logits = model.blend_logits(points, samples, view, None)
@@ -155,5 +170,5 @@ def _blend_data(
         colours = samples.colours[0]
         rgb[:, column] = colours if points.rgb is None else points.rgb.lerp(colours, visibility[:, None])
     if sources:
-        weights = weights * (LARGEST_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
+        weights = weights * (MAX_BAKED_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
     return weights, rgb

@@ -118,7 +118,7 @@ class SceneWriter:
         self._check("background", frame)
         if self._shadow not in (None, frame.point_count):
             raise ValueError(
-                f"background: expected {self._shadow} points, as the frames' shadows have, got {frame.point_count}"
+                f"background: expected {self._shadow} points to match the frames' shadows, got {frame.point_count}"
             )
         self._write_arrays(BACKGROUND, frame)
         self._background = frame.point_count
@@ -163,9 +163,9 @@ class SceneWriter:
         if self.manifest.kind != "full":
             raise ValueError(f'{where}: expected none in a scene of kind "{self.manifest.kind}", got one')
         if shadow is None:
-            raise ValueError(f"{where}: expected one, as in the frames before, got none")
+            raise ValueError(f"{where}: expected one, as for the previous frames, got none")
         if self._shadow is None and index > 0:
-            raise ValueError(f"{where}: expected none, as in the frames before, got one")
+            raise ValueError(f"{where}: expected none, as for the previous frames, got one")
         length = self._shadow if self._background is None else self._background
         if shadow.dtype != np.uint8 or shadow.ndim != 1 or length not in (None, len(shadow)):
             points = "M" if length is None else length
@@ -192,7 +192,7 @@ class SceneReader:
     """Reads a `.4dv`. Every read gets arrays from the file; only the background is cached. Threads may share it.
 
     Raises:
-        UserError: one line that names the file and the fix. On opening: the file is cut short, is not a scene, is
+        UserError: one line that names the file and the fix. On opening: the file is truncated, is not a scene, is
             newer than this program or contradicts itself. On reading: a member is damaged.
     """
 
@@ -271,7 +271,7 @@ class SceneReader:
         try:
             return self._zip.read(self._members[name])
         except _ZIP_ERRORS as error:
-            raise _damaged(self.path, f"a whole member {name}", str(error) or "the file's end") from error
+            raise _damaged(self.path, f"an intact member {name}", str(error) or "the end of the file") from error
         except OSError as error:
             raise UserError(f"{self.path}: cannot be read ({error}); check the disk") from error
 
@@ -323,7 +323,7 @@ def _open_zip(path: Path) -> zipfile.ZipFile:
         raise UserError(f"{path}: expected a .4dv file, got nothing there; check the name") from error
     except _ZIP_ERRORS as error:
         raise UserError(
-            f"{path}: expected a whole .4dv scene (a ZIP), got a file cut short or of another kind; "
+            f"{path}: expected a whole .4dv scene (a ZIP), got a truncated file or another kind of file; "
             "copy or export it again"
         ) from error
     except OSError as error:

@@ -1,6 +1,6 @@
-"""manifest.json of a `.4dv`: written from, and validated by hand into, a SceneManifest.
+"""manifest.json of a `.4dv`: written from a SceneManifest, and parsed into one.
 
-The reader believes nothing: every field is checked for its type, its range and finiteness.
+The parser trusts nothing: it checks every field for type, range and finiteness. It skips keys that it does not know.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ MAX_NAME = 255
 
 
 class ManifestError(ValueError):
-    """A manifest that cannot be used: ``str()`` is "where: expected ..., got ..."."""
+    """An invalid manifest; the message reads "where: expected ..., got ..."."""
 
 
 class NewerVersionError(ManifestError):
-    """A manifest of a version that this program does not know yet."""
+    """A manifest of a newer version than this program supports."""
 
 
 def manifest_to_json(manifest: SceneManifest) -> bytes:
-    """The manifest as UTF-8 JSON. Equal manifests give equal bytes."""
+    """Encode the manifest as UTF-8 JSON. Equal manifests give equal bytes."""
     content = {
         "format": FORMAT_NAME,
         "version": manifest.version,
@@ -64,15 +64,15 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
 
 
 def manifest_from_json(text: bytes) -> SceneManifest:
-    """Parse and check a manifest. Raises ManifestError; keys that are not known are left alone."""
+    """Parse and check a manifest. Raises ManifestError."""
     try:
         content = json.loads(text.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise ManifestError(f"manifest.json: expected UTF-8 JSON, got something else ({error})") from error
+        raise ManifestError(f"manifest.json: expected UTF-8 JSON, got other content ({error})") from error
     root = _Node(content, "manifest.json")
     if root.text("format") != FORMAT_NAME:
         raise ManifestError(f'manifest.json: expected format "{FORMAT_NAME}", got "{root.text("format")}"')
-    version = root.whole("version", 1, 1 << 31)
+    version = root.integer("version", 1, 1 << 31)
     if version > FORMAT_VERSION:
         raise NewerVersionError(f"expected format version {FORMAT_VERSION} or older, got {version}")
     optional_attributes = _check_attributes(root.node("attributes"))
@@ -88,13 +88,13 @@ def manifest_from_json(text: bytes) -> SceneManifest:
             source_cameras=source_cameras,
             focus=root.triple("focus"),
             bounds=_bounds(root.node("bounds")),
-            frame_numbers=tuple(frame.whole("number", 0, 1 << 31) for frame in frames),
-            points=tuple(frame.whole("points", 0, MAX_POINTS) for frame in frames),
+            frame_numbers=tuple(frame.integer("number", 0, 1 << 31) for frame in frames),
+            points=tuple(frame.integer("points", 0, MAX_POINTS) for frame in frames),
             other_names=other_names,
             other_cameras=other_cameras,
             fps=root.number("fps", 1e-3, 1e4),
-            layers=root.whole("layers", 1, 64),
-            neighbours=root.whole("neighbours", 1, 64),
+            layers=root.integer("layers", 1, 64),
+            neighbours=root.integer("neighbours", 1, 64),
             sh_range=sh.number("range", 0, 1e3),
             sh_base=sh.number("base", -1e3, 1e3),
             near=root.number("near", 1e-12, 1e9),
@@ -111,11 +111,11 @@ def manifest_from_json(text: bytes) -> SceneManifest:
 
 
 class _Node:
-    """A JSON object and the words for where it stands."""
+    """A JSON object, and its path for error messages."""
 
     def __init__(self, content: object, where: str) -> None:
         if not isinstance(content, dict):
-            raise ManifestError(f"{where}: expected a JSON object, got {_shown(content)}")
+            raise ManifestError(f"{where}: expected a JSON object, got {_format(content)}")
         self.content: dict[str, Any] = content
         self.where = where
 
@@ -125,15 +125,15 @@ class _Node:
         return self.content[key]
 
     def fail(self, key: str, expected: str) -> ManifestError:
-        return ManifestError(f"{self.where}, {key}: expected {expected}, got {_shown(self.content[key])}")
+        return ManifestError(f"{self.where}, {key}: expected {expected}, got {_format(self.content[key])}")
 
     def node(self, key: str) -> _Node:
         return _Node(self.get(key), f"{self.where}, {key}")
 
-    def items(self, key: str, most: int) -> list[_Node]:
+    def items(self, key: str, max_count: int) -> list[_Node]:
         value = self.get(key)
-        if not isinstance(value, list) or len(value) > most:
-            raise self.fail(key, f"a list of at most {most} objects")
+        if not isinstance(value, list) or len(value) > max_count:
+            raise self.fail(key, f"a list of at most {max_count} objects")
         return [_Node(item, f"{self.where}, {key}[{index}]") for index, item in enumerate(value)]
 
     def text(self, key: str) -> str:
@@ -142,7 +142,7 @@ class _Node:
             raise self.fail(key, f"printable text of at most {MAX_NAME} characters")
         return value
 
-    def whole(self, key: str, low: int, high: int) -> int:
+    def integer(self, key: str, low: int, high: int) -> int:
         value = self.get(key)
         if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
             raise self.fail(key, f"a whole number from {low} to {high}")
@@ -189,7 +189,7 @@ def _finite(value: object) -> float | None:
     return number if math.isfinite(number) and abs(number) < 1e30 else None
 
 
-def _shown(value: object) -> str:
+def _format(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -212,12 +212,12 @@ def _background_to_json(background: SceneBackground | None) -> dict[str, Any]:
 def _background(root: _Node, kind: SceneKind, version: int) -> SceneBackground | None:
     if kind == "object":
         if "background" in root.content:
-            raise root.fail("background", 'none beside kind "object"')
+            raise root.fail("background", 'none for kind "object"')
         return None
     if version < FULL_VERSION:
         raise root.fail("kind", f'"object" in format version {version}')
     node = root.node("background")
-    return SceneBackground(node.whole("points", 0, MAX_POINTS), node.flag("shadow"))
+    return SceneBackground(node.integer("points", 0, MAX_POINTS), node.flag("shadow"))
 
 
 def _bounds(node: _Node) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -267,8 +267,8 @@ def _camera(node: _Node) -> Camera:
             intrinsics=np.array(node.matrix("intrinsics")),
             rotation=np.array(node.matrix("rotation")),
             translation=np.array(node.numbers("translation", 3)),
-            width=node.whole("width", 1, MAX_PIXELS),
-            height=node.whole("height", 1, MAX_PIXELS),
+            width=node.integer("width", 1, MAX_PIXELS),
+            height=node.integer("height", 1, MAX_PIXELS),
         )
     except ManifestError:
         raise

@@ -1,4 +1,4 @@
-"""A run or a scene, opened for playing: the same few things are asked of both."""
+"""A common interface to trained runs and baked scenes, for rendering frames."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ RUN_FPS = 30.0
 
 
 class Playable(Protocol):
-    """What renders frame by frame."""
+    """Renders frames by index."""
 
     @property
     def views(self) -> dict[str, Camera]:
@@ -28,20 +28,25 @@ class Playable(Protocol):
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the scene."""
+        """(3,) centre of the scene, world units."""
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """Numbers of the frames in the capture."""
+        """The frames' numbers in the capture."""
 
     @property
     def fps(self) -> float:
-        """Frames a second."""
+        """Frames per second."""
 
     def render(
         self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """RGB (H, W, 3) in [0, 1] of a frame (index) from a camera, with K = ``layers``."""
+        """Render a frame (index from 0): RGB (H, W, 3) float32 in [0, 1].
+
+        Args:
+            layers: K, the most points that a pixel composites; None for the scene's or the run's own.
+            background: (3,) colour in [0, 1] behind the points.
+        """
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ class PlayableScene:
 
 @dataclass(frozen=True)
 class PlayableRun:
-    """A trained run, rendered by its networks."""
+    """A trained run, rendered with its networks."""
 
     trained: TrainedRun
 
@@ -107,7 +112,7 @@ class PlayableRun:
 
 
 def open_playable(path: Path) -> Playable:
-    """Open a run's folder or a `.4dv`; torch is loaded for a run alone. Raises UserError."""
+    """Open a run's folder or a `.4dv`; only runs load torch. Raises UserError."""
     if not path.exists():
         raise UserError(f"{path}: expected a run's folder or a .4dv file, got nothing there; check the path")
     if path.is_dir():
@@ -117,8 +122,8 @@ def open_playable(path: Path) -> Playable:
     return PlayableScene(open_scene(path))
 
 
-def view(playable: Playable, name: str) -> Camera:
-    """A capture camera by name. Raises UserError that lists the names."""
+def find_view(playable: Playable, name: str) -> Camera:
+    """Return a capture camera by name. Raises UserError that lists the names."""
     views = playable.views
     if name not in views:
         raise UserError(f"--views: expected names among {', '.join(views)}, got {name}")
@@ -126,7 +131,7 @@ def view(playable: Playable, name: str) -> Camera:
 
 
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
-    """Indices of the frames whose capture numbers lie in A:B or A:B:S; all for None. Raises UserError."""
+    """Return the indices of the frames whose capture numbers lie in A:B or A:B:S; all for None. Raises UserError."""
     numbers = playable.frame_numbers
     if selection is None:
         return list(range(len(numbers)))

@@ -1,4 +1,4 @@
-"""Small random scenes for the tests of this room."""
+"""Small random scenes for tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.cameras import Camera, look_at
 
 
 def ring(count: int, size: int = 48, radius: float = 3.0, height: float = 0.5) -> tuple[Camera, ...]:
-    """Cameras around the origin, z up, looking at it."""
+    """Cameras in a ring around the origin, z up, that point at it."""
     intrinsics = np.array([[1.2 * size, 0, size / 2], [0, 1.2 * size, size / 2], [0, 0, 1]])
     angles = 2 * np.pi * np.arange(count) / count
     centres = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, height)], axis=1)
@@ -35,7 +35,7 @@ def random_frame(points: int, views: int, seed: int) -> BakedFrame:
 
 
 def manifest(views: int = 6, frames: int = 3) -> SceneManifest:
-    """A scene whose source views stand in a ring, with one further camera."""
+    """A scene whose source views are in a ring, with one more camera."""
     cameras = ring(views + 1)
     return SceneManifest(
         source_names=tuple(f"{index:02d}" for index in range(views)),
@@ -60,15 +60,15 @@ def write_scene(path: Path, views: int = 6, frames: int = 3, points: int = 200) 
 
 
 def full_manifest(views: int = 6, frames: int = 3) -> SceneManifest:
-    """As :func:`manifest`, of a scene with a background, whose points are for the writer to fill in."""
+    """Like :func:`manifest`, for a scene with a background; the writer sets its number of points."""
     return replace(manifest(views, frames), kind="full")
 
 
 def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedFrame:
-    """The six walls of a room around the origin that hide what is outside: squares, in another colour on each wall.
+    """The six opaque walls of a room around the origin, each with a chequerboard of another colour.
 
     Args:
-        half: half a wall's side, world units; what :func:`random_frame` makes measures about 1.
+        half: half of a wall's side, world units; the ball of :func:`random_frame` has a size of about 1.
     """
     rng = np.random.default_rng(seed)
     wall, along = rng.integers(0, 6, points), rng.uniform(-1, 1, (points, 3))
@@ -90,7 +90,7 @@ def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedF
 def write_full_scene(
     path: Path, views: int = 6, frames: int = 3, points: int = 200, behind: int = 300, shadow: bool = True
 ) -> tuple[list[BakedFrame], BakedFrame, list[NDArray[np.uint8]]]:
-    """Write random frames in a room; returns the frames, the background, and what shadows there are."""
+    """Write random frames in a room; return the frames, the background and the shadows, if any."""
     moving = [random_frame(points + index, views, seed=index) for index in range(frames)]
     room = room_frame(behind, views, seed=100)
     rng = np.random.default_rng(200)

@@ -1,4 +1,4 @@
-"""Exporting a run: the scene shows what the run shows, and needs no torch to do it."""
+"""Exporting a run: the scene renders like the run, without torch."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def trained(request: pytest.FixtureRequest, ball_capture: Path, tmp_path_factory
 
 
 def _darken(trained: TrainedRun) -> None:
-    """Let shadows fall on the shell, which is out of their reach, and differ from frame to frame."""
+    """Extend the shadows' bounds to the shell and make them differ between frames."""
     background = trained.renderer.background
     assert background is not None
     shadow = background.model.shadow
@@ -50,8 +50,8 @@ def scene_path(trained: TrainedRun, tmp_path_factory: pytest.TempPathFactory) ->
     return path
 
 
-def test_the_scene_renders_as_the_run(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches blend weights, colours or radii that baking computes in another way than rendering does."""
+def test_the_scene_renders_like_the_run(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches blend weights, colours or radii that baking computes differently from rendering."""
     scene = open_scene(scene_path)
     for frame in range(3):
         for camera in (trained.run.capture.cameras[3], trained.run.capture.cameras[6]):
@@ -61,8 +61,8 @@ def test_the_scene_renders_as_the_run(trained: TrainedRun, scene_path: Path) -> 
             assert -10 * np.log10(error) > 50
 
 
-def test_a_view_that_something_hides_a_point_from_weighs_nothing(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches small weights, through which the front of the ball shines on its back."""
+def test_occluded_views_have_weight_zero(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches small weights that blend the front of the ball into its back."""
     scene = open_scene(scene_path)
     moving = scene.manifest.points[1]
     xyz, weights = scene.frame(1).xyz[:moving], scene.frame(1).blend_weights[:moving]
@@ -71,7 +71,7 @@ def test_a_view_that_something_hides_a_point_from_weighs_nothing(trained: Traine
     centres = np.stack([camera.centre for camera in scene.manifest.source_cameras])
     towards = centres[None] - xyz[:, None]
     facing = np.einsum("nc,nvc->nv", outwards, towards) / np.linalg.norm(towards, axis=2)
-    behind = -2 * BALL_RADIUS * facing  # how far behind the front of the ball
+    behind = -2 * BALL_RADIUS * facing  # depth behind the front of the ball
     hidden = behind > (2 - np.log(MIN_VISIBILITY)) * OCCLUSION_FALLOFF_SPACINGS * trained.model.spacing + 0.05
     assert hidden.sum() > 100
     assert (weights[hidden] == 0).mean() > 0.98
@@ -79,8 +79,8 @@ def test_a_view_that_something_hides_a_point_from_weighs_nothing(trained: Traine
     assert set(weights.max(axis=1).tolist()) <= {0.0, 1024.0}
 
 
-def test_a_scene_has_shadows_where_its_run_has(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches shadows that are left out, that are the same in all frames, or that the clean background has."""
+def test_a_scene_has_shadows_if_its_run_has(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches shadows that are missing, equal in all frames, or baked into the background."""
     scene = open_scene(scene_path)
     background = trained.renderer.background
     has = background is not None and background.model.shadow is not None
@@ -91,15 +91,15 @@ def test_a_scene_has_shadows_where_its_run_has(trained: TrainedRun, scene_path: 
         assert np.abs(colours[0] - colours[1]).mean() > 2
 
 
-def test_the_manifest_tells_held_out_cameras_apart(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches a held-out camera among the blended ones."""
+def test_held_out_cameras_are_not_source_views(trained: TrainedRun, scene_path: Path) -> None:
+    """Catches a held-out camera whose colours are blended."""
     manifest = open_scene(scene_path).manifest
     assert "03" not in manifest.source_names
     assert manifest.other_names == ("03",)
 
 
 def test_a_scene_plays_without_torch(scene_path: Path) -> None:
-    """Catches an import of torch on the way to a picture: viewers do not have to install it."""
+    """Catches an import of torch while playing: viewers do not need to install it."""
     code = (
         "import sys\n"
         "from fourd.baking import open_scene\n"

@@ -1,4 +1,4 @@
-"""The `.4dv` file: what is written is read, and nothing hostile gets further than a clear line."""
+"""The `.4dv` file: round trips, and hostile or damaged files that must end in a one-line error."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def rewritten(path: Path, change: Rewrite, compression: int = zipfile.ZIP_STORED
 
 
 def with_manifest(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    """A copy of the scene with its manifest changed; NaN is written as Python writes it."""
+    """A copy of the scene with its manifest changed; NaN is written as Python's json does."""
 
     def rewrite(members: dict[str, bytes]) -> None:
         content = json.loads(members["manifest.json"])
@@ -56,7 +56,7 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-def test_frames_and_manifest_come_back_as_written(tmp_path: Path) -> None:
+def test_frames_and_manifest_round_trip(tmp_path: Path) -> None:
     """Catches swapped attributes, byte order, and frames of different point counts mixed up."""
     path = tmp_path / "new folder" / "scene.4dv"
     written = write_scene(path)
@@ -76,34 +76,34 @@ def test_frames_and_manifest_come_back_as_written(tmp_path: Path) -> None:
 
 
 def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
-    """Catches clocks and hash order in the file."""
+    """Catches timestamps and hash order in the file."""
     write_scene(tmp_path / "a.4dv")
     write_scene(tmp_path / "b.4dv")
     assert (tmp_path / "a.4dv").read_bytes() == (tmp_path / "b.4dv").read_bytes()
 
 
 def plain_frame(points: int, start: int) -> BakedFrame:
-    """Numbers that no version of NumPy makes otherwise."""
+    """Numbers that are the same in every version of NumPy."""
 
-    def counted(shape: tuple[int, ...], dtype: type, step: float) -> NDArray[Any]:
+    def count_up(shape: tuple[int, ...], dtype: type, step: float) -> NDArray[Any]:
         return (start + step * np.arange(np.prod(shape))).reshape(shape).astype(dtype)
 
     return BakedFrame(
-        xyz=counted((points, 3), np.float32, 0.25),
-        radius=counted((points,), np.float16, 0.125),
+        xyz=count_up((points, 3), np.float32, 0.25),
+        radius=count_up((points,), np.float16, 0.125),
         density=np.linspace(0, 1, points).astype(np.float16),
-        sh=counted((points, 3, 16), np.float16, -0.5),
-        blend_weights=counted((points, 2), np.float16, 2),
-        rgb=counted((points, 2, 3), np.uint8, 7),
+        sh=count_up((points, 3, 16), np.float16, -0.5),
+        blend_weights=count_up((points, 2), np.float16, 2),
+        rgb=count_up((points, 2, 3), np.uint8, 7),
     )
 
 
 def plain_manifest() -> SceneManifest:
-    """Of two frames, two source views and one other."""
+    """A scene of two frames, two source views and one other camera."""
     intrinsics = np.array([[40.0, 0, 16], [0, 41, 12], [0, 0, 1]])
-    turned = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+    rotated = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
     first, second, third = (
-        Camera(intrinsics, rotation, np.array([0.5, 0, 2]), 32, 24) for rotation in (np.eye(3), turned, np.eye(3))
+        Camera(intrinsics, rotation, np.array([0.5, 0, 2]), 32, 24) for rotation in (np.eye(3), rotated, np.eye(3))
     )
     return SceneManifest(
         source_names=("a", "b"),
@@ -119,8 +119,7 @@ def plain_manifest() -> SceneManifest:
 
 
 def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
-    """Catches a change of the format that scenes in the world, and older programs, do not know: one from then lies
-    beside this file."""
+    """Catches a change of the format that breaks existing scenes or older programs; data/ has an original file."""
     frames = [plain_frame(3, start=1), plain_frame(2, start=5)]
     reader = SceneReader(VERSION_1)
     assert (reader.manifest.version, reader.manifest.kind, reader.manifest.points) == (1, "object", (3, 2))
@@ -137,8 +136,8 @@ def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
             assert new.getinfo(name).header_offset == old.getinfo(name).header_offset
 
 
-def test_members_lie_in_the_file_as_they_are(scene: Path) -> None:
-    """Catches compression or a wrapper: a range request must give the raw array."""
+def test_members_are_raw_arrays(scene: Path) -> None:
+    """Catches compression or a header: a range request must return the raw array."""
     frame = SceneReader(scene).read(1)
     with zipfile.ZipFile(scene) as archive:
         info = archive.getinfo("frames/000001/xyz")
@@ -148,16 +147,16 @@ def test_members_lie_in_the_file_as_they_are(scene: Path) -> None:
     assert content[begin : begin + info.file_size] == frame.xyz.astype("<f4").tobytes()
 
 
-def test_a_frame_without_points_is_a_frame(tmp_path: Path) -> None:
-    """Catches the empty hull of a frame in which nobody is on the stage."""
+def test_a_frame_may_be_empty(tmp_path: Path) -> None:
+    """Catches a frame with an empty visual hull that cannot be written or read."""
     path = tmp_path / "empty.4dv"
     with SceneWriter(path, manifest(views=0, frames=1)) as writer:
         writer.add_frame(0, random_frame(0, 0, seed=0))
     assert SceneReader(path).read(0).point_count == 0
 
 
-def test_an_exception_leaves_the_old_file_and_no_rest(scene: Path) -> None:
-    """Catches a writer that truncates the scene it is about to replace."""
+def test_an_exception_keeps_the_old_file_and_leaves_no_other(scene: Path) -> None:
+    """Catches a writer that truncates the scene it replaces."""
     before = scene.read_bytes()
     with pytest.raises(KeyboardInterrupt), SceneWriter(scene, manifest()) as writer:
         writer.add_frame(0, random_frame(5, 6, seed=0))
@@ -166,15 +165,16 @@ def test_an_exception_leaves_the_old_file_and_no_rest(scene: Path) -> None:
     assert os.listdir(scene.parent) == [scene.name]
 
 
-def test_too_few_frames_make_no_file(tmp_path: Path) -> None:
+def test_too_few_frames_write_no_file(tmp_path: Path) -> None:
+    """Catches a scene whose manifest promises frames that are missing."""
     path = tmp_path / "scene.4dv"
     with pytest.raises(ValueError, match="expected 3 frames, got 1"), SceneWriter(path, manifest()) as writer:
         writer.add_frame(0, random_frame(5, 6, seed=0))
     assert os.listdir(tmp_path) == []
 
 
-def test_a_full_disk_is_said_in_one_line(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a traceback, and a half scene, when space runs out."""
+def test_a_full_disk_is_a_user_error(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a traceback, and a partial scene, when the disk is full."""
     before = scene.read_bytes()
 
     def full(*_: object, **__: object) -> None:
@@ -189,7 +189,7 @@ def test_a_full_disk_is_said_in_one_line(scene: Path, monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("name", ["xyz", "radius", "density", "sh", "blend_weights"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_the_writer_takes_no_poison(tmp_path: Path, name: str, value: float) -> None:
+def test_the_writer_rejects_invalid_values(tmp_path: Path, name: str, value: float) -> None:
     """Catches NaN that would reach every viewer of the scene."""
     if value == -1 and name in ("xyz", "sh"):
         pytest.skip("these may be negative")
@@ -199,7 +199,8 @@ def test_the_writer_takes_no_poison(tmp_path: Path, name: str, value: float) -> 
         writer.add_frame(0, frame)
 
 
-def test_frames_come_in_order(tmp_path: Path) -> None:
+def test_frames_are_added_in_order(tmp_path: Path) -> None:
+    """Catches frames stored under another index."""
     with (
         pytest.raises(ValueError, match="expected frame 0 of 3, got 1"),
         SceneWriter(tmp_path / "a.4dv", manifest()) as writer,
@@ -208,25 +209,25 @@ def test_frames_come_in_order(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kept", [0, 1, 100, 0.5, -1])
-def test_a_scene_cut_short(scene: Path, kept: float) -> None:
-    """Catches a partial download that opens and fails later, or with a traceback."""
+def test_a_truncated_scene_is_rejected_on_opening(scene: Path, kept: float) -> None:
+    """Catches a partial download that opens and fails later or with a traceback."""
     content = scene.read_bytes()
     scene.write_bytes(content[: int(kept * len(content)) if kept == 0.5 else int(kept)])
     with pytest.raises(UserError, match=r"scene\.4dv: expected a whole \.4dv scene.*copy or export it again"):
         SceneReader(scene)
 
 
-def test_flipped_bytes_are_noticed(scene: Path) -> None:
+def test_flipped_bytes_are_detected(scene: Path) -> None:
     """Catches a reader that skips the checksums."""
     content = bytearray(scene.read_bytes())
     content[200] ^= 0xFF
     scene.write_bytes(bytes(content))
-    with pytest.raises(UserError, match="expected a whole member frames/000000/xyz"):
+    with pytest.raises(UserError, match="expected an intact member frames/000000/xyz"):
         SceneReader(scene).read(0)
 
 
 def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> None:
-    """Catches exceptions of zipfile, json and struct that nobody thought of: random bytes anywhere."""
+    """Catches unexpected exceptions of zipfile, json and struct: random bytes in the last 4000."""
     content = scene.read_bytes()
     tail = len(content) - 4000
     for _ in range(300):
@@ -234,11 +235,10 @@ def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> No
         for at in rng.integers(tail, len(content), 3):
             damaged[at] = int(rng.integers(0, 256))
         scene.write_bytes(bytes(damaged))
-        complaint = _complaint(scene)
-        assert "\n" not in complaint
+        assert "\n" not in _error_message(scene)
 
 
-def _complaint(scene: Path) -> str:
+def _error_message(scene: Path) -> str:
     try:
         reader = SceneReader(scene)
         for index in range(reader.manifest.frame_count):
@@ -248,7 +248,8 @@ def _complaint(scene: Path) -> str:
     return ""
 
 
-def test_places_that_are_no_scene(tmp_path: Path) -> None:
+def test_other_files_and_folders_are_rejected(tmp_path: Path) -> None:
+    """Catches a traceback for a folder, a missing file or another ZIP."""
     with pytest.raises(UserError, match="got a folder"):
         SceneReader(tmp_path)
     with pytest.raises(UserError, match="got nothing there"):
@@ -260,7 +261,8 @@ def test_places_that_are_no_scene(tmp_path: Path) -> None:
         SceneReader(other)
 
 
-def test_a_newer_version_says_so(scene: Path) -> None:
+def test_a_newer_version_asks_for_an_update(scene: Path) -> None:
+    """Catches a newer format that is misread."""
     path = with_manifest(scene, lambda content: content.update(version=3))
     with pytest.raises(UserError, match="format version 2 or older, got 3; update fourd"):
         SceneReader(path)
@@ -309,7 +311,7 @@ def _set(*keys: str | int, to: object) -> Callable[[dict[str, Any]], None]:
         (lambda content: content["source_views"].pop(), "bytes in frames/000000/blend_weights"),
     ],
 )
-def test_a_manifest_that_lies(scene: Path, change: Callable[[dict[str, Any]], None], words: str) -> None:
+def test_an_invalid_manifest_is_rejected(scene: Path, change: Callable[[dict[str, Any]], None], words: str) -> None:
     """Catches a field that is used before it is checked."""
     with pytest.raises(UserError, match=words) as caught:
         SceneReader(with_manifest(scene, change))
@@ -318,21 +320,24 @@ def test_a_manifest_that_lies(scene: Path, change: Callable[[dict[str, Any]], No
 
 
 @pytest.mark.parametrize("text", [b"", b"[]", b"{", b"\xff\xfe", b"[" * 100_000])
-def test_a_manifest_that_is_no_json(scene: Path, text: bytes) -> None:
-    """Catches uncaught decoding errors and the recursion of nested brackets."""
+def test_a_manifest_that_is_not_json_is_rejected(scene: Path, text: bytes) -> None:
+    """Catches uncaught decoding errors, and the recursion limit of nested brackets."""
     path = rewritten(scene, lambda members: members.update({"manifest.json": text}))
     with pytest.raises(UserError, match=r"manifest\.json: expected"):
         SceneReader(path)
 
 
 @pytest.mark.parametrize("name", ["../evil", "/etc/passwd", "a\\..\\b", "frames/../../x", "c:x"])
-def test_member_names_stay_inside(scene: Path, name: str) -> None:
+def test_member_names_outside_the_archive_are_rejected(scene: Path, name: str) -> None:
+    """Catches names that would write outside the folder when the archive is unpacked."""
     path = rewritten(scene, lambda members: members.update({name: b"x"}))
     with pytest.raises(UserError, match="expected member names inside the archive"):
         SceneReader(path)
 
 
-def test_a_missing_member(scene: Path) -> None:
+def test_a_missing_member_is_rejected_on_opening(scene: Path) -> None:
+    """Catches an array that is only missed when its frame is played."""
+
     def drop(members: dict[str, bytes]) -> None:
         del members["frames/000002/rgb"]
 
@@ -340,28 +345,28 @@ def test_a_missing_member(scene: Path) -> None:
         SceneReader(rewritten(scene, drop))
 
 
-def test_compressed_members_are_refused(scene: Path) -> None:
-    """Catches zip bombs: a small file that unpacks to gigabytes."""
+def test_compressed_members_are_rejected(scene: Path) -> None:
+    """Catches ZIP bombs: a small file that unpacks to gigabytes."""
     with pytest.raises(UserError, match=r"compressed; zip it again with zip -0"):
         SceneReader(rewritten(scene, lambda members: None, zipfile.ZIP_DEFLATED))
 
 
-def test_poison_in_a_frame_is_refused_on_reading(scene: Path) -> None:
-    """Catches NaN in a scene from elsewhere, whose checksums are right."""
+def test_invalid_values_in_a_frame_are_rejected_on_reading(scene: Path) -> None:
+    """Catches NaN in a scene of another program, whose checksums are correct."""
 
-    def poison(members: dict[str, bytes]) -> None:
+    def spoil(members: dict[str, bytes]) -> None:
         content = bytearray(members["frames/000001/blend_weights"])
         content[0:2] = np.float16(np.nan).tobytes()
         members["frames/000001/blend_weights"] = bytes(content)
 
-    reader = SceneReader(rewritten(scene, poison))
+    reader = SceneReader(rewritten(scene, spoil))
     reader.read(0)
     with pytest.raises(UserError, match="expected finite numbers in frames/000001/blend_weights"):
         reader.read(1)
 
 
-def test_memory_does_not_grow_with_frames(tmp_path: Path) -> None:
-    """Catches a writer that keeps frames until the end: 40 frames may take no more than 4 do."""
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
+    """Catches a writer that keeps frames until the end: 40 frames may take no more memory than 4."""
 
     def peak(frames: int) -> int:
         frame = random_frame(2000, 6, seed=0)

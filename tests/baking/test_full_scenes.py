@@ -1,4 +1,4 @@
-"""Full scenes in a `.4dv`: a background stored once, the shadows on it, and frames joined with both."""
+"""Full scenes in a `.4dv`: a background stored once, the shadows on it, and frames combined with both."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def scene(tmp_path: Path) -> Path:
     return path
 
 
-def darkened(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """What a shadow makes of colours, in floats: rounded half up."""
+def cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Multiply colours by a shadow in floating point, rounded half up."""
     return np.minimum(np.floor(rgb.astype(float) * shadow[:, None, None] / 128 + 0.5), 255).astype(np.uint8)
 
 
@@ -43,8 +43,8 @@ def assert_same(got: BakedFrame, expected: BakedFrame) -> None:
 
 
 @pytest.mark.parametrize("shadow", [True, False])
-def test_frames_come_back_with_the_background_behind_them(tmp_path: Path, shadow: bool) -> None:
-    """Catches the background before the frame's points, another frame's shadow, and attributes that are not joined."""
+def test_frames_are_read_with_the_background_after_them(tmp_path: Path, shadow: bool) -> None:
+    """Catches the background placed first, another frame's shadow, and attributes that are not combined."""
     moving, room, shadows = write_full_scene(tmp_path / "full.4dv", behind=BEHIND, shadow=shadow)
     reader = SceneReader(tmp_path / "full.4dv")
     assert reader.manifest.points == (200, 201, 202)
@@ -52,7 +52,7 @@ def test_frames_come_back_with_the_background_behind_them(tmp_path: Path, shadow
     assert (reader.manifest.kind, reader.manifest.version) == ("full", 2)
     for index in (2, 0, 1):
         frame, own = reader.read(index), moving[index]
-        rgb = darkened(room.rgb, shadows[index]) if shadow else room.rgb
+        rgb = cast_shadow(room.rgb, shadows[index]) if shadow else room.rgb
         for attribute in ATTRIBUTES:
             behind = rgb if attribute.name == "rgb" else getattr(room, attribute.name)
             expected = np.concatenate([getattr(own, attribute.name), behind])
@@ -63,8 +63,8 @@ def test_frames_come_back_with_the_background_behind_them(tmp_path: Path, shadow
     assert_same(background, room)
 
 
-def test_an_object_scene_has_nothing_behind(tmp_path: Path) -> None:
-    """Catches a background or a shadow made up where there is none."""
+def test_an_object_scene_has_no_background(tmp_path: Path) -> None:
+    """Catches a background or a shadow that is invented."""
     written = write_scene(tmp_path / "object.4dv")
     reader = SceneReader(tmp_path / "object.4dv")
     assert reader.read_background() is None
@@ -74,7 +74,7 @@ def test_an_object_scene_has_nothing_behind(tmp_path: Path) -> None:
     assert reader.manifest.frame_nbytes(1) == reader.read(1).nbytes
 
 
-def test_the_background_is_stored_once_and_as_it_is(scene: Path) -> None:
+def test_the_background_is_stored_once_without_shadow(scene: Path) -> None:
     """Catches a background that grows the file with every frame, and shadows baked into it."""
     with zipfile.ZipFile(scene) as archive:
         names = archive.namelist()
@@ -91,37 +91,36 @@ def test_the_background_is_stored_once_and_as_it_is(scene: Path) -> None:
     )
 
 
-def test_every_shadow_on_every_colour() -> None:
-    """Catches bytes that overflow, rounding down, and a bright shadow that wraps round to black."""
+def test_every_shadow_value_on_every_colour() -> None:
+    """Catches 8-bit overflow, rounding down, and a brightening factor that wraps around to black."""
     room = room_frame(256, 1, seed=1)
     room.rgb[:] = np.arange(256, dtype=np.uint8)[:, None, None]
-    nobody = random_frame(0, 1, seed=0)
+    empty = random_frame(0, 1, seed=0)
     for value in range(256):
         shadow = np.full(256, value, np.uint8)
-        np.testing.assert_array_equal(combine_frames(nobody, room, shadow).rgb, darkened(room.rgb, shadow))
-    half = combine_frames(nobody, room, np.full(256, 64, np.uint8)).rgb
+        np.testing.assert_array_equal(combine_frames(empty, room, shadow).rgb, cast_shadow(room.rgb, shadow))
+    half = combine_frames(empty, room, np.full(256, 64, np.uint8)).rgb
     assert half[[0, 1, 2, 3, 255], 0, 0].tolist() == [0, 1, 1, 2, 128]
-    assert combine_frames(nobody, room, np.full(256, 192, np.uint8)).rgb[[100, 170, 171], 0, 0].tolist() == [
+    assert combine_frames(empty, room, np.full(256, 192, np.uint8)).rgb[[100, 170, 171], 0, 0].tolist() == [
         150,
         255,
         255,
     ]
 
 
-def test_a_shadow_falls_on_the_background_alone() -> None:
-    """Catches the frame's own points darkened, the background's arrays changed for the frames that follow, and more
-    points than are multiplied at a time."""
+def test_a_shadow_changes_only_the_background() -> None:
+    """Catches shadowed dynamic points, background arrays modified for later frames, and errors between chunks."""
     own, room = random_frame(40, 2, seed=1), room_frame(5000, 2, seed=2)
     before = room.rgb.copy()
     shadow = np.random.default_rng(3).choice(np.array([128, 60, 200], np.uint8), 5000)
     frame = combine_frames(own, room, shadow)
     np.testing.assert_array_equal(frame.rgb[:40], own.rgb)
-    np.testing.assert_array_equal(frame.rgb[40:], darkened(before, shadow))
+    np.testing.assert_array_equal(frame.rgb[40:], cast_shadow(before, shadow))
     np.testing.assert_array_equal(room.rgb, before)
 
 
-def test_what_cannot_be_joined_is_named() -> None:
-    """Catches a shadow that is cut or repeated to fit, and NumPy's words for it."""
+def test_invalid_arguments_of_combining_are_named() -> None:
+    """Catches a shadow that is cut or broadcast to fit, and a bare NumPy error."""
     own, room = random_frame(5, 2, seed=1), room_frame(8, 2, seed=2)
     with pytest.raises(ValueError, match="background: expected 2 source views, got 3"):
         combine_frames(own, room_frame(8, 3, seed=2))
@@ -130,16 +129,16 @@ def test_what_cannot_be_joined_is_named() -> None:
             combine_frames(own, room, shadow)
 
 
-def test_joined_frames_are_read_only(scene: Path) -> None:
-    """Catches a caller who changes what a cache gives to others."""
+def test_combined_frames_are_read_only(scene: Path) -> None:
+    """Catches a caller that modifies a frame which a cache shares with others."""
     frame = SceneReader(scene).read(0)
     for attribute in ATTRIBUTES:
         assert not getattr(frame, attribute.name).flags.writeable, attribute.name
 
 
 @pytest.mark.parametrize(("points", "behind", "views"), [(0, 50, 2), (50, 0, 2), (0, 0, 2), (50, 50, 0)])
-def test_a_part_without_points(tmp_path: Path, points: int, behind: int, views: int) -> None:
-    """Catches an empty stage, a background of nothing, and a scene without source views, which have no bytes."""
+def test_empty_frames_and_backgrounds(tmp_path: Path, points: int, behind: int, views: int) -> None:
+    """Catches arrays of zero bytes: an empty frame, an empty background, a scene without source views."""
     with SceneWriter(tmp_path / "full.4dv", full_manifest(views, 1)) as writer:
         writer.add_frame(0, random_frame(points, views, seed=0), np.full(behind, 64, np.uint8))
         writer.add_background(room_frame(behind, views, seed=1))
@@ -149,8 +148,8 @@ def test_a_part_without_points(tmp_path: Path, points: int, behind: int, views: 
 
 
 @pytest.mark.parametrize("place", [0, 1, 3])
-def test_the_background_may_come_at_any_time(tmp_path: Path, place: int) -> None:
-    """Catches a writer that knows the background's size only when it came first."""
+def test_the_background_may_be_added_at_any_time(tmp_path: Path, place: int) -> None:
+    """Catches a writer that checks shadows only if the background is added first."""
     room = room_frame(30, VIEWS, seed=1)
     with SceneWriter(tmp_path / "full.4dv", full_manifest()) as writer:
         for index in range(4):
@@ -159,7 +158,7 @@ def test_the_background_may_come_at_any_time(tmp_path: Path, place: int) -> None
             if index < 3:
                 writer.add_frame(index, random_frame(5, VIEWS, seed=index), np.full(30, 100 + index, np.uint8))
     reader = SceneReader(tmp_path / "full.4dv")
-    np.testing.assert_array_equal(reader.read(2).rgb[5:], darkened(room.rgb, np.full(30, 102, np.uint8)))
+    np.testing.assert_array_equal(reader.read(2).rgb[5:], cast_shadow(room.rgb, np.full(30, 102, np.uint8)))
 
 
 Steps = Callable[[SceneWriter], object]
@@ -173,7 +172,7 @@ def _room(points: int = 30, views: int = VIEWS) -> Steps:
     return lambda writer: writer.add_background(room_frame(points, views, seed=1))
 
 
-def _poisoned_room(writer: SceneWriter) -> None:
+def _invalid_room(writer: SceneWriter) -> None:
     room = room_frame(30, VIEWS, seed=1)
     room.sh.flat[7] = np.nan
     writer.add_background(room)
@@ -187,20 +186,20 @@ SHADOW = np.full(30, 128, np.uint8)
     [
         ([_room(), _room()], "background: expected one, got a second"),
         ([_room(views=5)], "background: expected 6 source views, got 5"),
-        ([_poisoned_room], "background, sh: expected finite numbers"),
-        ([_frame(0, SHADOW), _room(31)], "background: expected 30 points, as the frames' shadows have, got 31"),
+        ([_invalid_room], "background, sh: expected finite numbers"),
+        ([_frame(0, SHADOW), _room(31)], "background: expected 30 points to match the frames' shadows, got 31"),
         ([_room(), _frame(0, SHADOW[:29])], r"frame 0, shadow: expected uint8 of shape \(30,\), got uint8 of \(29,\)"),
         ([_frame(0, SHADOW), _frame(1, SHADOW[:29])], r"frame 1, shadow: expected uint8 of shape \(30,\)"),
         ([_frame(0, SHADOW.astype(float))], r"frame 0, shadow: expected uint8 of shape \(M,\), got float64"),
         ([_room(), _frame(0, SHADOW[:, None])], r"shadow: expected uint8 of shape \(30,\), got uint8 of \(30, 1\)"),
-        ([_frame(0, SHADOW), _frame(1)], "frame 1, shadow: expected one, as in the frames before, got none"),
-        ([_frame(0), _frame(1, SHADOW)], "frame 1, shadow: expected none, as in the frames before, got one"),
+        ([_frame(0, SHADOW), _frame(1)], "frame 1, shadow: expected one, as for the previous frames, got none"),
+        ([_frame(0), _frame(1, SHADOW)], "frame 1, shadow: expected none, as for the previous frames, got one"),
         ([_frame(0), _frame(1), _frame(2)], 'background: expected one in a scene of kind "full", got none; call add'),
         ([_room(), _frame(0)], "expected 3 frames, got 1"),
     ],
 )
-def test_a_wrong_order_of_writing_is_told(tmp_path: Path, steps: list[Steps], words: str) -> None:
-    """Catches a scene that the reader would refuse, noticed by whoever opens it."""
+def test_inconsistent_writing_is_an_error(tmp_path: Path, steps: list[Steps], words: str) -> None:
+    """Catches a file that is written and that the reader then rejects."""
     with pytest.raises(ValueError, match=words), SceneWriter(tmp_path / "full.4dv", full_manifest()) as writer:
         for step in steps:
             step(writer)
@@ -208,8 +207,8 @@ def test_a_wrong_order_of_writing_is_told(tmp_path: Path, steps: list[Steps], wo
 
 
 @pytest.mark.parametrize("step", [_room(), _frame(0, SHADOW)])
-def test_an_object_scene_takes_no_background(tmp_path: Path, step: Steps) -> None:
-    """Catches members that the manifest does not tell of."""
+def test_an_object_scene_accepts_no_background(tmp_path: Path, step: Steps) -> None:
+    """Catches members that the manifest does not describe."""
     with (
         pytest.raises(ValueError, match='expected none in a scene of kind "object", got one'),
         SceneWriter(tmp_path / "object.4dv", manifest()) as writer,
@@ -227,7 +226,7 @@ def _background(**fields: object) -> Callable[[dict[str, Any]], None]:
     ("change", "words"),
     [
         (lambda content: content.pop("background"), 'expected a key "background", got none'),
-        (lambda content: content.update(kind="object"), 'background: expected none beside kind "object"'),
+        (lambda content: content.update(kind="object"), 'background: expected none for kind "object"'),
         (lambda content: content.update(version=1), "kind: expected \"object\" in format version 1, got 'full'"),
         (lambda content: content.update(version=3), "format version 2 or older, got 3; update fourd"),
         (lambda content: content.update(background=[]), "background: expected a JSON object"),
@@ -243,18 +242,18 @@ def _background(**fields: object) -> Callable[[dict[str, Any]], None]:
         (_background(shadow="true"), "background, shadow: expected true or false"),
     ],
 )
-def test_a_manifest_that_lies_of_its_background(
+def test_an_invalid_background_in_the_manifest_is_rejected(
     scene: Path, change: Callable[[dict[str, Any]], None], words: str
 ) -> None:
-    """Catches a field that is used before it is checked, and a background that one version ignores."""
+    """Catches a field that is used before it is checked, and a background that a version ignores."""
     with pytest.raises(UserError, match=words) as caught:
         SceneReader(with_manifest(scene, change))
     assert "changed.4dv" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_shadows_that_are_promised_must_be_there(tmp_path: Path) -> None:
-    """Catches a frame drawn without its shadow where the member is missing."""
+def test_missing_shadows_are_rejected(tmp_path: Path) -> None:
+    """Catches a frame drawn without its shadow because the member is missing."""
     write_full_scene(tmp_path / "plain.4dv", shadow=False)
     with pytest.raises(UserError, match="expected a member frames/000000/shadow, got none"):
         SceneReader(with_manifest(tmp_path / "plain.4dv", _background(shadow=True)))
@@ -262,8 +261,8 @@ def test_shadows_that_are_promised_must_be_there(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["background/rgb", "frames/000001/shadow"])
 @pytest.mark.parametrize(("keep", "words"), [(None, "expected a member {}, got none"), (7, r"bytes in {} .*, got 7;")])
-def test_missing_and_short_members(scene: Path, name: str, keep: int | None, words: str) -> None:
-    """Catches arrays whose size is taken from the file and not from the manifest."""
+def test_missing_and_truncated_members_are_rejected(scene: Path, name: str, keep: int | None, words: str) -> None:
+    """Catches array sizes taken from the file instead of the manifest."""
 
     def damage(members: dict[str, bytes]) -> None:
         content = members.pop(name)
@@ -277,16 +276,16 @@ def test_missing_and_short_members(scene: Path, name: str, keep: int | None, wor
 @pytest.mark.parametrize(
     ("name", "value"), [("xyz", np.inf), ("radius", -1), ("density", 2), ("sh", np.nan), ("blend_weights", np.nan)]
 )
-def test_poison_in_the_background_is_refused_on_reading(scene: Path, name: str, value: float) -> None:
-    """Catches NaN in a background from elsewhere, whose checksums are right."""
+def test_invalid_values_in_the_background_are_rejected_on_reading(scene: Path, name: str, value: float) -> None:
+    """Catches NaN in a background of another program, whose checksums are correct."""
     dtype = next(item.dtype for item in ATTRIBUTES if item.name == name)
 
-    def poison(members: dict[str, bytes]) -> None:
+    def spoil(members: dict[str, bytes]) -> None:
         content = np.frombuffer(members[f"background/{name}"], dtype).copy()
         content[-1] = value
         members[f"background/{name}"] = content.tobytes()
 
-    reader = SceneReader(rewritten(scene, poison))
+    reader = SceneReader(rewritten(scene, spoil))
     reader.read_dynamic(0)
     for _ in range(2):
         with pytest.raises(UserError, match=f"expected finite numbers in background/{name}, got NaN"):
@@ -294,30 +293,30 @@ def test_poison_in_the_background_is_refused_on_reading(scene: Path, name: str, 
 
 
 @pytest.mark.parametrize("name", ["background/sh", "frames/000001/shadow"])
-def test_flipped_bytes_are_noticed(scene: Path, name: str) -> None:
-    """Catches a reader that skips the checksums of what is new."""
+def test_flipped_bytes_are_detected(scene: Path, name: str) -> None:
+    """Catches a reader that skips the checksums of backgrounds and shadows."""
     with zipfile.ZipFile(scene) as archive:
         at = archive.getinfo(name).header_offset + 30 + len(name)
     content = bytearray(scene.read_bytes())
     content[at] ^= 0xFF
     scene.write_bytes(bytes(content))
-    with pytest.raises(UserError, match=f"expected a whole member {name}"):
+    with pytest.raises(UserError, match=f"expected an intact member {name}"):
         SceneReader(scene).read(1)
 
 
 def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> None:
-    """Catches exceptions of zipfile, json and NumPy that nobody thought of: random bytes in the directory."""
+    """Catches unexpected exceptions of zipfile, json and NumPy: random bytes in the central directory."""
     content = scene.read_bytes()
     for _ in range(100):
         damaged = bytearray(content)
         for at in rng.integers(len(content) - 6000, len(content), 3):
             damaged[at] = int(rng.integers(0, 256))
         scene.write_bytes(bytes(damaged))
-        assert "\n" not in complaint(scene)
+        assert "\n" not in error_message(scene)
 
 
-def complaint(scene: Path) -> str:
-    """What is said of a file on the way through all its frames."""
+def error_message(scene: Path) -> str:
+    """The error message of reading all frames, or ''."""
     try:
         reader = SceneReader(scene)
         for index in range(reader.manifest.frame_count):
@@ -328,7 +327,7 @@ def complaint(scene: Path) -> str:
 
 
 def test_threads_share_one_background(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a background that is read for every frame or by every thread, and one that is seen half read."""
+    """Catches a background that is read per frame or per thread, and one that is used before it is complete."""
     reads: Counter[str] = Counter()
     read = zipfile.ZipFile.read
 
@@ -351,8 +350,8 @@ def test_threads_share_one_background(scene: Path, monkeypatch: pytest.MonkeyPat
     assert [reads[f"background/{item.name}"] for item in ATTRIBUTES] == [1] * len(ATTRIBUTES)
 
 
-def test_a_closed_reader_keeps_nothing(scene: Path) -> None:
-    """Catches a background that stays in memory with every scene that was looked at, and one that is called damaged."""
+def test_a_closed_reader_releases_its_memory(scene: Path) -> None:
+    """Catches a background that stays in memory after closing, and a closed file reported as damaged."""
     reader = SceneReader(scene)
     reader.read_background()
     reader.close()
@@ -362,27 +361,27 @@ def test_a_closed_reader_keeps_nothing(scene: Path) -> None:
         reader.read(0)
 
 
-def test_caches_count_what_joined_frames_take(tmp_path: Path) -> None:
-    """Catches memory that grows past its bound by the background, once for itself and once for every frame."""
+def test_caches_count_the_size_of_combined_frames(tmp_path: Path) -> None:
+    """Catches a cache that ignores the background, in the reader and in every combined frame."""
     write_full_scene(tmp_path / "full.4dv", frames=3, points=200)
     described = SceneReader(tmp_path / "full.4dv").manifest
     room = room_frame(BEHIND, VIEWS, seed=100)
     assert described.background_nbytes == room.nbytes
     assert described.frame_nbytes(1) == random_frame(201, VIEWS, seed=0).nbytes + room.nbytes
     two = described.frame_nbytes(0) + described.frame_nbytes(1) + described.background_nbytes
-    for room_for_two, cache_bytes in ((True, two), (False, two - 1)):
+    for fits_two, cache_bytes in ((True, two), (False, two - 1)):
         with open_scene(tmp_path / "full.4dv", cache_bytes=cache_bytes) as opened:
             first = opened.frame(0)
             assert first.nbytes == described.frame_nbytes(0)
             opened.frame(1)
-            assert (opened.frame(0) is first) == room_for_two
+            assert (opened.frame(0) is first) == fits_two
 
 
-def test_a_picture_of_a_scene_shows_both(scene: Path) -> None:
-    """Catches a renderer that is given the frame's points alone, or the walls before what stands in the room."""
+def test_a_picture_shows_frame_and_background(scene: Path) -> None:
+    """Catches a renderer that gets only the frame's points, and walls in front of the ball."""
     with open_scene(scene) as opened:
         camera = opened.manifest.other_cameras[0].resize(64, 64)
         picture = opened.render(camera, 0)
-        assert (picture.alpha > 0.5).mean() > 0.9, "the walls are all around"
-        assert picture.depth[28:36, 28:36].min() < 6, "the ball is before them"
+        assert (picture.alpha > 0.5).mean() > 0.9, "the walls cover the picture"
+        assert picture.depth[28:36, 28:36].min() < 6, "the ball is in front of them"
         assert picture.depth[:6].min() > 10

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fourd.baking.playable import Playable, open_playable, select_frames, view
+from fourd.baking.playable import Playable, find_view, open_playable, select_frames
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.viewer.navigation.paths import camera_path, fit_camera
@@ -64,7 +64,7 @@ def run(arguments: Arguments) -> None:
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], console: Console) -> int:
     assert arguments.views is not None
     names = [name.strip() for name in arguments.views.split(",") if name.strip()]
-    cameras = [_sized(view(playable, name), arguments.size) for name in names]
+    cameras = [_sized(find_view(playable, name), arguments.size) for name in names]
     jobs = [(name, camera, frame) for frame in frames for name, camera in zip(names, cameras, strict=True)]
     if arguments.out.suffix == ".mp4":
         pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _shown(jobs, console))
