@@ -16,9 +16,10 @@ import tyro
 from rich.console import Console
 
 from fourd.files import atomic_path, write_text_atomically
+from fourd.pipeline.make import create_run
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
-from fourd.training.run import create_run, load_run
+from fourd.training.run import load_run
 
 DOCS = Path(__file__).parent.parent / "docs"
 FIGURES = DOCS / "figures"

@@ -11,11 +11,12 @@ from tempfile import TemporaryDirectory
 from rich.console import Console
 
 from fourd.benchmarks.timing import Work
+from fourd.pipeline.make import create_run
 from fourd.synth import make_synthetic
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.memory import retain_freed_memory
-from fourd.training.run import Run, create_run
+from fourd.training.run import Run
 
 POINTS = 65_536
 SIZE = 512

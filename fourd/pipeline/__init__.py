@@ -1,1 +1,1 @@
-"""From videos to a scene: the stages, and the graph that runs each once."""
+"""Stages from videos or a capture to a scene, the graph that orders them, and the runner that caches them."""

@@ -82,7 +82,7 @@ class Trainer:
         self.psnr = 0.0
         saved = self._restore()
         drop_stale_points(run.checkpoints)
-        self.frames = run.frame_store(saved, "trainer")
+        self.frames = run.frame_store(saved)
         self.renderer = Renderer(self.scene, run.training, run.focus)
         self._saved_step = self.done if saved is not None else -1
 
@@ -97,7 +97,6 @@ class Trainer:
         finally:
             log.close()
         self._checkpoint()
-        shutil.rmtree(self.run.folder / "scratch", ignore_errors=True)
         return TrainSummary(self.done, self.seconds, self.psnr)
 
     def _loop(self, log: MetricsLog, show: Callable[[str], None]) -> None:

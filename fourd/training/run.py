@@ -1,12 +1,14 @@
-"""The run folder: what was trained, on what, and where its checkpoints are.
+"""A run folder: its config, its capture, and its trained state.
 
-``config.yaml`` (written once), ``hull/`` (carved points), ``checkpoints/STEP.safetensors`` with
-``checkpoints/STEP.points/``, ``metrics.jsonl``, TensorBoard events and ``validation/``.
+``config.yaml`` is written when training starts; ``hull/``, ``background/`` and ``calibration/`` exist before it;
+``checkpoints/STEP.safetensors`` with ``checkpoints/STEP.points/``, ``metrics.jsonl``, TensorBoard events and
+``validation/`` are written while training.
 """
 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,35 +18,29 @@ from numpy.typing import NDArray
 from safetensors.torch import load_file
 from scipy.spatial import cKDTree
 
-from fourd.background.contraction import Contraction, contraction_around
-from fourd.capture import Capture, open_capture
-from fourd.capture.layout import select_views
-from fourd.carving import Bounds, carve_capture
-from fourd.configs import load_overlay, save_config
+from fourd.background.contraction import Contraction
+from fourd.background.plates import PlateView, read_plates
+from fourd.capture import Capture
+from fourd.configs import load_overlay
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
 from fourd.morton import morton_order
-from fourd.ply import read_ply, write_ply
-from fourd.progress import Log, Track, untracked
+from fourd.ply import read_ply
+from fourd.progress import Log
 from fourd.training.background import StaticBackground, create_background
-from fourd.training.background_seed import BACKGROUND, POINTS, run_plates, seed_background
-from fourd.training.cameras.calibration import CALIBRATION, adjust_run, begun_with
 from fourd.training.cameras.refinement import Refinement
 from fourd.training.cameras.rig import Rig
+from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
 from fourd.training.evaluation.render import Renderer
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.frame_store import FrameStore
+from fourd.training.points.scratch import Scratch
+from fourd.training.run_layout import BACKGROUND, CHECKPOINTS, CONFIG_NAME, HULL, PLATES, POINTS, SCRATCH
 from fourd.training.scenes.build import build_scene
 from fourd.training.views import ViewStore
-
-CONFIG_NAME = "config.yaml"
-STAGES = ("hull", BACKGROUND, CALIBRATION)
-"""Folders of a run that are there before it is one."""
-DECODED_MB = 32
-"""Of whole pictures: the crops that training uses have a cache of their own."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +93,7 @@ class Run:
 
     @property
     def checkpoints(self) -> Path:
-        return self.folder / "checkpoints"
+        return self.folder / CHECKPOINTS
 
     def new_model(self) -> PointModel:
         """An untrained model, the same for the same config."""
@@ -128,7 +124,7 @@ class Run:
         if self.config.train.scene != "full":
             return None
         seeded = read_ply(self.folder / BACKGROUND / POINTS)
-        plates = dict(zip(self.training, run_plates(self.capture, self.training, self.folder), strict=True))
+        plates = dict(zip(self.training, read_run_plates(self.capture, self.training, self.folder), strict=True))
         torch.manual_seed(self.config.train.seed + 1)
         fresh = create_background(seeded, plates, self.config.train, self.contraction())
         if self.config.train.background.shadow:
@@ -143,16 +139,17 @@ class Run:
         train = self.config.train
         return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
 
-    def frame_store(self, saved: Path | None, scratch_name: str) -> FrameStore:
-        """Points of every frame, from ``saved`` or else as carved."""
-        scratch = self.folder / "scratch" / scratch_name
-        return FrameStore(scratch, self.capture.frame_count, self.carved, self.config.train.memory_mb // 2, saved)
+    def frame_store(self, saved: Path | None) -> FrameStore:
+        """Points of every frame: those that a checkpoint ``saved``, else the first points."""
+        scratch = Scratch(self.folder / SCRATCH)
+        budget_mb = self.config.train.memory_mb // 2
+        return FrameStore(scratch, self.capture.frame_count, self.carved, budget_mb, saved)
 
     def carved(self, frame: int) -> FramePoints:
         """Points of a frame as carved, at most as many as the config asks for; neighbours lie side by side."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
-        xyz = read_ply(self.folder / "hull" / f"{number:06d}.ply").xyz[: train.points]
+        xyz = read_ply(self.folder / HULL / f"{number:06d}.ply").xyz[: train.points]
         spacing = torch.full((len(xyz),), self.config.scene.spacing)
         explicit = train.model.sh == "explicit" and train.model.appearance != "ibr"
         placed = torch.from_numpy(xyz[morton_order(xyz)])
@@ -170,107 +167,15 @@ class TrainedRun:
     renderer: Renderer
 
 
-def carve_run(
-    capture_path: Path, folder: Path, train: TrainConfig, track: Track = untracked, workers: int = 1
-) -> Bounds:
-    """Carve the training views of the selection into ``folder/hull``; goes on where an earlier call stopped.
-
-    Held-out views are not carved from: they must not shape what they judge.
-    """
-    capture, training, _ = _open_views(capture_path, train, folder)
-    _require_masks(capture)
-    folder.mkdir(parents=True, exist_ok=True)
-    seeing = open_capture(
-        capture_path,
-        views=[capture.names[index] for index in training],
-        frames=train.frames,
-        scale=train.image_scale,
-        cache_mb=DECODED_MB,
-    ).with_cameras([capture.cameras[index] for index in training])
-    return carve_capture(seeing, folder / "hull", points=train.points, track=track, workers=workers)
-
-
-def adjust_run_cameras(capture_path: Path, folder: Path, train: TrainConfig, track: Track, log: Log) -> None:
-    """Where the config refines cameras, write those that the run begins with into ``folder/calibration/start``."""
-    if train.refine.cameras:
-        capture, training, _ = _open_views(capture_path, train)
-        adjust_run(capture, training, folder, train.refine, track, log)
-
-
-def seed_run(capture_path: Path, folder: Path, train: TrainConfig, workers: int, track: Track, log: Log) -> None:
-    """Find the points of a full scene's background in ``folder/background``; goes on where an earlier call stopped."""
-    capture, training, _ = _open_views(capture_path, train, folder)
-    seed_background(capture, training, folder, train, workers, track, log)
-
-
-def adopt_points(source: Path, capture_path: Path, folder: Path, train: TrainConfig) -> Bounds:
-    """Take the user's own FRAME.ply of each selected frame from ``source`` into ``folder/hull``.
-
-    Where a file has more points than the config asks for, an even draw of them is kept. The bounds
-    are those of all points, with a margin of 5% of the longest side.
-    """
-    capture, _, _ = _open_views(capture_path, train)
-    rng = np.random.default_rng(train.seed)
-    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    for number in capture.frame_numbers:
-        xyz, rgb = read_ply(source / f"{number:06d}.ply")
-        if len(xyz) == 0:
-            raise UserError(f"{source / f'{number:06d}.ply'}: expected points, got none; leave the frame out")
-        kept = rng.permutation(len(xyz))[: train.points]
-        write_ply(folder / "hull" / f"{number:06d}.ply", xyz[kept], rgb[kept])
-        lower, upper = np.minimum(lower, xyz.min(axis=0)), np.maximum(upper, xyz.max(axis=0))
-    return Bounds(lower, upper).padded(0.05)
-
-
-def create_run(
-    capture_path: Path,
-    folder: Path,
-    train: TrainConfig,
-    points_from: Path | None = None,
-    track: Track = untracked,
-    workers: int = 1,
-    log: Log = lambda line: None,
-) -> Run:
-    """Make a run folder: check the selection, carve the training views, measure bounds and spacing.
-
-    With ``points_from``, the points are that folder's FRAME.ply files and nothing is carved; else ``workers``
-    processes carve. A full scene's background is seeded too. A folder that holds these alone is taken over, as an
-    interrupted call leaves one. ``log`` is told what was found. Raises
-    UserError when ``folder`` exists and is not a run, or is a run already.
-    """
-    if (folder / CONFIG_NAME).exists():
-        raise UserError(f"{folder}: expected a new folder, got a run; add --resume to go on with it, or name another")
-    if folder.exists() and (not folder.is_dir() or any(entry.name not in STAGES for entry in folder.iterdir())):
-        raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
-    adjust_run_cameras(capture_path, folder, train, track, log)
-    if points_from is None:
-        bounds = carve_run(capture_path, folder, train, track, workers)
-    else:
-        bounds = adopt_points(points_from, capture_path, folder, train)
-    if train.scene == "full":
-        seed_run(capture_path, folder, train, workers, track, log)
-    capture, _, _ = _open_views(capture_path, train, folder)
-    first = read_ply(folder / "hull" / f"{capture.frame_numbers[0]:06d}.ply").xyz
-    reach = contraction_around(capture.cameras, bounds.centre).radius
-    scene = SceneConfig(
-        lower=_triple(bounds.lower),
-        upper=_triple(bounds.upper),
-        spacing=mean_spacing(first[: train.points]),
-        frame_count=max(capture.total_frames, 1),
-        reach=reach,
-    )
-    save_config(RunConfig(capture_path.resolve(), scene, train), folder / CONFIG_NAME)
-    return open_run(folder)
-
-
 def open_run(folder: Path) -> Run:
     """Open a run folder and its capture. Raises UserError when either is not what it should be."""
     path = folder / CONFIG_NAME
     if not path.is_file():
         raise UserError(f"{folder}: expected a run (a folder with {CONFIG_NAME}), got none; make one with fourd train")
     config = load_overlay(RunConfig(), path)
-    capture, training, test = _open_views(config.capture, config.train, folder)
-    return Run(folder, config, capture, training, test)
+    adjusted = folder if config.train.refine.cameras else None
+    views = open_run_views(config.capture, DataSelection.of(config.train), adjusted)
+    return Run(folder, config, views.capture, views.training, views.test)
 
 
 def load_run(folder: Path) -> TrainedRun:
@@ -295,8 +200,16 @@ def load_run(folder: Path) -> TrainedRun:
         restore(each, tensors, f"{prefix}.", found)
         each.requires_grad_(False)
     scene.set_rig(rig)
-    frames = run.frame_store(points_folder(found), "reader")
+    frames = run.frame_store(points_folder(found))
     return TrainedRun(run, step, model, frames, Renderer(scene, run.training, run.focus))
+
+
+def read_run_plates(
+    capture: Capture, training: Sequence[int], folder: Path, log: Log = lambda line: None
+) -> tuple[PlateView, ...]:
+    """The clean plates of the training views: the run's own where ``folder`` has any, else the capture's."""
+    made = folder / BACKGROUND / PLATES
+    return read_plates(capture, training, log, made=made if made.exists() else None)
 
 
 def points_folder(checkpoint: Path) -> Path:
@@ -320,31 +233,3 @@ def mean_spacing(xyz: NDArray[np.float32]) -> float:
         return 0.01
     distances, _ = cKDTree(xyz).query(xyz[:4096], k=5)
     return float(distances[:, 1:].mean() / 1.2)
-
-
-def _open_views(path: Path, train: TrainConfig, run: Path | None = None) -> tuple[Capture, list[int], list[int]]:
-    """The capture's selection, with the cameras that the run in folder ``run`` begins with, and who is held out."""
-    views = list(train.views) if train.views is not None else None
-    capture = open_capture(path, views=views, frames=train.frames, scale=train.image_scale, cache_mb=DECODED_MB)
-    held_out = select_views(train.test_views, capture.names, "--test-views") if train.test_views else []
-    test = [capture.names.index(name) for name in held_out]
-    training = [index for index in range(len(capture.names)) if index not in test]
-    if len(training) < 2:
-        raise UserError(
-            f"{path}: expected at least 2 training views, got {len(training)}; hold out fewer with --test-views"
-        )
-    if train.refine.cameras and run is not None:
-        capture = begun_with(capture, run)
-    return capture, training, test
-
-
-def _require_masks(capture: Capture) -> None:
-    if not capture.has_masks:
-        raise UserError(
-            f"{capture.path}: expected masks/CAM/FRAME.png for an object scene, got none; "
-            f"make them: fourd matte {capture.path}"
-        )
-
-
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    return float(values[0]), float(values[1]), float(values[2])

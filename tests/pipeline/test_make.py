@@ -13,22 +13,23 @@ from rich.console import Console
 
 from fourd.errors import UserError
 from fourd.matting.stage import MatteSettings
-from fourd.pipeline.make import MakeSettings, make_scene
+from fourd.pipeline.make import make_scene
+from fourd.pipeline.stage import Context
 from fourd.training.config import RefineConfig, TrainConfig
 from tests.matting.captures import unmasked, write_video
 from tests.training.small import SMALL, with_steps
 
-SETTINGS = MakeSettings(MatteSettings(), workers=1)
+NAMES = ("import", "check", "mattes", "plates", "adjust", "carve", "points", "background", "train", "bake")
 
 
-def made(capture: Path, out: Path, config: TrainConfig) -> dict[str, bool]:
-    """Run everything; which stages were done now."""
+def make(capture: Path, out: Path, config: TrainConfig, points_from: Path | None = None) -> dict[str, bool]:
+    """Run everything; maps the name of each stage in the graph to whether its work was done."""
     text = io.StringIO()
-    make_scene(capture, out, SETTINGS, config, None, Console(file=text, width=200))
+    context = Context(Console(file=text, width=200))
+    make_scene(capture, out, config, MatteSettings(), context, points_from=points_from)
     lines = text.getvalue().splitlines()
-    names = ("import", "check", "mattes", "cameras", "carve", "train", "export")
-    told = [name for name in names if any(line.startswith(f"{name}: ") for line in lines)]
-    return {name: f"{name}: working" in lines for name in told}
+    listed = [name for name in NAMES if any(line.startswith((f"{name}: up to", f"{name}: run")) for line in lines)]
+    return {name: f"{name}: running" in lines for name in listed}
 
 
 def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -> None:
@@ -36,15 +37,15 @@ def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
     config = with_steps(SMALL, 2)
-    assert made(capture, out, config) == dict.fromkeys(("check", "carve", "train", "export"), True)
-    assert not any(made(capture, out, config).values())
-    now = made(capture, out, replace(config, seed=5))
-    assert now == {"check": False, "carve": False, "train": True, "export": True}
+    assert make(capture, out, config) == dict.fromkeys(("check", "carve", "train", "bake"), True)
+    assert not any(make(capture, out, config).values())
+    now = make(capture, out, replace(config, seed=5))
+    assert now == {"check": False, "carve": False, "train": True, "bake": True}
     out.unlink()
-    now = made(capture, out, replace(config, seed=5))
-    assert now == {"check": False, "carve": False, "train": False, "export": True}
+    now = make(capture, out, replace(config, seed=5))
+    assert now == {"check": False, "carve": False, "train": False, "bake": True}
     os.utime(capture / "images" / "00" / "000001.png", (1, 1))
-    assert all(made(capture, out, replace(config, seed=5)).values())
+    assert all(make(capture, out, replace(config, seed=5)).values())
 
 
 def test_refined_cameras_come_before_carving(ball_capture: Path, tmp_path: Path) -> None:
@@ -53,13 +54,13 @@ def test_refined_cameras_come_before_carving(ball_capture: Path, tmp_path: Path)
     shutil.copytree(ball_capture, capture)
     refine = RefineConfig(poses=True)
     config = replace(with_steps(SMALL, 2), refine=refine)
-    assert made(capture, out, config) == dict.fromkeys(("check", "cameras", "carve", "train", "export"), True)
-    now = made(capture, out, replace(config, refine=replace(refine, pose_rate=1e-3)))
-    assert now == {"check": False, "cameras": False, "carve": False, "train": True, "export": True}
-    now = made(capture, out, replace(config, refine=replace(refine, rotation_deg=1.0)))
-    assert now == {"check": False, "cameras": True, "carve": True, "train": True, "export": True}
-    now = made(capture, out, with_steps(SMALL, 2))
-    assert now == {"check": False, "carve": True, "train": True, "export": True}
+    assert make(capture, out, config) == dict.fromkeys(("check", "adjust", "carve", "train", "bake"), True)
+    now = make(capture, out, replace(config, refine=replace(refine, pose_rate=1e-3)))
+    assert now == {"check": False, "adjust": False, "carve": False, "train": True, "bake": True}
+    now = make(capture, out, replace(config, refine=replace(refine, rotation_deg=1.0)))
+    assert now == {"check": False, "adjust": True, "carve": True, "train": True, "bake": True}
+    now = make(capture, out, with_steps(SMALL, 2))
+    assert now == {"check": False, "carve": True, "train": True, "bake": True}
 
 
 def test_videos_become_a_scene(tmp_path: Path) -> None:
@@ -71,13 +72,13 @@ def test_videos_become_a_scene(tmp_path: Path) -> None:
     for folder in (capture / "images").iterdir():
         write_video(source / f"{folder.name}.mp4", sorted(folder.iterdir()))
     config = with_steps(SMALL, 2)
-    stages = ["import", "check", "mattes", "carve", "train", "export"]
-    assert made(source, out, config) == dict.fromkeys(stages, True)
-    assert made(source, out, config) == dict.fromkeys(stages, False)
+    stages = ["import", "check", "mattes", "plates", "carve", "train", "bake"]
+    assert make(source, out, config) == dict.fromkeys(stages, True)
+    assert make(source, out, config) == dict.fromkeys(stages, False)
     assert not (source / ".fourd").exists(), "the videos' folder is the user's"
     matte = tmp_path / "scene.work" / "capture" / ".fourd" / "mattes" / "00" / "000002.png"
     matte.write_bytes((matte.parent / "000001.png").read_bytes())
-    assert made(source, out, config) == dict.fromkeys(stages[:3], False) | dict.fromkeys(stages[3:], True)
+    assert make(source, out, config) == dict.fromkeys(stages[:3], False) | dict.fromkeys(stages[3:], True)
 
 
 def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_path: Path) -> None:
@@ -85,4 +86,4 @@ def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_p
     (tmp_path / "scene.work").mkdir()
     (tmp_path / "scene.work" / "mine.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a folder made by fourd make"):
-        make_scene(ball_capture, tmp_path / "scene.4dv", SETTINGS, SMALL, None, Console(quiet=True))
+        make_scene(ball_capture, tmp_path / "scene.4dv", SMALL, MatteSettings(), Context())

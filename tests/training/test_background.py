@@ -14,11 +14,12 @@ import torch
 from fourd.cameras import look_at
 from fourd.errors import UserError
 from fourd.model.appearance import blend
+from fourd.pipeline.make import create_run
 from fourd.training.background import CACHED_STEPS, outside_all_images
 from fourd.training.occlusion import occlusion_depth, surface_depth
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import RenderablePoints, composite, visible_points
-from fourd.training.run import Run, create_run, load_run
+from fourd.training.run import Run, load_run
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 
@@ -203,7 +204,7 @@ def test_brought_points_that_are_none_are_refused(ball_capture: Path, tmp_path: 
     (tmp_path / "none.ply").write_text(EMPTY_PLY)
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, seeds=tmp_path / "none.ply"))
-    with pytest.raises(UserError, match=r"none.ply: expected points of the background, got none; bring another PLY"):
+    with pytest.raises(UserError, match=r"none.ply: expected points of the background, got none; use another PLY"):
         create_run(ball_capture, tmp_path / "run", config)
 
 

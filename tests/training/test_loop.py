@@ -18,11 +18,12 @@ import torch
 from safetensors.torch import load_file
 
 from fourd.errors import UserError
+from fourd.pipeline.make import create_run
 from fourd.ply import read_ply, write_ply
 from fourd.training.loop import Trainer
 from fourd.training.losses.mask import MaskTerm
 from fourd.training.losses.term import RenderedStep
-from fourd.training.run import create_run, load_run, open_run
+from fourd.training.run import load_run, open_run
 from fourd.training.step import StepResult
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
 

@@ -9,11 +9,13 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from fourd.capture import open_capture
-from fourd.carving import carve_capture
+from fourd.carving import read_bounds
 from fourd.cli.captures.matte import processes
 from fourd.errors import UserError
-from fourd.progress import Tracker
+from fourd.pipeline.runner import Runner
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.carve import CarveStageSettings, carve_stage
+from fourd.training.cameras.selection import DataSelection
 
 FOLDER = Path(".fourd") / "hulls"
 
@@ -48,29 +50,18 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Carve every frame and say where the scene is."""
     _check(arguments)
-    views = None if arguments.views is None else [name.strip() for name in arguments.views.split(",") if name.strip()]
-    capture = open_capture(arguments.capture, views=views, frames=arguments.frames, scale=arguments.scale)
-    if not capture.has_masks:
-        raise UserError(
-            f"{arguments.capture / 'masks'}: expected mattes to carve from, got none; "
-            f"make them: fourd matte {arguments.capture}"
-        )
+    views = None if arguments.views is None else tuple(n.strip() for n in arguments.views.split(",") if n.strip())
     folder = arguments.out if arguments.out is not None else arguments.capture / FOLDER
-    bounds = carve_capture(
-        capture,
-        folder,
-        points=arguments.points,
-        agreement=arguments.agreement,
-        least_views=arguments.least_views,
-        seed=arguments.seed,
-        track=Tracker(Console(stderr=True)).track,
-        workers=processes(arguments.workers),
+    selection = DataSelection(views, frames=arguments.frames, image_scale=arguments.scale)
+    settings = CarveStageSettings(
+        selection, arguments.points, arguments.agreement, arguments.least_views, arguments.seed
     )
+    console = Console(stderr=True)
+    Runner(Context(console, processes(arguments.workers))).run([carve_stage(arguments.capture, folder, settings)])
+    bounds = read_bounds(folder)
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
-    Console(stderr=True).print(
-        f"{folder}: {capture.frame_count} frames x {arguments.points} points; "
-        f"bounds ({lower}) to ({upper}), world units",
-        soft_wrap=True,
+    console.print(
+        f"{folder}: {arguments.points} points a frame; bounds ({lower}) to ({upper}), world units", soft_wrap=True
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -10,12 +9,15 @@ from typing import Literal
 import tyro
 from rich.console import Console
 
+from fourd.capture.layout import MATTES
 from fourd.errors import UserError
-from fourd.matting.prepare import Made, make_all
-from fourd.matting.selection import Selection
-from fourd.matting.stage import MatteSettings
+from fourd.matting.plates import FOLDER as PLATES
+from fourd.matting.stage import SHEET, MatteSettings
 from fourd.parallel import core_count
-from fourd.progress import Tracker
+from fourd.pipeline.graph import MASKS, has_masks, stages_to_mattes
+from fourd.pipeline.runner import Runner
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.mattes import MatteStageSettings
 
 
 @dataclass(frozen=True)
@@ -44,25 +46,20 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Make what is missing and say where it is."""
-    console = Console(stderr=True)
+    """Make what is missing and print where it is."""
     views = None if arguments.views is None else tuple(n.strip() for n in arguments.views.split(",") if n.strip())
-    selection = Selection(arguments.capture, views, arguments.frames)
-    settings = MatteSettings(arguments.method, arguments.seed, arguments.screen, arguments.rvm)
-    made = make_all(selection, settings, processes(arguments.workers), Tracker(console).track, arguments.plates)
-    for line in told(arguments.capture, made):
-        Console().print(line, soft_wrap=True)
-
-
-def told(capture: Path, made: Made) -> Iterator[str]:
-    """What was made, for a person."""
-    if made.brought:
-        yield f"{capture / 'masks'}: found mattes there; none made"
+    method = MatteSettings(arguments.method, arguments.seed, arguments.screen, arguments.rvm)
+    settings = MatteStageSettings(views, arguments.frames, method)
+    capture, console = arguments.capture, Console()
+    masks = has_masks(capture)
+    context = Context(Console(stderr=True), processes(arguments.workers))
+    Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
+    if masks:
+        console.print(f"{capture / MASKS}: found mattes there; none made", soft_wrap=True)
     else:
-        yield f"{made.mattes}: mattes of {made.frames} frames made now, the rest found done"
-        yield f"{made.sheet}: look at this picture to judge them"
-    if made.plates is not None:
-        yield f"{made.plates}: clean plates; holes, where the subject always was, are transparent"
+        console.print(f"{capture / MATTES}: mattes; {capture / SHEET} shows samples to judge them by", soft_wrap=True)
+    if arguments.plates:
+        console.print(f"{capture / PLATES}: clean plates; pixels never seen are transparent", soft_wrap=True)
 
 
 def processes(asked: int | None) -> int:

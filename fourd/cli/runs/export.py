@@ -9,9 +9,11 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from fourd.baking.bake import BAKED_LAYERS, bake_run
+from fourd.baking.bake import BAKED_LAYERS
 from fourd.errors import UserError
-from fourd.training.run import load_run
+from fourd.pipeline.runner import Runner
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,10 @@ def run(arguments: Arguments) -> None:
     if not arguments.fps > 0:
         raise UserError(f"--fps: expected more than 0, got {arguments.fps}; 30 is the usual number")
     console = Console(stderr=True)
-    trained = load_run(arguments.run)
-    bake_run(trained, arguments.out, console, arguments.layers, arguments.fps)
+    stage = bake_stage(BakeFiles(arguments.run, arguments.out), BakeSettings(arguments.layers, arguments.fps))
+    Runner(Context(console)).run([stage])
     size = arguments.out.stat().st_size / 2**20
     console.print(
-        f"{arguments.out}: {trained.run.capture.frame_count} frames, {size:.1f} MB; "
-        f"next: fourd render {arguments.out} --path orbit --out orbit.mp4",
+        f"{arguments.out}: {size:.1f} MB; next: fourd render {arguments.out} --path orbit --out orbit.mp4",
         soft_wrap=True,
     )

@@ -12,7 +12,8 @@ from rich.console import Console
 from fourd.cli.captures.matte import processes
 from fourd.cli.runs import train
 from fourd.matting.stage import MatteSettings
-from fourd.pipeline.make import MakeSettings, make_scene
+from fourd.pipeline.make import make_scene
+from fourd.pipeline.stage import Context
 from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
@@ -75,10 +76,10 @@ def run(arguments: Arguments) -> None:
         field.name: getattr(arguments, field.name) for field in fields(arguments) if field.name in known
     }
     config = train.overlaid(train.Arguments(**given), DEFAULT_SECONDS)
-    lpips = load_lpips(arguments.lpips_weights)
+    load_lpips(arguments.lpips_weights)
     mattes = MatteSettings(arguments.method, config.seed, arguments.screen, arguments.rvm)
-    settings = MakeSettings(mattes, processes(arguments.workers))
-    make_scene(arguments.capture, arguments.out, settings, config, lpips, console)
+    context = Context(console, processes(arguments.workers))
+    make_scene(arguments.capture, arguments.out, config, mattes, context, lpips_weights=arguments.lpips_weights)
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True
     )

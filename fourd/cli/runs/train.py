@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,11 +12,14 @@ from rich.console import Console
 from fourd.configs import load_overlay
 from fourd.errors import UserError
 from fourd.parallel import core_count
-from fourd.progress import Tracker, console_log
+from fourd.pipeline.graph import RunRequest, stages_to_run
+from fourd.pipeline.make import require_new_run
+from fourd.pipeline.runner import AnyStage, Runner
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.train import TrainFiles, train_stage
 from fourd.training.config import TrainConfig
-from fourd.training.loop import Trainer
 from fourd.training.losses.lpips import load_lpips
-from fourd.training.run import create_run, open_run
+from fourd.training.run import open_run
 
 WAYS = ("ngp", "sfm")
 """Of finding a background's points, as ``--background`` takes them."""
@@ -69,30 +71,24 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Carve, train, and say how it ended."""
-    console = Console()  # stderr is kept for the one line that tells of wrong input
-    lpips = load_lpips(arguments.lpips_weights)
+    """Run every stage that leads to the run, and train it."""
+    console = Console()  # stderr is kept for the one line that reports wrong input
+    context = Context(console, core_count())
+    load_lpips(arguments.lpips_weights)  # wrong weights are reported before any work
     if arguments.resume:
-        opened = open_run(arguments.out)
+        train = open_run(arguments.out).config.train
+        if arguments.max_steps is not None or arguments.max_seconds is not None:
+            train = replace(train, max_steps=arguments.max_steps, max_seconds=arguments.max_seconds)
+        files = TrainFiles(arguments.capture, arguments.out, arguments.lpips_weights)
+        stages: tuple[AnyStage, ...] = (train_stage(files, train),)
     else:
-        track = Tracker(console).track
-        log = console_log(console)
-        opened = create_run(
-            arguments.capture, arguments.out, overlaid(arguments), arguments.points_from, track, core_count(), log
+        train = overlaid(arguments)
+        require_new_run(arguments.out)
+        stages = stages_to_run(
+            RunRequest(arguments.capture, arguments.out, train, arguments.points_from, arguments.lpips_weights)
         )
-    if lpips is None:
-        note = "LPIPS: no weights found; the loss uses 1 - SSIM instead (--lpips-weights names them)"
-        console.print(note, soft_wrap=True)
-    budget = opened.config.train
-    if arguments.resume and (arguments.max_steps is not None or arguments.max_seconds is not None):
-        budget = replace(budget, max_steps=arguments.max_steps, max_seconds=arguments.max_seconds)
-    started = time.monotonic()
-    summary = Trainer(opened, lpips, console, budget).train()
-    console.print(
-        f"{arguments.out}: {summary.steps} steps, {time.monotonic() - started:.0f} s, "
-        f"{summary.psnr:.2f} dB on training views; next: fourd eval {arguments.out}",
-        soft_wrap=True,
-    )
+    Runner(context).run(stages)
+    console.print(f"{arguments.out}: trained; next: fourd eval {arguments.out}", soft_wrap=True)
 
 
 def overlaid(arguments: Arguments, seconds: float | None = None) -> TrainConfig:

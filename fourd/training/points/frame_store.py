@@ -11,18 +11,19 @@ from safetensors.torch import load_file, save_file
 
 from fourd.files import atomic_path
 from fourd.training.points.frame_points import FramePoints
+from fourd.training.points.scratch import Scratch
 
 
 class FrameStore:
     """Points of all frames; frames out of use are in files, so that memory does not grow with the frame count."""
 
     def __init__(
-        self, scratch: Path, frames: int, make: Callable[[int], FramePoints], memory_mb: int, saved: Path | None
+        self, scratch: Scratch, frames: int, make: Callable[[int], FramePoints], memory_mb: int, saved: Path | None
     ) -> None:
         """Open a store.
 
         Args:
-            scratch: folder for points that leave memory between checkpoints; emptied here.
+            scratch: holds points that leave memory between checkpoints.
             frames: number of frames.
             make: gives the initial points of a frame.
             memory_mb: bound on the points in memory; one frame's points may exceed it.
@@ -34,9 +35,6 @@ class FrameStore:
         self._cache = _SpillingCache(memory_mb * 2**20, self._spill)
         self._spilled: set[int] = set()
         self.frames = frames
-        scratch.mkdir(parents=True, exist_ok=True)
-        for stale in scratch.glob("*.safetensors"):
-            stale.unlink()
 
     @property
     def cached_count(self) -> int:
@@ -77,11 +75,11 @@ class FrameStore:
 
     def _newest_file(self, frame: int) -> Path | None:
         """The file with the frame's points; None for a frame that was never written."""
-        folder = self._scratch if frame in self._spilled else self._saved
+        folder = self._scratch.folder if frame in self._spilled else self._saved
         return None if folder is None else folder / _file_name(frame)
 
     def _spill(self, frame: int, points: FramePoints) -> None:
-        save_file(points.tensors(), self._scratch / _file_name(frame))
+        save_file(points.tensors(), self._scratch.folder / _file_name(frame))
         self._spilled.add(frame)
 
 

@@ -20,15 +20,16 @@ from fourd.calibration.perturbation import perturb_cameras, pose_errors
 from fourd.cameras import Camera
 from fourd.capture import open_capture, read_calibration, write_calibration
 from fourd.errors import UserError
+from fourd.pipeline.make import create_run
 from fourd.raster import render_points
-from fourd.training.cameras.calibration import begun_with, write_corrected, zoomed_distortion
+from fourd.training.cameras.calibration import with_start_cameras, write_corrected, zoomed_distortion
 from fourd.training.cameras.refinement import Refinement
 from fourd.training.cameras.rig import Rig
 from fourd.training.config import RefineConfig, TrainConfig
 from fourd.training.evaluation.camera_fitting import fit_test_camera
 from fourd.training.loop import Trainer
 from fourd.training.rendering import RenderablePoints
-from fourd.training.run import create_run, load_run, open_run
+from fourd.training.run import load_run, open_run
 from fourd.training.step import StepResult
 from tests.captures import ring_cameras
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
@@ -189,13 +190,13 @@ def test_a_calibration_that_is_written_gives_the_same_cameras(ball_capture: Path
     k[:2, 2] = moved[0].intrinsics[:2, 2]
     moved[0] = replace(moved[0], intrinsics=k)
     write_corrected(tmp_path, half, Rig(tuple(moved)), "start")
-    again = begun_with(half, tmp_path)
+    again = with_start_cameras(half, tmp_path)
     for camera, other in zip(moved, again.cameras, strict=True):
         for name in ("intrinsics", "rotation", "translation"):
             assert np.allclose(getattr(camera, name), getattr(other, name), rtol=0, atol=1e-12)
     assert list(read_calibration(tmp_path / "calibration" / "start")) == [f"{index:02d}" for index in range(8)]
-    with pytest.raises(UserError, match=r"start: expected the cameras that the run begins with, got none; train in"):
-        begun_with(half, tmp_path / "nowhere")
+    with pytest.raises(UserError, match=r"start: expected the cameras that the run starts with, got none; train in"):
+        with_start_cameras(half, tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12])
@@ -290,7 +291,7 @@ def test_a_run_that_lost_its_first_cameras_says_so(ball_capture: Path, tmp_path:
     """Catches a run that goes on, or is exported, with the cameras as they were given."""
     run = create_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
     shutil.rmtree(run.folder / "calibration")
-    with pytest.raises(UserError, match=r"calibration/start: expected the cameras that the run begins with, got none"):
+    with pytest.raises(UserError, match=r"calibration/start: expected the cameras that the run starts with, got none"):
         open_run(run.folder)
 
 

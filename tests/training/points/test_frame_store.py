@@ -10,6 +10,7 @@ import torch
 from fourd.cameras import Camera
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.frame_store import FrameStore
+from fourd.training.points.scratch import Scratch
 from fourd.training.points.silhouette import revert_moves_out_of_silhouettes
 from fourd.training.rendering import COUNT_STEP, select_heaviest
 
@@ -59,7 +60,7 @@ def test_tensors_round_trip() -> None:
 
 def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path: Path) -> None:
     """Catches changes lost when a frame leaves memory, and a store that keeps every frame."""
-    store = FrameStore(tmp_path / "scratch", 20, lambda frame: fresh(20_000, frame), 2, None)
+    store = FrameStore(Scratch(tmp_path / "scratch"), 20, lambda frame: fresh(20_000, frame), 2, None)
     for frame in range(20):
         store.get(frame).xyz[0] = frame
     assert store.cached_count <= 2
@@ -68,24 +69,24 @@ def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path
 
 def test_a_saved_store_is_read_again_and_later_changes_are_not_in_it(tmp_path: Path) -> None:
     """Catches a checkpoint that shares files with the scratch folder of the going run."""
-    store = FrameStore(tmp_path / "scratch", 3, lambda frame: fresh(10, frame), 16, None)
+    store = FrameStore(Scratch(tmp_path / "scratch"), 3, lambda frame: fresh(10, frame), 16, None)
     store.get(1).xyz[0] = 7
     store.save(tmp_path / "saved")
     store.get(1).xyz[0] = 8
-    again = FrameStore(tmp_path / "other", 3, lambda frame: fresh(10, frame), 16, tmp_path / "saved")
+    again = FrameStore(Scratch(tmp_path / "other"), 3, lambda frame: fresh(10, frame), 16, tmp_path / "saved")
     assert float(again.get(1).xyz[0, 0]) == 7
     assert torch.equal(again.get(2).xyz, fresh(10, 2).xyz)
 
 
 def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Path) -> None:
     """Catches a checkpoint with the points of the one before it, or as carved, for frames that are not in memory."""
-    store = FrameStore(tmp_path / "scratch", 6, lambda frame: fresh(20_000, frame), 1, None)
+    store = FrameStore(Scratch(tmp_path / "scratch"), 6, lambda frame: fresh(20_000, frame), 1, None)
     for turn in (1, 2):
         for frame in range(5):
             store.get(frame).xyz[0] = 10 * turn + frame
         store.save(tmp_path / f"saved{turn}")
     assert store.cached_count == 1
-    again = FrameStore(tmp_path / "other", 6, lambda frame: fresh(20_000, frame), 1, tmp_path / "saved2")
+    again = FrameStore(Scratch(tmp_path / "other"), 6, lambda frame: fresh(20_000, frame), 1, tmp_path / "saved2")
     assert [float(again.get(frame).xyz[0, 0]) for frame in range(5)] == [20, 21, 22, 23, 24]
     assert torch.equal(again.get(5).xyz, fresh(20_000, 5).xyz), "never trained"
 

@@ -1,0 +1,118 @@
+"""The graph: which stages lead from an input to an end, in an order that respects their dependencies.
+
+import > check > mattes > plates > adjust > carve (or points) > background > train > bake. Whether a stage is needed is
+decided by the config (object or full scene, adjusted cameras, given points) and by what the capture holds.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.capture.calibration import INTRINSICS_NAME
+from fourd.capture.layout import VIDEOS, camera_folders
+from fourd.matting.stage import MatteSettings
+from fourd.pipeline.runner import AnyStage
+from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage
+from fourd.pipeline.stages.background import BackgroundFiles, BackgroundSettings, background_stage
+from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
+from fourd.pipeline.stages.carve import CarveStageSettings, carve_run_stage
+from fourd.pipeline.stages.check import check_stage
+from fourd.pipeline.stages.given_points import GivenPointSettings, given_points_stage
+from fourd.pipeline.stages.import_ import import_stage
+from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
+from fourd.pipeline.stages.plates import capture_plates_stage, run_plates_stage
+from fourd.pipeline.stages.train import TrainFiles, train_stage
+from fourd.training.cameras.selection import DataSelection
+from fourd.training.config import TrainConfig
+
+MASKS = "masks"
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """A run to train.
+
+    Attributes:
+        capture: the capture's folder.
+        run: the run's folder.
+        train: the config.
+        points_from: folder with the user's own FRAME.ply files in place of carving.
+        lpips_weights: file or folder with the weights of LPIPS; None looks in the usual caches.
+    """
+
+    capture: Path
+    run: Path
+    train: TrainConfig
+    points_from: Path | None = None
+    lpips_weights: Path | None = None
+
+
+def has_masks(capture: Path) -> bool:
+    """Whether a capture has masks of its own."""
+    return bool(camera_folders(capture / MASKS))
+
+
+def is_usable(source: Path) -> bool:
+    """Whether a folder is a capture that needs no import: it has masks, or mattes can be written into it."""
+    is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
+    return is_capture and (has_masks(source) or os.access(source, os.W_OK))
+
+
+def stages_to_capture(source: Path, imported: Path) -> tuple[AnyStage, ...]:
+    """From any source to a capture in the folder ``imported``; empty where ``source`` is one already."""
+    return () if is_usable(source) else (import_stage(source, imported),)
+
+
+def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
+    """From a capture to mattes, unless it has masks of its own, and to plates."""
+    stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
+    if plates:
+        stages.append(capture_plates_stage(capture, settings))
+    return tuple(stages)
+
+
+def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
+    """From a capture with masks or mattes to everything that training starts from.
+
+    Args:
+        request: the run.
+        plates: whether the run makes missing plates; False where another stage of the graph makes them.
+    """
+    capture, run, train = request.capture, request.run, request.train
+    selection, adjusted = DataSelection.of(train), train.refine.cameras
+    stages: list[AnyStage] = []
+    if adjusted:
+        stages.append(adjust_stage(capture, run, AdjustSettings.of(selection, train.refine)))
+    if request.points_from is None:
+        stages.append(carve_run_stage(capture, run, CarveStageSettings(selection, train.points), adjusted))
+    else:
+        given = GivenPointSettings(selection, train.points, train.seed)
+        stages.append(given_points_stage(capture, request.points_from, run, given))
+    if train.scene == "full":
+        if plates:
+            stages.append(run_plates_stage(capture, run, selection))
+        files = BackgroundFiles(capture, run, train.background.seeds, adjusted)
+        stages.append(background_stage(files, BackgroundSettings.of(train)))
+    return tuple(stages)
+
+
+def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
+    """From a capture with masks or mattes to a trained run; ``plates`` as in :func:`stages_to_first_points`."""
+    files = TrainFiles(request.capture, request.run, request.lpips_weights)
+    return (*stages_to_first_points(request, plates=plates), train_stage(files, request.train))
+
+
+def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> tuple[AnyStage, ...]:
+    """From a capture to the scene file ``scene``."""
+    train = request.train
+    made: tuple[AnyStage, ...] = ()
+    if not has_masks(request.capture):
+        made = stages_to_mattes(request.capture, MatteStageSettings(train.views, train.frames, mattes))
+    return (
+        check_stage(request.capture),
+        *made,
+        *stages_to_run(request, plates=not made),
+        bake_stage(BakeFiles(request.run, scene), BakeSettings()),
+    )

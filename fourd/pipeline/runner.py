@@ -1,0 +1,88 @@
+"""The runner of stages: caches results by key, resumes interrupted stages and reports progress."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from fourd.files import write_text_atomically
+from fourd.pipeline.stage import Context, Stage
+
+AnyStage = Stage[Any, Any]
+Execute = Callable[[AnyStage, Context], None]
+
+
+def run_here(stage: AnyStage, context: Context) -> None:
+    """Execute a stage's work in this process."""
+    stage.run(context)
+
+
+class Runner:
+    """Runs stages in order.
+
+    With a record, each stage is reported, a stage whose key and outputs are unchanged is skipped, and a stage that
+    starts with a new key first removes what the old key left behind. Without a record every stage is executed silently;
+    its work keeps finished files.
+    """
+
+    def __init__(self, context: Context, record: Path | None = None, execute: Execute = run_here) -> None:
+        """Create a runner.
+
+        Args:
+            context: console and number of processes for the stages' work.
+            record: JSON file of the keys that stages started and finished with; written atomically after each change.
+            execute: runs the work of one stage and returns when its outputs are written. Replace it to execute
+                stages in other processes or on a cluster.
+        """
+        self._context = context
+        self._record = record
+        self._execute = execute
+        self._known = _read_record(record)
+        self._keys: dict[str, str] = {}
+
+    def run(self, stages: Sequence[AnyStage]) -> None:
+        """Run ``stages``, each after the stages that it depends on."""
+        for stage in stages:
+            self._run_stage(stage)
+
+    def _run_stage(self, stage: AnyStage) -> None:
+        key = self._keys[stage.name] = stage.key(self._keys)
+        result = f" ({stage.outputs[0]})" if stage.outputs else ""
+        if self._known.get(stage.name) == key and stage.is_finished():
+            self._report(f"{stage.name}: up to date{result}")
+            return
+        if self._record is not None and self._known.get(_started(stage)) != key:
+            for leftovers in stage.leftovers:
+                leftovers.remove()
+        self._remember(_started(stage), key)
+        self._report(f"{stage.name}: running")
+        self._execute(stage, self._context)
+        self._remember(stage.name, key)
+        self._report(f"{stage.name}: finished{result}")
+
+    def _remember(self, entry: str, key: str) -> None:
+        if self._record is not None:
+            self._known[entry] = key
+            write_text_atomically(self._record, json.dumps(self._known, indent=1) + "\n")
+
+    def _report(self, line: str) -> None:
+        if self._record is not None:
+            self._context.console.print(line, soft_wrap=True, markup=False)
+
+
+def _started(stage: AnyStage) -> str:
+    """The record's entry for the key that a stage started with."""
+    return f"{stage.name} started"
+
+
+def _read_record(record: Path | None) -> dict[str, str]:
+    """The keys in a record file; empty where it is missing or damaged, which runs all stages."""
+    if record is None:
+        return {}
+    try:
+        content = json.loads(record.read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return {}
+    return {str(name): str(key) for name, key in content.items()} if isinstance(content, dict) else {}

@@ -1,0 +1,145 @@
+"""A stage: a frozen, picklable value that holds one step of the pipeline, from files to files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from rich.console import Console
+
+from fourd.progress import Log, Track, Tracker, console_log
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Files = TypeVar("Files", bound="DataclassInstance")
+Settings = TypeVar("Settings", bound="DataclassInstance")
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a runner gives a stage's work besides files and settings. Results do not depend on it.
+
+    Attributes:
+        console: where progress and log lines go.
+        workers: number of processes that the work may use.
+    """
+
+    console: Console = field(default_factory=lambda: Console(quiet=True))
+    workers: int = 1
+
+    @property
+    def track(self) -> Track:
+        """Progress bars on the console."""
+        return Tracker(self.console).track
+
+    @property
+    def log(self) -> Log:
+        """Lines on the console."""
+        return console_log(self.console)
+
+
+@dataclass(frozen=True)
+class Artefact:
+    """Files that a stage reads, identified by names, sizes and modification times.
+
+    Attributes:
+        path: a file, or the folder that ``patterns`` are relative to.
+        patterns: glob patterns; empty for the file ``path`` itself.
+    """
+
+    path: Path
+    patterns: tuple[str, ...] = ()
+
+    def fingerprint(self) -> str:
+        """A hash of the path and of every file's name, size and modification time. Contents are not read."""
+        files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
+        if not self.patterns and self.path.exists():
+            files = [self.path]
+        entries = [str(self.path.resolve())]
+        for file in files:
+            status = file.stat()
+            entries.append(f"{file.relative_to(self.path)} {status.st_size} {status.st_mtime_ns}")
+        return _digest(entries)
+
+
+@dataclass(frozen=True)
+class Leftovers:
+    """Content of a folder that a run of the stage with another key leaves behind.
+
+    Attributes:
+        folder: the folder to empty; it may be absent.
+        keep: names of entries that belong to other stages.
+    """
+
+    folder: Path
+    keep: tuple[str, ...] = ()
+
+    def remove(self) -> None:
+        """Delete all entries except those in ``keep``."""
+        if not self.folder.exists():
+            return
+        for entry in self.folder.iterdir():
+            if entry.name in self.keep:
+                continue
+            if entry.is_dir() and not entry.is_symlink():
+                shutil.rmtree(entry)
+            else:
+                entry.unlink()
+
+
+@dataclass(frozen=True)
+class Stage(Generic[Files, Settings]):
+    """One step of the pipeline. It pickles, so that a runner can execute it in another process or on another machine.
+
+    Attributes:
+        name: unique within a graph.
+        work: a module-level function. It reads and writes ``files`` by ``settings``; a second call with the same
+            arguments resumes an interrupted one.
+        files: typed paths for ``work``.
+        settings: everything besides the content of files that the result depends on. Part of the key.
+        inputs: artefacts read. Their fingerprints are part of the key.
+        outputs: artefacts written. All exist once the stage is finished.
+        leftovers: what to remove before work starts with a new key.
+        after: names of stages that must finish first. Their keys are part of the key.
+    """
+
+    name: str
+    work: Callable[[Files, Settings, Context], None]
+    files: Files
+    settings: Settings
+    inputs: tuple[Artefact, ...] = ()
+    outputs: tuple[Path, ...] = ()
+    leftovers: tuple[Leftovers, ...] = ()
+    after: tuple[str, ...] = ()
+
+    def key(self, keys: Mapping[str, str]) -> str:
+        """A hash of everything that the result depends on.
+
+        Args:
+            keys: keys of the stages in ``after``, by name. Names that the graph does not hold count as absent.
+        """
+        parts = [
+            self.name,
+            json.dumps(asdict(self.settings), sort_keys=True, default=str),
+            *(artefact.fingerprint() for artefact in self.inputs),
+            *(keys[name] for name in self.after if name in keys),
+        ]
+        return _digest(parts)
+
+    def is_finished(self) -> bool:
+        """Whether all outputs exist."""
+        return all(path.exists() for path in self.outputs)
+
+    def run(self, context: Context) -> None:
+        """Do the work."""
+        self.work(self.files, self.settings, context)
+
+
+def _digest(parts: list[str]) -> str:
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

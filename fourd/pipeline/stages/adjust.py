@@ -1,0 +1,123 @@
+"""Camera adjustment: bundle adjustment of the training cameras before carving."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fourd.background.shell import viewing_centre
+from fourd.bundle_adjustment.adjust import adjust_cameras
+from fourd.bundle_adjustment.solver import Prior
+from fourd.capture import Capture
+from fourd.capture.calibration import INTRINSICS_NAME
+from fourd.errors import UserError
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.pipeline.stages.plates import MATTE_PATTERNS
+from fourd.training.cameras.calibration import write_corrected
+from fourd.training.cameras.rig import Rig
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.config import RefineConfig
+from fourd.training.run_layout import CALIBRATION, START
+
+TILT = 12
+"""Index of the first coefficient of sensor tilt among OpenCV's 14 distortion coefficients."""
+
+
+@dataclass(frozen=True)
+class AdjustFiles:
+    """Capture and run folder; cameras go to ``calibration/start/`` of the run."""
+
+    capture: Path
+    run: Path
+
+
+@dataclass(frozen=True)
+class AdjustSettings:
+    """The selection, and the keys of :class:`RefineConfig` that adjustment reads."""
+
+    selection: DataSelection
+    poses: bool
+    focal: bool
+    rotation_deg: float
+    position: float
+    focal_spread: float
+    band: float
+
+    @classmethod
+    def of(cls, selection: DataSelection, refine: RefineConfig) -> AdjustSettings:
+        """Settings from a training config."""
+        return cls(
+            selection,
+            refine.poses,
+            refine.focal,
+            refine.rotation_deg,
+            refine.position,
+            refine.focal_spread,
+            refine.band,
+        )
+
+
+def adjust_stage(capture: Path, run: Path, settings: AdjustSettings) -> Stage[AdjustFiles, AdjustSettings]:
+    """Adjust the cameras that the run ``run`` starts with."""
+    return Stage(
+        "adjust",
+        run_adjust,
+        AdjustFiles(capture, run),
+        settings,
+        inputs=(Artefact(capture, INPUT_PATTERNS + MATTE_PATTERNS),),
+        outputs=(run / CALIBRATION / START,),
+        leftovers=(Leftovers(run),),
+    )
+
+
+def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -> None:
+    """Adjust the training cameras by matched features and write them; an existing result is kept.
+
+    Held-out cameras are not used and stay as given.
+    """
+    if (files.run / CALIBRATION / START / INTRINSICS_NAME).exists():
+        return
+    views = open_run_views(files.capture, settings.selection)
+    capture, log = views.capture, context.log
+    if settings.focal:
+        _require_no_tilt(capture)
+    found = adjust_cameras(capture, views.training, _prior(views.capture, views.training, settings), settings.band,
+                           context.track)  # fmt: skip
+    names = views.training_names
+    unmatched = [name for name, features in zip(names, found.features, strict=True) if not features]
+    if len(unmatched) < len(names):
+        log(
+            f"cameras: median reprojection error of {int(found.features.sum())} features "
+            f"{found.before_px:.2f} px before adjustment, {found.after_px:.2f} px after"
+        )
+    if unmatched:
+        which = "all cameras" if len(unmatched) == len(names) else f"cameras {', '.join(unmatched)}"
+        log(f"cameras: too few features match between views; {which} start as given")
+    cameras = list(capture.cameras)
+    for index, camera in zip(views.training, found.cameras, strict=True):
+        cameras[index] = camera
+    write_corrected(files.run, capture, Rig(tuple(cameras)), START)
+
+
+def _prior(capture: Capture, training: list[int], settings: AdjustSettings) -> Prior:
+    """Standard deviations of the given calibration's errors, by camera."""
+    given = [capture.cameras[index] for index in training]
+    focus = viewing_centre(given)
+    distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])
+    return Prior(
+        np.radians(settings.rotation_deg) if settings.poses else 0.0,
+        settings.position * distance if settings.poses else np.zeros(len(given)),
+        settings.focal_spread if settings.focal else 0.0,
+    )
+
+
+def _require_no_tilt(capture: Capture) -> None:
+    for name, lens in zip(capture.names, capture.distorted_cameras, strict=True):
+        if lens.distortion is not None and lens.distortion[TILT:].any():
+            raise UserError(
+                f"{capture.path / INTRINSICS_NAME}: D_{name}: expected a sensor without tilt to refine focal lengths, "
+                f"got {lens.distortion[TILT:].tolist()}; set refine.focal: false"
+            )

@@ -1,0 +1,136 @@
+"""Background: first points of a full scene's static background, from clean plates."""
+
+from __future__ import annotations
+
+import glob
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from fourd.background.from_stereo import seed_from_stereo
+from fourd.background.plate_changes import find_changing_backgrounds
+from fourd.background.plates import PlateView
+from fourd.background.radiance.config import RadianceConfig
+from fourd.background.radiance.from_radiance import seed_from_radiance
+from fourd.background.shell import build_shell, direction_coverage, viewing_centre
+from fourd.errors import UserError
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.pipeline.stages.plates import MATTE_PATTERNS, PLATE_PATTERNS
+from fourd.ply import ColouredPoints, read_ply, write_ply
+from fourd.progress import Log
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.config import TrainConfig
+from fourd.training.run import read_run_plates
+from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
+
+
+@dataclass(frozen=True)
+class BackgroundFiles:
+    """Inputs and output of background seeding.
+
+    Attributes:
+        capture: the capture's folder.
+        run: the run's folder; points go to ``background/points.ply`` in it.
+        seeds: the user's own PLY of background points; None finds them in the plates.
+        adjusted: whether the run has adjusted cameras.
+    """
+
+    capture: Path
+    run: Path
+    seeds: Path | None
+    adjusted: bool
+
+
+@dataclass(frozen=True)
+class BackgroundSettings:
+    """The selection, and the keys of :class:`BackgroundConfig` that decide the first points."""
+
+    selection: DataSelection
+    points: int
+    seeding: Literal["ngp", "sfm"]
+    radiance: RadianceConfig
+    seed: int
+
+    @classmethod
+    def of(cls, train: TrainConfig) -> BackgroundSettings:
+        """Settings from a training config."""
+        config = train.background
+        return cls(DataSelection.of(train), config.points, config.seeding, config.radiance, train.seed)
+
+
+def background_stage(
+    files: BackgroundFiles, settings: BackgroundSettings
+) -> Stage[BackgroundFiles, BackgroundSettings]:
+    """Find the first points of the background of a full scene."""
+    inputs = [Artefact(files.capture, INPUT_PATTERNS + MATTE_PATTERNS + PLATE_PATTERNS)]
+    if files.seeds is not None:
+        inputs.append(Artefact(files.seeds.parent, (glob.escape(files.seeds.name),)))
+    return Stage(
+        "background",
+        run_background,
+        files,
+        settings,
+        inputs=tuple(inputs),
+        outputs=(files.run / BACKGROUND / POINTS,),
+        leftovers=(Leftovers(files.run / BACKGROUND, keep=(PLATES, f"{PLATES}.json")),),
+        after=("adjust", "plates"),
+    )
+
+
+def run_background(files: BackgroundFiles, settings: BackgroundSettings, context: Context) -> None:
+    """Write the points; an existing file is kept. Held-out views are not used."""
+    target = files.run / BACKGROUND / POINTS
+    if target.exists():
+        return
+    if files.seeds is not None:
+        points = _read_seeds(files.seeds, settings.points, settings.seed)
+        write_ply(target, points.xyz, points.rgb)
+        return
+    log = context.log
+    views = open_run_views(files.capture, settings.selection, files.run if files.adjusted else None)
+    plates = read_run_plates(views.capture, views.training, files.run, log)
+    _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
+    points = _find_points(plates, settings, context)
+    cameras = [plate.camera for plate in plates]
+    shell = build_shell(points, cameras, viewing_centre(cameras))
+    share = direction_coverage(points, viewing_centre(cameras), cameras)
+    log(
+        f"background: the plates cover {share:.0%} of all directions around the scene; "
+        f"{len(shell.xyz)} points with extrapolated colours fill the rest"
+    )
+    xyz, rgb = np.concatenate([points.xyz, shell.xyz]), np.concatenate([points.rgb, shell.rgb])
+    write_ply(target, xyz, rgb)
+
+
+def _log_unstable(shares: dict[str, float], log: Log) -> None:
+    """Warn of cameras whose background changes over time; ``shares`` maps them to the share of changing pixels."""
+    if not shares:
+        return
+    worst = max(shares, key=lambda name: shares[name])
+    others = f" (and {len(shares) - 1} more)" if len(shares) > 1 else ""
+    log(
+        f"background: up to {shares[worst]:.0%} of camera '{worst}'{others} outside the mattes changes over time; "
+        "a static background keeps the mean, in which moving things are blurred: include them in the mattes"
+    )
+
+
+def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, context: Context) -> ColouredPoints:
+    """Points of the surfaces in the plates, by the method that the settings name."""
+    count, seed, workers = settings.points, settings.seed, context.workers
+    if settings.seeding == "sfm":
+        return seed_from_stereo(plates, count, seed=seed, workers=workers, log=context.log, track=context.track)
+    return seed_from_radiance(
+        plates, count, settings.radiance, seed=seed, workers=workers, log=context.log, track=context.track
+    )
+
+
+def _read_seeds(path: Path, count: int, seed: int) -> ColouredPoints:
+    """The user's own points; a uniform random draw of ``count`` where there are more."""
+    xyz, rgb = read_ply(path)
+    if len(xyz) == 0:
+        raise UserError(f"{path}: expected points of the background, got none; use another PLY")
+    kept = np.random.default_rng(seed).permutation(len(xyz))[:count]
+    return ColouredPoints(xyz[kept], rgb[kept])

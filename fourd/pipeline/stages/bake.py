@@ -1,0 +1,36 @@
+"""Baking: a trained run becomes a .4dv scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.baking.bake import BAKED_LAYERS, bake_run
+from fourd.pipeline.stage import Context, Stage
+from fourd.training.run import load_run
+
+
+@dataclass(frozen=True)
+class BakeFiles:
+    """The run's folder and the scene file to write."""
+
+    run: Path
+    scene: Path
+
+
+@dataclass(frozen=True)
+class BakeSettings:
+    """Points composited per pixel, and frames per second on playback."""
+
+    layers: int = BAKED_LAYERS
+    fps: float = 30.0
+
+
+def bake_stage(files: BakeFiles, settings: BakeSettings) -> Stage[BakeFiles, BakeSettings]:
+    """Bake the run's newest checkpoint."""
+    return Stage("bake", run_bake, files, settings, outputs=(files.scene,), after=("train",))
+
+
+def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None:
+    """Load the newest checkpoint and write every frame."""
+    bake_run(load_run(files.run), files.scene, context.console, settings.layers, settings.fps)

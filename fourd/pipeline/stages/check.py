@@ -1,0 +1,48 @@
+"""Check: a capture's files are complete and consistent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.capture.check import check_capture
+from fourd.capture.video_index import index_capture
+from fourd.errors import UserError
+from fourd.pipeline.stage import Artefact, Context, Stage
+
+INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
+"""A capture's own files."""
+
+
+@dataclass(frozen=True)
+class CheckFiles:
+    """The capture's folder."""
+
+    capture: Path
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """A check has no settings."""
+
+
+def check_stage(capture: Path) -> Stage[CheckFiles, CheckSettings]:
+    """Check ``capture``."""
+    return Stage(
+        "check",
+        run_check,
+        CheckFiles(capture),
+        CheckSettings(),
+        inputs=(Artefact(capture, INPUT_PATTERNS),),
+        outputs=(capture,),
+    )
+
+
+def run_check(files: CheckFiles, settings: CheckSettings, context: Context) -> None:
+    """Index videos and check every file. Raises UserError with the first problem."""
+    track = context.track
+    index_capture(files.capture, None, track)
+    problems = check_capture(files.capture, track=lambda paths: track(paths, len(paths), "files")).problems
+    if problems:
+        more = f" (and {len(problems) - 1} more; fourd check lists them)" if len(problems) > 1 else ""
+        raise UserError(f"{problems[0]}{more}")

@@ -1,0 +1,71 @@
+"""Given points: the user's own FRAME.ply files take the place of carving."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from fourd.carving import Bounds
+from fourd.carving.sequence import BOUNDS_NAME
+from fourd.errors import UserError
+from fourd.files import write_text_atomically
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.ply import read_ply, write_ply
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
+
+
+@dataclass(frozen=True)
+class GivenPointFiles:
+    """Capture, folder of the user's points, and run folder; points go to ``hull/`` of the run."""
+
+    capture: Path
+    source: Path
+    run: Path
+
+
+@dataclass(frozen=True)
+class GivenPointSettings:
+    """The selection, whose frames are read; the number of points kept of each; the seed of the draw."""
+
+    selection: DataSelection
+    points: int
+    seed: int
+
+
+def given_points_stage(
+    capture: Path, source: Path, run: Path, settings: GivenPointSettings
+) -> Stage[GivenPointFiles, GivenPointSettings]:
+    """Take the points in the folder ``source`` as the run's first points."""
+    return Stage(
+        "points",
+        run_given_points,
+        GivenPointFiles(capture, source, run),
+        settings,
+        inputs=(Artefact(source, ("*.ply",)),),
+        outputs=(run / HULL / BOUNDS_NAME,),
+        leftovers=(Leftovers(run, keep=(BACKGROUND, CALIBRATION)),),
+        after=("adjust",),
+    )
+
+
+def run_given_points(files: GivenPointFiles, settings: GivenPointSettings, context: Context) -> None:
+    """Copy a uniform random draw of each frame's points; write the bounds of all of them, padded by 5%."""
+    capture = open_run_views(files.capture, settings.selection).capture
+    rng = np.random.default_rng(settings.seed)
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    hull = files.run / HULL
+    for number in capture.frame_numbers:
+        name = f"{number:06d}.ply"
+        xyz, rgb = read_ply(files.source / name)
+        if len(xyz) == 0:
+            raise UserError(f"{files.source / name}: expected points, got none; leave the frame out")
+        kept = rng.permutation(len(xyz))[: settings.points]
+        write_ply(hull / name, xyz[kept], rgb[kept])
+        lower, upper = np.minimum(lower, xyz.min(axis=0)), np.maximum(upper, xyz.max(axis=0))
+    bounds = Bounds(lower, upper).padded(0.05)
+    corners = {"lower": bounds.lower.tolist(), "upper": bounds.upper.tolist()}
+    write_text_atomically(hull / BOUNDS_NAME, json.dumps(corners, indent=1) + "\n")

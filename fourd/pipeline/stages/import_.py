@@ -1,0 +1,48 @@
+"""Import: another program's calibration and videos, or videos alone, become a capture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.importing.importer import ImportOptions, import_source, pick_format
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+
+PATTERNS = ("*", "*/*", "*/*/*")
+
+
+@dataclass(frozen=True)
+class ImportFiles:
+    """``source`` is anything that ``fourd import`` reads; ``capture`` is the folder to write."""
+
+    source: Path
+    capture: Path
+
+
+def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOptions]:
+    """Import ``source`` into the folder ``capture``."""
+    return Stage(
+        "import",
+        run_import,
+        ImportFiles(source, capture),
+        ImportOptions(),
+        inputs=(Artefact(source, PATTERNS),),
+        outputs=(capture,),
+        leftovers=(Leftovers(capture),),
+    )
+
+
+def run_import(files: ImportFiles, options: ImportOptions, context: Context) -> None:
+    """Find the source's format and import it."""
+    log = context.log
+    picked = pick_format(None, files.source)
+    log(f"{files.source}: {picked.name}, {picked.summary}")
+    import_source(
+        picked,
+        files.source,
+        files.capture,
+        options,
+        log=log,
+        warn=lambda line: log(f"warning: {line}"),
+        track=context.track,
+    )

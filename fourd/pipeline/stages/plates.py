@@ -1,0 +1,76 @@
+"""Plates: a clean picture of the background for each camera, from pictures and mattes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.background.plates import USERS, has_plate
+from fourd.capture.video_index import index_capture
+from fourd.matting.plates import FOLDER as CAPTURE_PLATES
+from fourd.matting.plates import make_plates
+from fourd.matting.selection import Selection
+from fourd.matting.stage import matte_key
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.pipeline.stages.mattes import MatteFiles, MatteStageSettings
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
+
+MATTE_PATTERNS = (".fourd/mattes/*/*",)
+PLATE_PATTERNS = (f"{USERS}/*", f"{CAPTURE_PLATES.as_posix()}/*")
+RUN_KEY = "run"
+"""Key of the plates that a run makes; those of a capture are keyed by its mattes' settings."""
+
+
+@dataclass(frozen=True)
+class RunPlateFiles:
+    """Capture and run folder; plates go to ``background/plates/`` of the run."""
+
+    capture: Path
+    run: Path
+
+
+def capture_plates_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
+    """Make the plates of ``capture`` in its folder ``.fourd/plates``."""
+    return Stage(
+        "plates",
+        make_capture_plates,
+        MatteFiles(capture),
+        settings,
+        inputs=(Artefact(capture, INPUT_PATTERNS + MATTE_PATTERNS),),
+        outputs=(capture / CAPTURE_PLATES,),
+        after=("mattes",),
+    )
+
+
+def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
+    """Make missing plates; plates of the same mattes are kept."""
+    index_capture(files.capture, settings.views, context.track)
+    selection = Selection(files.capture, settings.views, settings.frames)
+    key = matte_key(selection.open(), settings.mattes)
+    make_plates(selection, key, context.workers, context.track)
+
+
+def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[RunPlateFiles, DataSelection]:
+    """Make plates of the training views for the run ``run``, where the capture lacks one of them."""
+    return Stage(
+        "plates",
+        make_run_plates,
+        RunPlateFiles(capture, run),
+        selection,
+        inputs=(Artefact(capture, INPUT_PATTERNS + MATTE_PATTERNS + PLATE_PATTERNS),),
+        outputs=(run / BACKGROUND,),
+        leftovers=(Leftovers(run / BACKGROUND, keep=(POINTS,)),),
+    )
+
+
+def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Context) -> None:
+    """Make plates unless the capture has one for every training view. Held-out views are not used."""
+    folder = files.run / BACKGROUND
+    folder.mkdir(parents=True, exist_ok=True)
+    names = open_run_views(files.capture, selection).training_names
+    if all(has_plate(files.capture, name) for name in names):
+        return
+    part = Selection(files.capture, names, selection.frames)
+    make_plates(part, RUN_KEY, context.workers, context.track, folder / PLATES)

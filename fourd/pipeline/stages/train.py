@@ -1,0 +1,69 @@
+"""Training: the run's config.yaml, then steps until the budget is spent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fourd.background.contraction import contraction_around
+from fourd.carving import read_bounds
+from fourd.configs import save_config
+from fourd.pipeline.stage import Context, Leftovers, Stage
+from fourd.ply import read_ply
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.config import TrainConfig
+from fourd.training.loop import Trainer
+from fourd.training.losses.lpips import load_lpips
+from fourd.training.run import Run, RunConfig, SceneConfig, mean_spacing, open_run
+from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
+
+
+@dataclass(frozen=True)
+class TrainFiles:
+    """Capture, run folder, and the weights of LPIPS (None looks in the usual caches)."""
+
+    capture: Path
+    run: Path
+    lpips_weights: Path | None = None
+
+
+def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, TrainConfig]:
+    """Train the run to the end of the config's budget."""
+    return Stage(
+        "train",
+        run_train,
+        files,
+        config,
+        outputs=(files.run / CHECKPOINTS,),
+        leftovers=(Leftovers(files.run, keep=PREPARATION),),
+        after=("adjust", "carve", "points", "background"),
+    )
+
+
+def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
+    """Start the run, or resume it from its newest checkpoint; of a resumed run only the budget may differ."""
+    lpips = load_lpips(files.lpips_weights)
+    run = open_run(files.run) if (files.run / CONFIG_NAME).exists() else start_run(files.capture, files.run, config)
+    if lpips is None:
+        context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (set --lpips-weights)")
+    budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
+    summary = Trainer(run, lpips, context.console, budget).train()
+    context.log(f"{files.run}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
+
+
+def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
+    """Write the config.yaml of a folder that holds the results of the stages before training."""
+    selection = DataSelection.of(train)
+    capture = open_run_views(capture_path, selection, folder if train.refine.cameras else None).capture
+    bounds = read_bounds(folder / HULL)
+    first = read_ply(folder / HULL / f"{capture.frame_numbers[0]:06d}.ply").xyz
+    lower, upper = ((float(x), float(y), float(z)) for x, y, z in (bounds.lower, bounds.upper))
+    scene = SceneConfig(
+        lower=lower,
+        upper=upper,
+        spacing=mean_spacing(first[: train.points]),
+        frame_count=max(capture.total_frames, 1),
+        reach=contraction_around(capture.cameras, bounds.centre).radius,
+    )
+    save_config(RunConfig(capture_path.resolve(), scene, train), folder / CONFIG_NAME)
+    return open_run(folder)

@@ -1,0 +1,74 @@
+"""The cameras, frames and image scale of a capture that a run uses, and which cameras are held out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.capture import Capture, open_capture
+from fourd.capture.layout import select_views
+from fourd.errors import UserError
+from fourd.training.cameras.calibration import with_start_cameras
+from fourd.training.config import TrainConfig
+
+DECODED_MB = 32
+"""Cache of decoded whole pictures. Training has a separate cache of crops."""
+
+
+@dataclass(frozen=True)
+class DataSelection:
+    """Part of a capture; the fields are those of :class:`TrainConfig`."""
+
+    views: tuple[str, ...] | None = None
+    test_views: tuple[str, ...] = ()
+    frames: str | None = None
+    image_scale: float = 1.0
+
+    @classmethod
+    def of(cls, train: TrainConfig) -> DataSelection:
+        """The selection of a training config."""
+        return cls(train.views, train.test_views, train.frames, train.image_scale)
+
+
+@dataclass(frozen=True)
+class RunViews:
+    """An open capture and the roles of its cameras.
+
+    Attributes:
+        capture: the selected views and frames, training and test.
+        training, test: indices into ``capture.cameras``.
+    """
+
+    capture: Capture
+    training: list[int]
+    test: list[int]
+
+    @property
+    def training_names(self) -> tuple[str, ...]:
+        """Names of the cameras that are trained on."""
+        return tuple(self.capture.names[index] for index in self.training)
+
+
+def open_run_views(path: Path, selection: DataSelection, run: Path | None = None) -> RunViews:
+    """Open the selected part of the capture in ``path``.
+
+    Args:
+        path: the capture's folder.
+        selection: views, frames and scale.
+        run: a run's folder, whose adjusted start cameras replace the capture's; None keeps the capture's.
+
+    Raises:
+        UserError: for unknown views or frames, fewer than two training views, or missing start cameras.
+    """
+    views = None if selection.views is None else list(selection.views)
+    capture = open_capture(path, views=views, frames=selection.frames, scale=selection.image_scale, cache_mb=DECODED_MB)
+    held_out = select_views(selection.test_views, capture.names, "--test-views") if selection.test_views else []
+    test = [capture.names.index(name) for name in held_out]
+    training = [index for index in range(len(capture.names)) if index not in test]
+    if len(training) < 2:
+        raise UserError(
+            f"{path}: expected at least 2 training views, got {len(training)}; hold out fewer with --test-views"
+        )
+    if run is not None:
+        capture = with_start_cameras(capture, run)
+    return RunViews(capture, training, test)

@@ -1,0 +1,87 @@
+"""Scratch folders: one for each user of a run, so that training, eval, render, export and view can run side by side."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import shutil
+import sys
+import weakref
+from pathlib import Path
+from typing import BinaryIO
+
+if sys.platform != "win32":
+    import fcntl
+
+LOCK_SUFFIX = ".lock"
+"""NAME.lock is locked while the process that uses the folder NAME lives."""
+
+
+class Scratch:
+    """A new folder below ``parent`` that no other process or object uses.
+
+    The folder is removed with this object, or when the process exits. A process that is killed leaves its folder; the
+    next Scratch below the same ``parent`` removes it.
+    """
+
+    def __init__(self, parent: Path) -> None:
+        parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(parent)
+        name, lock = _create_lock(parent)
+        self.folder = parent / name
+        self.folder.mkdir()
+        self._remove = weakref.finalize(self, _remove, self.folder, lock)
+
+    def close(self) -> None:
+        """Remove the folder; later calls do nothing."""
+        self._remove()
+
+
+def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
+    """A new name and its locked file."""
+    while True:
+        name = f"{os.getpid()}-{secrets.token_hex(4)}"
+        path = parent / f"{name}{LOCK_SUFFIX}"
+        stream = path.open("xb")
+        # Another process may have taken the file for a leftover before it was locked.
+        if _try_lock(stream) and path.exists():
+            return name, stream
+        stream.close()
+
+
+def _remove(folder: Path, lock: BinaryIO) -> None:
+    shutil.rmtree(folder, ignore_errors=True)
+    if sys.platform == "win32":
+        lock.close()  # open files cannot be removed there
+    with contextlib.suppress(OSError):
+        folder.with_name(f"{folder.name}{LOCK_SUFFIX}").unlink(missing_ok=True)
+    lock.close()
+    with contextlib.suppress(OSError):
+        folder.parent.rmdir()  # succeeds when no other scratch folder is left
+
+
+def _remove_leftovers(parent: Path) -> None:
+    """Remove folders whose process is dead: those with a lock file that is not locked."""
+    for path in parent.glob(f"*{LOCK_SUFFIX}"):
+        with contextlib.suppress(OSError), path.open("rb+") as stream:
+            if _try_lock(stream):
+                shutil.rmtree(path.with_suffix(""), ignore_errors=True)
+                path.unlink(missing_ok=True)
+
+
+def _try_lock(stream: BinaryIO) -> bool:
+    """Lock an open file until it is closed; False where another process or object holds the lock."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        try:
+            msvcrt.locking(stream.fileno(), msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        return True
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
