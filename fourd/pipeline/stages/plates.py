@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.background.plates import USERS, has_plate
+from fourd.background.plates import USER_FOLDER, has_plate
 from fourd.capture.video_index import index_capture
 from fourd.matting.plates import FOLDER as CAPTURE_PLATES
 from fourd.matting.plates import make_plates
@@ -18,7 +18,7 @@ from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
-PLATE_PATTERNS = (f"{USERS}/*", f"{CAPTURE_PLATES.as_posix()}/*")
+PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")
 RUN_KEY = "run"
 """Key of the plates that a run makes; those of a capture are keyed by its mattes' settings."""
 
