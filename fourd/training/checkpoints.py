@@ -1,4 +1,4 @@
-"""Checkpoints in safetensors: whole or absent, never half, and no code runs on loading one."""
+"""Checkpoints in safetensors: written atomically, verified when read; loading one executes no code."""
 
 from __future__ import annotations
 
@@ -20,30 +20,31 @@ from fourd.files import atomic_path
 
 FORMAT = "fourd-checkpoint-1"
 KEPT = 2
-SHOWN_MISMATCHES = 3
+"""Number of checkpoints that stay on disk."""
+MAX_SHOWN_MISMATCHES = 3
 
 
 def checkpoint_path(folder: Path, step: int) -> Path:
-    """The file of a step's checkpoint in ``folder``."""
+    """Path of a step's checkpoint in ``folder``."""
     return folder / f"{step:08d}.safetensors"
 
 
 def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> Path:
-    """Write a checkpoint in one indivisible step, then drop all but the two newest.
+    """Write a checkpoint atomically, then delete all but the two newest.
 
     Args:
-        folder: the folder of checkpoints; made when absent.
-        step: optimiser steps done, 0 or more; names the file.
-        tensors: any dense tensors by name, copied bit for bit.
-        state: whatever JSON can hold, floats exactly; lies in the file's header.
+        folder: the folder of checkpoints; created if missing.
+        step: number of optimizer steps, 0 or more; names the file.
+        tensors: dense tensors by name, stored bit for bit.
+        state: JSON data, with exact floats; stored in the file's header.
 
     Returns:
         The file's path.
 
     Raises:
-        UserError: the folder cannot be written to, for instance because the disk is full. Older
-            checkpoints are untouched then and no part of the new one is left.
-        ValueError: ``state`` has what JSON lacks (NaN too).
+        UserError: the folder is not writable, for instance because the disk is full. Older checkpoints are unchanged
+            then, and no part of the new one remains.
+        ValueError: ``state`` is not JSON data; NaN is not.
     """
     plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     header = {
@@ -63,11 +64,11 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
 
 def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
-    """The newest good checkpoint in ``folder``, read through to be sure.
+    """The newest checkpoint in ``folder`` that is intact, which is verified by reading it.
 
     Returns:
-        (path, note): path is None when there is none (or no folder); note is one line about newer
-        files that were passed over because they are damaged, and empty when there were none.
+        (path, note): path is None if there is no such checkpoint or no folder; note is one line about damaged newer
+        files that were skipped, or empty.
     """
     damaged: list[str] = []
     found = None
@@ -81,24 +82,24 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
         break
     if not damaged:
         return found, ""
-    ending = f"going on from {found.name}" if found else "there is no other checkpoint"
-    return found, f"passed over: {'; '.join(damaged)}; {ending}"
+    ending = f"resuming from {found.name}" if found else "there is no other checkpoint"
+    return found, f"skipped: {'; '.join(damaged)}; {ending}"
 
 
 def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]:
-    """Read (step, tensors, state) as they were saved; tensors on the CPU.
+    """Read (step, tensors, state) as saved, with tensors on the CPU.
 
-    Raises UserError when the file is missing, cut short, altered, or of another kind.
+    Raises UserError if the file is missing, truncated, altered, or of another kind.
     """
     try:
         with safe_open(path, framework="pt") as stream:
             header = stream.metadata() or {}
-            # keys() in place of iteration: safe_open is no mapping.
+            # safe_open is not iterable.
             tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise UserError(
-            f"{path}: expected a whole checkpoint, got a file that cannot be read ({_one_line(error)}); "
-            f"delete it to go on from the one before it"
+            f"{path}: expected a complete checkpoint, got a file that cannot be read ({_one_line(error)}); "
+            f"delete it to resume from the one before it"
         ) from error
     if header.get("format") != FORMAT:
         raise UserError(
@@ -107,39 +108,40 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
         )
     if header.get("crc32") != str(_checksum(tensors)):
         raise UserError(
-            f"{path}: expected the contents that were written, got altered ones (the checksum differs); "
-            f"delete it to go on from the one before it"
+            f"{path}: expected the contents as written, got altered ones (the checksum differs); "
+            f"delete it to resume from the one before it"
         )
     return int(header["step"]), tensors, json.loads(header["state"])
 
 
 def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, source: Path | str) -> None:
-    """Load the tensors whose names begin with ``prefix`` into ``module``, all or none.
+    """Load the tensors whose names start with ``prefix`` into ``module``.
 
-    Raises UserError naming ``source`` and the first differences when names, shapes or dtypes differ.
+    Raises UserError with ``source`` and the first differences if names, shapes or dtypes differ, and loads nothing.
     """
-    given = _below(prefix, tensors)
+    given = _strip_prefix(prefix, tensors)
     wanted = module.state_dict()
     differences = [
         _difference(name, wanted.get(name), given.get(name)) for name in sorted(wanted.keys() | given.keys())
     ]
     found = [difference for difference in differences if difference is not None]
     if found:
-        rest = f" and {len(found) - SHOWN_MISMATCHES} more" if len(found) > SHOWN_MISMATCHES else ""
+        shown = ", ".join(found[:MAX_SHOWN_MISMATCHES])
+        rest = f" and {len(found) - MAX_SHOWN_MISMATCHES} more" if len(found) > MAX_SHOWN_MISMATCHES else ""
         raise UserError(
-            f"{source}: expected a checkpoint of this model, got one of another: "
-            f"{', '.join(found[:SHOWN_MISMATCHES])}{rest}; use the config it was trained with, or train in a new folder"
+            f"{source}: expected a checkpoint of this model, got one of another: {shown}{rest}; "
+            f"use the config it was trained with, or train in a new folder"
         )
     module.load_state_dict(given)
 
 
 def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
-    """An optimiser's state as flat tensors ``PREFIX + INDEX.NAME``, such as ``optimizer.3.exp_avg``.
+    """An optimizer's state as flat tensors ``PREFIX + INDEX.NAME``, such as ``optimizer.3.exp_avg``.
 
-    Indices count parameters in the order of the optimiser's groups. Rates and other settings are
-    not included: they are the config's. Parameters that never had a gradient have no state.
+    Indices count the parameters in the order of the optimizer's groups. Learning rates and other settings come from the
+    config and are not included. Parameters without a gradient have no state.
 
-    Raises ValueError for a state that is no tensor (Adam and AdamW have none).
+    Raises ValueError for a state that is not a tensor (Adam and AdamW have none).
     """
     packed: dict[str, Tensor] = {}
     for index, entries in optimizer.state_dict()["state"].items():
@@ -153,18 +155,18 @@ def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, T
 def unpack_optimizer(
     optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor], prefix: str, source: Path | str = "checkpoint"
 ) -> None:
-    """Set an optimiser's state from :func:`pack_optimizer`'s tensors, bit for bit; settings stay as they are.
+    """Set an optimizer's state from the tensors of :func:`pack_optimizer`, bit for bit; settings are unchanged.
 
-    Raises UserError naming ``source`` when the tensors belong to other parameters.
+    Raises UserError with ``source`` if the tensors belong to other parameters.
     """
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
-    for key, value in _below(prefix, tensors).items():
+    for key, value in _strip_prefix(prefix, tensors).items():
         index, _, name = key.partition(".")
         fits = index.isdecimal() and int(index) < len(parameters) and bool(name)
         if not fits or (value.ndim > 0 and value.shape != parameters[int(index)].shape):
             raise UserError(
-                f"{source}: expected the optimiser's state of this model, got '{prefix}{key}' of shape "
+                f"{source}: expected the optimizer's state of this model, got '{prefix}{key}' of shape "
                 f"{tuple(value.shape)}; use the config it was trained with, or train in a new folder"
             )
         state.setdefault(int(index), {})[name] = value.clone()
@@ -172,12 +174,12 @@ def unpack_optimizer(
 
 
 def pack_torch_rng(generator: torch.Generator | None = None) -> Tensor:
-    """The state of a torch CPU generator (the default one when None) as a uint8 tensor."""
+    """The state of a torch CPU generator (None for the default one) as a uint8 tensor."""
     return torch.get_rng_state() if generator is None else generator.get_state()
 
 
 def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) -> None:
-    """Set a torch CPU generator (the default one when None) to :func:`pack_torch_rng`'s state."""
+    """Set the state of a torch CPU generator (None for the default one) from :func:`pack_torch_rng`."""
     if generator is None:
         torch.set_rng_state(state.clone())
     else:
@@ -185,14 +187,14 @@ def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) ->
 
 
 def pack_numpy_rng(generator: np.random.Generator) -> dict[str, Any]:
-    """The state of a NumPy generator as JSON data; PCG64's 128-bit integers stay exact."""
+    """The state of a NumPy generator as JSON data, with exact 128-bit integers."""
     return json.loads(json.dumps(generator.bit_generator.state, default=_array_as_list))
 
 
 def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
-    """A NumPy generator that goes on where :func:`pack_numpy_rng` was called.
+    """A NumPy generator with the state from :func:`pack_numpy_rng`.
 
-    Raises ValueError for a state of an unknown kind.
+    Raises ValueError for the state of an unknown kind of generator.
     """
     kinds = {
         "PCG64": np.random.PCG64,
@@ -210,13 +212,13 @@ def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Checkpoint files in order of their steps; temporary files begin with a dot and do not count."""
+    """Checkpoint files in the order of their steps, without temporary files, whose names start with a dot."""
     named = [path for path in folder.glob("*.safetensors") if path.stem.isdecimal()]
     return sorted(named, key=lambda path: int(path.stem))
 
 
 def _drop_old(folder: Path, step: int) -> None:
-    """Keep the two newest up to ``step``; of later ones (from before a resume) only the good ones."""
+    """Keep the two newest up to ``step``, and of later ones (from before a resume) the intact ones."""
     files = _files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:
         path.unlink(missing_ok=True)
@@ -228,17 +230,17 @@ def _drop_old(folder: Path, step: int) -> None:
 
 
 def _cannot_write(folder: Path, error: Exception) -> UserError:
-    # safetensors wraps the system's error in its own type and keeps only its number in the text.
-    full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
+    # safetensors wraps the system's error in its own type, with the error number in the text.
+    is_full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
     before = _files(folder)
-    kept = f"the checkpoint before it, {before[-1].name}, is good" if before else "there is none before it"
-    got = "a full disk" if full else _one_line(error)
-    mend = "free some space" if full else "make the folder writable"
-    return UserError(f"{folder}: expected room for a checkpoint, got {got}; {kept}; {mend} and add --resume")
+    kept = f"the previous checkpoint, {before[-1].name}, is intact" if before else "there is no previous checkpoint"
+    got = "a full disk" if is_full else _one_line(error)
+    fix = "free some space" if is_full else "make the folder writable"
+    return UserError(f"{folder}: expected room for a checkpoint, got {got}; {kept}; {fix} and add --resume")
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """CRC-32 of names and bytes: safetensors notices a cut file, but not a changed one."""
+    """CRC-32 of names and bytes: safetensors detects truncated files, but no altered ones."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)
@@ -260,7 +262,7 @@ def _difference(name: str, wanted: Tensor | None, given: Tensor | None) -> str |
     return None
 
 
-def _below(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+def _strip_prefix(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 

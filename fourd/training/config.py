@@ -1,4 +1,4 @@
-"""What a training run is told: model, data, losses, rates and budget."""
+"""Configuration of a training run: model, data, losses, learning rates and budget."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from fourd.model.config import ModelConfig, PlanesConfig, require
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of the loss's terms (4K4D, eq. 8); 0 switches a term off."""
+    """Weights of the loss terms (4K4D, eq. 8); 0 switches a term off."""
 
     image: Literal["mse", "huber"] = "mse"
     """Penalty of colour differences."""
     perceptual: float = 1e-3
-    """Weight of LPIPS (VGG-16), where its weights are at hand."""
+    """Weight of LPIPS (VGG-16), where its network weights are installed."""
     stand_in: float = 1e-2
-    """Weight of 1 - SSIM, which takes LPIPS's place where its weights are not at hand."""
+    """Weight of 1 - SSIM, which replaces LPIPS where its network weights are missing."""
     mask: float = 1e-1
-    """Weight of the squared difference between rendered alpha and matte."""
+    """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
     """Weight of the mean squared displacement, in units of the point spacing."""
     shadow: float = 1e-2
-    """Weight of the mean squared difference from 1 of what shadows multiply the background's colours by."""
+    """Weight of the mean squared difference of the background's shadow factors from 1."""
     closed: float = 2e-2
-    """Weight of the squared transparency of a background seen from between its cameras, where no plate looks."""
+    """Weight of the background's mean squared transmittance from viewpoints between the training cameras."""
 
     def __post_init__(self) -> None:
         for name in ("perceptual", "stand_in", "mask", "residual", "shadow", "closed"):
@@ -37,20 +37,20 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class RateConfig:
-    """Learning rates of Adam, decayed exponentially over the step or time budget."""
+    """Learning rates of Adam, with a linear warm-up and exponential decay over the step or time budget."""
 
     planes: float = 5e-3
     """K-Planes."""
     mlps: float = 1e-3
-    """MLPs and the image CNN."""
+    """MLPs and the image encoder."""
     xyz: float = 2e-3
-    """Points, times the scene's size."""
+    """Positions of points, as a share of the scene's size."""
     sh: float = 5e-3
-    """Explicit spherical harmonics."""
+    """Explicit spherical harmonics, and colours of background points."""
     final: float = 0.05
-    """Share of each rate that is left when the budget ends."""
+    """Factor on all rates at the end of the budget."""
     warm_up: int = 20
-    """Steps over which the rates rise from zero."""
+    """Steps of the linear warm-up."""
 
     def __post_init__(self) -> None:
         for name in ("planes", "mlps", "xyz", "sh"):
@@ -62,35 +62,35 @@ class RateConfig:
 
 @dataclass(frozen=True)
 class BackgroundConfig:
-    """The static part of a full scene."""
+    """The static background of a full scene."""
 
     points: int = 200_000
-    """Points of the background, at most; a coarse shell where no plate looks comes on top."""
+    """Maximum number of background points, without those of the coarse shell in directions that no plate shows."""
     seeding: Literal["ngp", "sfm"] = "ngp"
-    """How they are found: ngp: a radiance field fitted to the plates, which stereo helps; sfm: stereo alone."""
+    """Source of the points: ngp: a radiance field fitted to the plates, with depths from stereo; sfm: stereo alone."""
     seeds: Path | None = None
-    """A PLY with your own points of the background, in world units, in place of those found in the plates."""
+    """PLY file with background points in world units, used instead of points from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
-    """Of ngp seeding."""
+    """Settings of ngp seeding."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
-    """Its K-Planes, over contracted space."""
+    """K-Planes of the background, over contracted space."""
     joint: bool = True
-    """Train what moves before the background, in one picture; without it each learns alone, on black and on plates."""
+    """Render foreground and background in one picture. If false, each is trained alone, on black and on plates."""
     share: float = 0.35
-    """Share of the steps that look at a plate, and not at a frame."""
+    """Share of the steps that render a clean plate instead of a frame."""
     window_px: int = 256
-    """Side of the part of a plate that such a step looks at."""
+    """Side in pixels of the square window of the plate that such a step renders."""
     margin_px: int = 64
-    """Up to so much around the matte is looked at in a frame's step."""
+    """Maximum margin in pixels around the matte's box in steps that render a frame."""
     xyz_rate: float = 0.02
-    """Learning rate of the background's points, times their spacing."""
+    """Learning rate of the background's positions, as a share of the point spacing."""
     least_layers: int = 12
-    """A full scene's steps draw K from this to layers. Fewer cut off floors that are seen at a grazing angle: gradients
-    do not see what was cut off and ask for larger discs, of which more are cut off, until all is a blur."""
+    """Minimum of the random K in a full scene. With fewer layers, floors at grazing angles are cut off: the gradient,
+    blind to the points behind the last layer, enlarges the discs, and more points are cut off, until all is blurred."""
     encoder_every: int = 8
-    """The background's image CNN learns in every n-th step that looks at a plate."""
+    """Steps that render a plate update the background's image encoder if their number is a multiple of this."""
     shadow: bool = False
-    """Let what moves darken or light the background around it, frame by frame. Its colours from images alone can be."""
+    """Learn shadows and reflected light of the foreground on the background, by frame. Needs image-based colour."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
@@ -104,20 +104,20 @@ class BackgroundConfig:
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """More points where the error is, in full scenes."""
+    """Densification: splitting and removing points, in full scenes."""
 
     on: bool = True
-    """Whether points come and go while training."""
+    """Whether points are split and removed while training."""
     frame_every: int = 40
-    """Steps of a frame between two rounds for its points; one that shows in none of them goes."""
+    """Steps of a frame between two densifications of its points; points unobserved in all of them are removed."""
     background_every: int = 250
-    """Steps between two rounds for the background's points; one that lies behind others in every plate goes."""
+    """Steps between two densifications of the background; points that are occluded in every plate are removed."""
     share: float = 0.1
-    """Of the points that a round halves, at most."""
+    """Maximum share of the points that one densification splits."""
     growth: float = 1.25
-    """Most points, times what there were first."""
+    """Maximum number of points, as a multiple of the initial number."""
     until: float = 0.6
-    """Share of the budget after which points stay."""
+    """Share of the budget after which densification ends."""
 
     def __post_init__(self) -> None:
         require(self.frame_every >= 1, f"frame_every: expected at least 1, got {self.frame_every}")
@@ -129,32 +129,32 @@ class DensifyConfig:
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Corrections of the calibration, of the cameras that are trained on; off by default."""
+    """Corrections of the training cameras' calibration; off by default."""
 
     poses: bool = False
-    """Correct where the cameras stand and look: by features before carving, then learnt with everything else."""
+    """Refine camera poses: by bundle adjustment before carving, then by gradient descent while training."""
     focal: bool = False
-    """Correct their focal lengths likewise."""
+    """Refine focal lengths likewise."""
     colours: bool = False
-    """Learn an affine correction of each camera's colours, whose mean over the cameras is none."""
+    """Learn an affine correction of each camera's colours; the mean over the cameras is the identity."""
     rotation_deg: float = 0.5
-    """How far a camera's rotation may be off: a standard deviation, in degrees."""
+    """Standard deviation of a camera's rotation error, in degrees."""
     position: float = 0.003
-    """The same of its place, as a share of its distance from where the cameras look."""
+    """Standard deviation of a camera's position error, as a share of its distance from the scene's centre."""
     focal_spread: float = 0.002
-    """The same of its focal length, as a share of that."""
+    """Standard deviation of the focal length's error, as a share of the focal length."""
     colour_spread: float = 0.1
-    """The same of its colours."""
+    """Standard deviation of the entries of the colour correction."""
     band: float = 0.03
-    """Features may be so far from the given cameras' epipolar lines, as a share of a picture's longer side."""
+    """Maximum distance of matched features from the given cameras' epipolar lines, as a share of the longer side."""
     weight: float = 1e-5
-    """Weight in the loss of a learnt correction of one standard deviation."""
+    """Loss weight of the squared corrections, in units of their standard deviations."""
     pose_rate: float = 1e-4
-    """Learning rate of poses: radians, and shares of the distance."""
+    """Learning rate of poses, in radians and shares of the distance."""
     focal_rate: float = 5e-5
-    """Learning rate of the focal length's logarithm."""
+    """Learning rate of the logarithm of the focal length."""
     colour_rate: float = 5e-3
-    """Learning rate of the colours' corrections."""
+    """Learning rate of the colour corrections."""
 
     def __post_init__(self) -> None:
         for name in ("rotation_deg", "position", "focal_spread", "colour_spread", "band"):
@@ -166,66 +166,66 @@ class RefineConfig:
 
     @property
     def cameras(self) -> bool:
-        """Whether the cameras themselves are corrected."""
+        """Whether poses or focal lengths are corrected."""
         return self.poses or self.focal
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Everything that decides what a run computes, saved as the run's config.yaml."""
+    """All settings of a run, saved as its config.yaml."""
 
     model: ModelConfig = field(default_factory=ModelConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
     scene: Literal["object", "full"] = "object"
-    """object: what the mattes hold, on black; full: everything, with a static background."""
+    """object: the foreground of the mattes, on black; full: the whole picture, with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
-    """Of a full scene."""
+    """Background of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    """Of a full scene."""
+    """Densification in a full scene."""
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Corrections of the calibration."""
     points: int = 40_000
-    """Points of each frame."""
+    """Maximum number of points of each frame."""
     layers: int = 15
-    """Points composited a pixel while training (K)."""
+    """Number K of points composited at each pixel while training."""
     least_layers: int = 8
-    """Each step draws K from this to layers, so that surfaces close within the fewer layers of an exported scene; in a
-    full scene from background.least_layers."""
+    """Minimum of K, drawn anew in each step, so that surfaces are opaque within the fewer layers of an exported scene.
+    Full scenes use background.least_layers instead."""
     crop: Literal["mask", "full"] = "mask"
-    """Train on the box of the matte with a margin, or on whole images."""
+    """Train on the matte's bounding box with a margin, or on whole images."""
     random_background: bool = True
-    """Composite prediction and truth on a random colour each step, so that black hides no holes."""
+    """Composite prediction and truth on a random colour each step: on black, holes in dark surfaces have no error."""
     encoder_every: int = 2
-    """The image CNN learns in every n-th step: its backward pass is dear and it changes slowly."""
+    """The image encoder is updated in every n-th step: its backward pass is expensive, and it changes slowly."""
     hidden_weight: float = 3e-2
-    """Points whose largest weight in the view stays below this are skipped for the step; 0 skips none."""
+    """Points whose largest compositing weight in the view is below this are skipped in a step; 0 skips none."""
     keep_in_hull: bool = True
-    """Undo steps that take a point out of the silhouette in the views at hand: stops stray points."""
+    """Revert moves of points out of the silhouettes of the step's target and source views; prevents stray points."""
     neighbour_pool: int = 5
-    """Source views are drawn from this many nearest ones, so that unseen views are not strange."""
+    """Source views are drawn from this many nearest views, so that training covers the baselines of unseen views."""
     image_scale: float = 1.0
-    """Scale of the images; 0.5 halves both sides."""
+    """Scale of the images; 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
-    """Cameras to use; all when not given."""
+    """Cameras to use; null for all."""
     test_views: tuple[str, ...] = ()
-    """Cameras held out: neither trained on nor blended from."""
+    """Held-out cameras: neither trained on nor used as source views."""
     frames: str | None = None
-    """Frames to use as A:B or A:B:S, B not included; all when not given."""
+    """Frames to use as A:B or A:B:S, B excluded; null for all."""
     max_steps: int | None = None
     """Stop after this many steps."""
     max_seconds: float | None = None
     """Stop after this many seconds of training."""
     seed: int = 0
-    """Seed of everything random."""
+    """Seed of all random numbers."""
     checkpoint_seconds: float = 120.0
-    """Time between checkpoints; ignored when checkpoint_steps is given."""
+    """Seconds between checkpoints; ignored if checkpoint_steps is set."""
     checkpoint_steps: int | None = None
     """Steps between checkpoints."""
     validation_seconds: float = 60.0
-    """Time between pictures and PSNR of a held-out (or else a training) view."""
+    """Seconds between validations on held-out (or else training) views."""
     memory_mb: int = 96
-    """Bound on decoded images kept; half of it bounds the points kept. The rest is read again when needed."""
+    """Size of the cache of decoded images in MiB; the cache of points has half of it. The rest is read when needed."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
@@ -240,7 +240,7 @@ class TrainConfig:
         )
         require(
             not (self.background.shadow and self.model.appearance == "sh"),
-            "background.shadow: expected colours from images to cast it on (model.appearance both or ibr), got sh",
+            "background.shadow: expected image-based colour (model.appearance both or ibr), got sh",
         )
         for name in ("max_steps", "max_seconds", "checkpoint_seconds", "checkpoint_steps", "validation_seconds"):
             value = getattr(self, name)

@@ -1,4 +1,4 @@
-"""What a run measured, step by step: metrics.jsonl for programs, TensorBoard events for eyes."""
+"""Logged measurements of a run: metrics.jsonl for programs, TensorBoard events for people."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ FLUSH_SECONDS = 10
 
 
 class MetricsLog:
-    """Appends to ``metrics.jsonl`` and to TensorBoard events in a run folder; usable in a ``with``."""
+    """Appends to ``metrics.jsonl`` and to TensorBoard events in a run folder; a context manager."""
 
     def __init__(self, folder: Path, resume_step: int = 0) -> None:
-        """Open the log of a run, dropping what lies after the step that is gone on from.
+        """Open the log of a run, and remove the records after the step from which it resumes.
 
         Args:
-            folder: the run's folder; made when absent.
-            resume_step: steps already done. Lines of later steps, and lines that a kill left
-                half written, are removed; TensorBoard is told to hide the same steps.
+            folder: the run's folder; created if missing.
+            resume_step: number of completed steps. Records of later steps, and lines that a kill truncated, are
+                removed; TensorBoard hides the same steps.
 
         Raises:
-            UserError: the folder cannot be written to.
+            UserError: the folder is not writable.
         """
-        # The import takes a second, so it waits until a log is opened.
+        # The import takes a second.
         from torch.utils.tensorboard import SummaryWriter
 
         self._folder = folder
         path = folder / METRICS_NAME
-        with self._reported():
+        with self._os_errors_as_user_errors():
             folder.mkdir(parents=True, exist_ok=True)
             if path.exists():
                 _truncate(path, resume_step)
@@ -46,31 +46,31 @@ class MetricsLog:
             self._events = SummaryWriter(str(folder), purge_step=purge, flush_secs=FLUSH_SECONDS)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
-        """Write one record ``{"step": step, **values}``; values that are not finite become null.
+        """Write one record ``{"step": step, **values}``; NaN and infinity become null.
 
-        Raises UserError when the disk is full.
+        Raises UserError if the disk is full.
         """
         record: dict[str, float | int | None] = {"step": int(step)}
         for name, value in values.items():
             record[name] = float(value) if math.isfinite(value) else None
-        with self._reported():
+        with self._os_errors_as_user_errors():
             self._stream.write(json.dumps(record, allow_nan=False) + "\n")
             self._stream.flush()
             for name, value in values.items():
                 self._events.add_scalar(name, value, step)
 
     def image(self, step: int, name: str, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (H, W, 3), uint8 RGB, in TensorBoard. Raises UserError when the disk is full."""
+        """Write an image (H, W, 3), uint8 RGB, for TensorBoard. Raises UserError if the disk is full."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
             raise ValueError(f"picture: expected (H, W, 3) of uint8, got {picture.shape} of {picture.dtype}")
-        with self._reported():
+        with self._os_errors_as_user_errors():
             self._events.add_image(name, picture, step, dataformats="HWC")
 
     def close(self) -> None:
-        """Write out what is held back; calling it again does nothing. Raises UserError when the disk is full."""
+        """Flush and close; further calls have no effect. Raises UserError if the disk is full."""
         if self._stream.closed:
             return
-        with self._reported():
+        with self._os_errors_as_user_errors():
             self._stream.close()
             self._events.close()
 
@@ -81,18 +81,18 @@ class MetricsLog:
         self.close()
 
     @contextmanager
-    def _reported(self) -> Iterator[None]:
+    def _os_errors_as_user_errors(self) -> Iterator[None]:
         try:
             yield
         except OSError as error:
             raise UserError(
                 f"{self._folder}: expected a folder that metrics can be written to, got '{error.strerror or error}'; "
-                f"free some space or mend its permissions, and add --resume"
+                f"free some space or fix its permissions, and add --resume"
             ) from error
 
 
 def _truncate(path: Path, last_step: int) -> None:
-    """Keep the whole records up to ``last_step``, line by line, since a long run's file is large."""
+    """Keep the complete records up to ``last_step``; line by line, because the file of a long run is large."""
     with path.open("rb") as lines, atomic_path(path) as temporary, temporary.open("wb") as kept:
         for line in lines:
             if line.endswith(b"\n") and _step_of(line) <= last_step:
@@ -100,7 +100,7 @@ def _truncate(path: Path, last_step: int) -> None:
 
 
 def _step_of(line: bytes) -> float:
-    """A record's step; infinite for what is no record, which is dropped thereby."""
+    """A record's step; infinite for a line that is not a record."""
     try:
         record = json.loads(line)
     except ValueError:

@@ -189,7 +189,7 @@ class Trainer:
         except (OSError, SafetensorError) as error:
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(
-                f"{folder}: expected room for a checkpoint, got '{error}'; the checkpoint before it is good: "
+                f"{folder}: expected room for a checkpoint, got '{error}'; the previous checkpoint is intact: "
                 f"free some space and add --resume"
             ) from error
 

@@ -151,5 +151,5 @@ def _require_finite(terms: dict[str, Tensor], number: int) -> None:
     if bad:
         raise UserError(
             f"step {number}: expected a finite loss, got {float(terms[bad[0]].detach())} in the term '{bad[0]}'; "
-            f"the last checkpoint is good: resume from it with --resume and lower learning rates"
+            f"the last checkpoint is intact: resume from it with --resume and lower learning rates"
         )

@@ -123,7 +123,7 @@ def test_damaged_ones_are_passed_over_with_a_note(damage: object, tmp_path: Path
     found, note = latest_checkpoint(tmp_path)
     assert found == checkpoint_path(tmp_path, 1)
     assert str(path) in note
-    assert "going on from 00000001.safetensors" in note
+    assert "resuming from 00000001.safetensors" in note
     assert "\n" not in note
     with pytest.raises(UserError, match=path.name):
         load_checkpoint(path)
@@ -183,14 +183,14 @@ def test_a_full_disk_leaves_the_previous_ones_good(
     message = str(caught.value)
     assert str(tmp_path) in message
     assert "got a full disk" in message
-    assert "00000002.safetensors, is good" in message
+    assert "00000002.safetensors, is intact" in message
     assert "\n" not in message
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_an_unwritable_folder_is_told_apart_from_a_full_disk(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="there is none before it") as caught:
+    with pytest.raises(UserError, match="there is no previous checkpoint") as caught:
         save_checkpoint(tmp_path / "file", 1, {"a": torch.zeros(1)}, {})
     assert "full disk" not in str(caught.value)
 
@@ -309,7 +309,7 @@ def test_optimizer_of_another_model_is_refused() -> None:
     optimizer = new_optimizer(model, fused=False)
     train(model, optimizer, 1, torch.Generator())
     packed = pack_optimizer(optimizer, "optimizer.")
-    with pytest.raises(UserError, match=r"F.safetensors: expected the optimiser's state of this model"):
+    with pytest.raises(UserError, match=r"F.safetensors: expected the optimizer's state of this model"):
         unpack_optimizer(new_optimizer(other, fused=False), packed, "optimizer.", "F.safetensors")
     with pytest.raises(UserError, match=r"'optimizer\.4\.step'"):
         unpack_optimizer(optimizer, {**packed, "optimizer.4.step": torch.tensor(1.0)}, "optimizer.")

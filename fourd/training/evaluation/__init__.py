@@ -1,1 +1,1 @@
-"""Rendering of trained frames and their scores."""
+"""Rendering of trained scenes, image metrics, and scores of held-out views."""

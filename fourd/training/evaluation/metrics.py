@@ -1,4 +1,4 @@
-"""Image quality: PSNR, SSIM, and the box of a matte that both are measured in."""
+"""Image metrics: PSNR, SSIM, and the bounding box of a matte."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ from fourd.ops.similarity.reference import check_image_pair, structural_similari
 
 
 def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tensor | ArrayLike | None = None) -> Tensor:
-    """Peak signal-to-noise ratio in dB for values with peak 1; infinite for equal images.
+    """Peak signal-to-noise ratio in dB for images with peak 1; infinite for equal images.
 
     Args:
-        prediction, target: (..., C) of the same shape, torch or NumPy, floating point.
-        mask: weights (...) that count pixels, bool or nonnegative numbers; all count when None.
+        prediction: (..., C), torch or NumPy, floating point.
+        target: the same shape.
+        mask: weights (...) of the pixels, bool or nonnegative numbers; None for equal weights.
 
     Returns:
         A scalar tensor, differentiable in ``prediction``.
 
     Raises:
-        ValueError: shapes differ, integer images (a peak of 255 would be taken for 1), or an empty mask.
+        ValueError: shapes differ, images are integers (with a peak of 255 instead of 1), or the mask is empty.
     """
     prediction, target = _images(prediction, target)
     squares = (prediction - target).square()
@@ -31,7 +32,7 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
     if weights.shape != squares.shape[:-1]:
         raise ValueError(f"mask: expected shape {tuple(squares.shape[:-1])}, got {tuple(weights.shape)}")
     if float(weights.sum()) <= 0:
-        raise ValueError("mask: expected at least one pixel that counts, got none")
+        raise ValueError("mask: expected at least one pixel with a weight, got none")
     mean = (squares * weights[..., None]).sum() / (weights.sum() * squares.shape[-1])
     return -10 * torch.log10(mean)
 
@@ -39,32 +40,32 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
 def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
     """Structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5, data range 1.
 
-    The mean is taken over channels and over the pixels whose window lies in the image, as in
+    The mean is over channels and over the pixels whose window lies inside the image, as in
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
 
     Args:
-        prediction, target: (..., H, W, C) of the same shape, torch or NumPy, floating point;
-            H and W at least 11 pixels.
+        prediction: (..., H, W, C), torch or NumPy, floating point; H and W at least 11 pixels.
+        target: the same shape.
 
     Returns:
         A scalar tensor, differentiable in both, 1 for equal images.
 
     Raises:
-        ValueError: shapes differ, integer images, or an image smaller than the window.
+        ValueError: shapes differ, images are integers, or smaller than the window.
     """
     return structural_similarity_reference(torch.as_tensor(prediction), torch.as_tensor(target))
 
 
 def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tuple[int, int, int, int] | None:
-    """The rectangle round a matte's object, with ``margin`` pixels more on each side, inside the image.
+    """The bounding box of a matte's object, extended by ``margin`` pixels on each side within the image.
 
     Args:
-        mask: (H, W) uint8 (255 = object) or bool. Pixels above 127 belong to the object, so that
-            faint noise of a soft matte does not widen the box.
+        mask: (H, W) uint8 (255 = object) or bool. Pixels above 127 belong to the object, so that faint noise of a
+            soft matte does not enlarge the box.
         margin: pixels, 0 or more.
 
     Returns:
-        (top, bottom, left, right), bottom and right not included; None when nothing belongs to the object.
+        (top, bottom, left, right), bottom and right exclusive; None where no pixel belongs to the object.
     """
     if mask.ndim != 2 or mask.dtype not in (np.uint8, np.bool_):
         raise ValueError(f"mask: expected (H, W) of uint8 or bool, got {mask.shape} of {mask.dtype}")

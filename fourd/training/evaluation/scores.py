@@ -1,4 +1,4 @@
-"""Held-out views judged: PSNR, SSIM and LPIPS on whole images and in the matte's box."""
+"""Scores of held-out views: PSNR, SSIM and LPIPS on whole images and in the matte's bounding box."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from fourd.training.evaluation.metrics import mask_box, psnr, ssim
 from fourd.training.losses.lpips import LPIPS
 
 BOX_MARGIN_PX = 8
+MIN_SIDE_PX = 11
+"""Smaller images have no SSIM and LPIPS."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Quality of one picture; psnr in dB; lpips is None without its weights."""
+    """Quality of an image; psnr in dB; ssim and lpips are None for small images, lpips also without its weights."""
 
     psnr: float
     ssim: float | None
@@ -26,7 +28,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class ViewScores:
-    """One held-out picture: the whole image, and the box of its matte with 8 pixels of margin."""
+    """Scores of one held-out picture: of the whole image, and of the matte's bounding box with a margin of 8 pixels."""
 
     camera: str
     frame: int
@@ -36,7 +38,7 @@ class ViewScores:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """All pictures and their means."""
+    """Scores of all pictures, and their means."""
 
     pictures: list[ViewScores]
     image: Scores
@@ -56,7 +58,7 @@ class Evaluation:
 def score_view(
     prediction: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], lpips: LPIPS | None
 ) -> tuple[Scores, Scores | None]:
-    """Scores of a picture (H, W, 3) in [0, 1] on the whole image and in the matte's box (None when empty)."""
+    """Scores of an image (H, W, 3) in [0, 1], whole and in the matte's bounding box; None for an empty matte."""
     predicted, expected = torch.from_numpy(prediction), torch.from_numpy(truth)
     box = mask_box(matte, margin=BOX_MARGIN_PX)
     if box is None:
@@ -67,15 +69,15 @@ def score_view(
 
 
 def summarize(pictures: Iterator[ViewScores] | list[ViewScores]) -> Evaluation:
-    """Means over pictures: of each picture's dB, as the field's papers report."""
-    kept = list(pictures)
-    boxes = [picture.box for picture in kept if picture.box is not None]
-    return Evaluation(kept, _mean([picture.image for picture in kept]), _mean(boxes) if boxes else None)
+    """Means over pictures; PSNR is the mean of dB values, as papers report it."""
+    scored = list(pictures)
+    boxes = [picture.box for picture in scored if picture.box is not None]
+    return Evaluation(scored, _mean([picture.image for picture in scored]), _mean(boxes) if boxes else None)
 
 
 def _scores(predicted: torch.Tensor, expected: torch.Tensor, lpips: LPIPS | None) -> Scores:
     with torch.no_grad():
-        large_enough = min(predicted.shape[:2]) >= 11
+        large_enough = min(predicted.shape[:2]) >= MIN_SIDE_PX
         return Scores(
             psnr=float(psnr(predicted, expected)),
             ssim=float(ssim(predicted, expected)) if large_enough else None,

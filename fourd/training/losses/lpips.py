@@ -1,7 +1,7 @@
 """LPIPS, the learned perceptual distance (Zhang et al. 2018), version 0.1 on VGG-16.
 
-The network is written out here, since torchvision has no build for every machine; the weights come
-from files that the user has: torchvision's VGG-16 and the linear heads of the ``lpips`` package.
+The network is defined here because torchvision has no build for some machines. The weights come from files of the user:
+torchvision's VGG-16 and the linear heads of the ``lpips`` package.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from pickle import UnpicklingError  # what torch.load raises for a file that would run code
+from pickle import UnpicklingError  # torch.load raises it for a file that would execute code
 
 import torch
 from safetensors import SafetensorError
@@ -21,32 +21,32 @@ from torch.nn import functional
 
 from fourd.errors import UserError
 
-# Channels of VGG-16's convolutions; a pooling lies between the groups.
+# Channels of VGG-16's convolutions, with pooling between the groups.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# The ImageNet mean and deviation that the heads were fitted with, for inputs in [-1, 1].
+# ImageNet mean and standard deviation of the heads' training data, for inputs in [-1, 1].
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-# Four poolings leave nothing of a side below 16 pixels.
-SMALLEST_SIDE = 16
+# Sides below 16 pixels are empty after four poolings.
+MIN_SIDE_PX = 16
 SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"
 
-# torchvision's names, or those of a whole network saved from the lpips package.
+# Names of torchvision, or of a whole network saved from the lpips package.
 _FEATURE_KEY = re.compile(r"(?:features|net\.slice[1-5])\.(\d+)\.(weight|bias)")
 _HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
 
 
 class LPIPS(nn.Module):
-    """Perceptual distance of images; 0 for equal ones, near 1 for very different ones.
+    """Perceptual distance between images: 0 if equal, near 1 if very different.
 
-    All weights are frozen; gradients flow to the images.
+    The weights are frozen; the distance is differentiable in the images.
     """
 
     shift: Tensor
     scale: Tensor
 
     def __init__(self, weights: Mapping[str, Tensor]) -> None:
-        """``weights`` holds exactly the names and shapes of :func:`expected_shapes`."""
+        """``weights`` has the names and shapes of :func:`expected_shapes`."""
         super().__init__()
         stages: list[nn.Module] = []
         inputs = 3
@@ -70,18 +70,18 @@ class LPIPS(nn.Module):
         self.eval()
 
     def forward(self, prediction: Tensor, target: Tensor) -> Tensor:
-        """The distance of two images, or of two batches pair by pair.
+        """The distance between two images, or between the pairs of two batches.
 
         Args:
-            prediction, target: both (H, W, 3) or both (B, 3, H, W), floating point in [0, 1]. Sides
-                below 16 pixels, for which the published network has no value, are extended by their
-                border pixels to 16.
+            prediction: (H, W, 3) or (B, 3, H, W), floating point in [0, 1]. Sides below 16 pixels, for which the
+                published network is undefined, are extended to 16 by repeating the border.
+            target: the same shape.
 
         Returns:
             A scalar for (H, W, 3), (B,) for batches.
 
         Raises:
-            ValueError: shapes differ or are neither of these.
+            ValueError: the shapes differ, or are neither of these.
         """
         if prediction.shape != target.shape:
             raise ValueError(f"target: expected the prediction's shape {tuple(prediction.shape)}, got {target.shape}")
@@ -89,61 +89,61 @@ class LPIPS(nn.Module):
         first, second = self._features(_batch(prediction)), self._features(_batch(target))
         distance = torch.zeros((), device=self.heads[0].device)
         for head, a, b in zip(self.heads, first, second, strict=True):
-            difference = (_unit(a) - _unit(b)).square()
+            difference = (_normalize(a) - _normalize(b)).square()
             distance = distance + functional.conv2d(difference, head).mean(dim=(1, 2, 3))
         return distance[0] if single else distance
 
     def _features(self, images: Tensor) -> list[Tensor]:
         """relu1_2, relu2_2, relu3_3, relu4_3 and relu5_3 of images (B, 3, H, W) in [0, 1]."""
-        right, bottom = (max(SMALLEST_SIDE - side, 0) for side in (images.shape[3], images.shape[2]))
+        right, bottom = (max(MIN_SIDE_PX - side, 0) for side in (images.shape[3], images.shape[2]))
         if right or bottom:
             images = functional.pad(images, (0, right, 0, bottom), mode="replicate")
         features = (2 * images.to(self.heads[0].dtype) - 1 - self.shift) / self.scale
-        found = []
+        outputs = []
         for stage in self.stages:
             features = stage(features)
-            found.append(features)
-        return found
+            outputs.append(features)
+        return outputs
 
 
 def load_lpips(path: Path | None) -> LPIPS | None:
-    """LPIPS with weights from files; nothing is downloaded and no code in a file is run.
+    """LPIPS with weights from files. Nothing is downloaded, and no code in a file is executed.
 
     Args:
-        path: a file (.pth, .pt or .safetensors), or a folder with such files named ``vgg16*``, ``vgg.*``
-            or ``*lpips*``. They hold VGG-16 by torchvision's names (``features.0.weight``), the heads by
-            the lpips package's (``lin0.model.1.weight``), or both; the half that is not in ``path`` is
-            taken from the usual places. None looks in the usual places alone: torch.hub's
-            ``checkpoints/vgg16-397923af.pth`` and the heads in the installed lpips or torchmetrics.
+        path: a file (.pth, .pt or .safetensors), or a folder with such files named ``vgg16*``, ``vgg.*`` or
+            ``*lpips*``. They contain VGG-16 under torchvision's names (``features.0.weight``), the heads under those of
+            the lpips package (``lin0.model.1.weight``), or both; missing parts come from the default locations:
+            torch.hub's ``checkpoints/vgg16-397923af.pth``, and the heads in the installed lpips or torchmetrics. None
+            uses the default locations alone.
 
     Returns:
-        The network on the CPU, or None when ``path`` is None and a half is nowhere.
+        The network on the CPU, or None if ``path`` is None and a part is missing.
 
     Raises:
-        UserError: ``path`` is missing, a file cannot be read, or names or shapes are not VGG-16's.
+        UserError: ``path`` is missing, a file cannot be read, or names or shapes are not those of VGG-16.
     """
     files = [] if path is None else _files_of(path)
     weights: dict[str, Tensor] = {}
     for file in files:
         weights.update(_read(file))
-    for prefix, places in (("features.", _usual_features()), ("lin", _usual_heads())):
-        usual = next((place for place in places if place.is_file()), None)
-        if usual is not None and not any(name.startswith(prefix) for name in weights):
-            weights.update(_read(usual))
-    absent = [name for name in expected_shapes() if name not in weights]
-    if not absent:
+    for prefix, candidates in (("features.", _default_vgg_files()), ("lin", _default_head_files())):
+        default = next((file for file in candidates if file.is_file()), None)
+        if default is not None and not any(name.startswith(prefix) for name in weights):
+            weights.update(_read(default))
+    missing = [name for name in expected_shapes() if name not in weights]
+    if not missing:
         return LPIPS(weights)
     if path is None:
         return None
     raise UserError(
         f"{path}: expected the weights of VGG-16 (features.N.weight) and of LPIPS's heads (linN.model.1.weight), "
-        f"got none for {_named(absent)}; put {VGG_NAME} and the lpips package's weights/v0.1/vgg.pth in one folder "
-        f"and name it with --lpips-weights"
+        f"got none for {_abbreviate(missing)}; put {VGG_NAME} and the lpips package's weights/v0.1/vgg.pth "
+        f"in one folder and name it with --lpips-weights"
     )
 
 
 def expected_shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of all weights: ``features.N.weight|bias`` by torchvision's numbers, ``linN``."""
+    """Names and shapes of all weights: ``features.N.weight|bias`` with torchvision's numbers, and ``linN``."""
     shapes: dict[str, tuple[int, ...]] = {}
     inputs = 3
     widths = [width for group in GROUPS for width in group]
@@ -156,7 +156,7 @@ def expected_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def _feature_numbers() -> list[int]:
-    """torchvision's numbers of the convolutions: each is followed by a ReLU, each group by a pooling."""
+    """torchvision's layer numbers of the convolutions: a ReLU follows each, and a pooling each group."""
     numbers, number = [], 0
     for group in GROUPS:
         numbers += [number + 2 * index for index in range(len(group))]
@@ -179,23 +179,23 @@ def _files_of(path: Path) -> list[Path]:
     return files
 
 
-def _usual_features() -> list[Path]:
+def _default_vgg_files() -> list[Path]:
     return [Path(torch.hub.get_dir()) / "checkpoints" / VGG_NAME]
 
 
-def _usual_heads() -> list[Path]:
-    """The heads in installed packages, which are found without importing them."""
+def _default_head_files() -> list[Path]:
+    """The heads in installed packages, which are not imported."""
     inside = {"lpips": "weights/v0.1/vgg.pth", "torchmetrics": "functional/image/lpips_models/vgg.pth"}
     specs = [(importlib.util.find_spec(package), rest) for package, rest in inside.items()]
     return [Path(spec.origin).parent / rest for spec, rest in specs if spec is not None and spec.origin]
 
 
 def _read(file: Path) -> dict[str, Tensor]:
-    """The weights that LPIPS needs out of a file, as float32 under our names, shapes checked."""
+    """The weights of LPIPS in a file, as float32 under the names of :func:`expected_shapes`; shapes are checked."""
     shapes = expected_shapes()
     found: dict[str, Tensor] = {}
     for key, value in _load(file).items():
-        name = _our_name(key)
+        name = _expected_name(key)
         if name is None:
             continue
         shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
@@ -204,7 +204,7 @@ def _read(file: Path) -> dict[str, Tensor]:
                 f"{file}: expected the shape {shapes.get(name, 'of no such layer')} for '{key}', got {shape}; "
                 f"name weights of VGG-16 (not of another network) with --lpips-weights"
             )
-        # A copy lets go of the file's other 470 MB, the classifier.
+        # A copy releases the file's other 470 MB, the classifier.
         found[name] = value.detach().to(torch.float32, copy=True)
     if not found:
         raise UserError(
@@ -229,7 +229,7 @@ def _load(file: Path) -> Mapping[str, Tensor]:
     return content
 
 
-def _our_name(key: str) -> str | None:
+def _expected_name(key: str) -> str | None:
     if match := _FEATURE_KEY.fullmatch(key):
         return f"features.{match[1]}.{match[2]}"
     if match := _HEAD_KEY.fullmatch(key):
@@ -245,11 +245,11 @@ def _batch(images: Tensor) -> Tensor:
     raise ValueError(f"prediction: expected (H, W, 3) or (B, 3, H, W), got {tuple(images.shape)}")
 
 
-def _unit(features: Tensor) -> Tensor:
-    """Unit length over channels; the clamp keeps the root's gradient finite where all channels are 0."""
+def _normalize(features: Tensor) -> Tensor:
+    """Normalise over channels; the clamp keeps the gradient finite where all channels are 0."""
     length = features.square().sum(dim=1, keepdim=True).clamp_min(1e-20).sqrt()
     return features / (length + 1e-10)
 
 
-def _named(names: list[str]) -> str:
+def _abbreviate(names: list[str]) -> str:
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
