@@ -52,7 +52,7 @@ def test_unknown_attributes_are_skipped(tmp_path: Path, write: Callable[[Path], 
 @pytest.fixture
 def optional_sh(monkeypatch: pytest.MonkeyPatch) -> None:
     """Declares the harmonics optional, as an attribute is that older scenes lack."""
-    table = tuple(replace(item, is_optional=item.name == "sh") for item in ATTRIBUTES)
+    table = tuple(replace(item, is_optional=item.is_optional or item.name == "sh") for item in ATTRIBUTES)
     monkeypatch.setattr(fourd.baking.scene, "ATTRIBUTES", table)
     monkeypatch.setattr(fourd.baking.manifest, "ATTRIBUTES", table)
 

@@ -17,7 +17,6 @@ import pytest
 from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter
-from fourd.baking.attributes import ATTRIBUTES
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from tests.baking.scenes import manifest, random_frame, write_scene
@@ -63,7 +62,7 @@ def test_frames_and_manifest_round_trip(tmp_path: Path) -> None:
     reader = SceneReader(path)
     for index, frame in enumerate(written):
         again = reader.read(index)
-        for attribute in ATTRIBUTES:
+        for attribute in frame.attributes:
             np.testing.assert_array_equal(getattr(again, attribute.name), getattr(frame, attribute.name))
     expected, got = manifest(), reader.manifest
     assert got.points == (200, 201, 202)
@@ -124,7 +123,7 @@ def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
     reader = SceneReader(VERSION_1)
     assert (reader.manifest.version, reader.manifest.kind, reader.manifest.points) == (1, "object", (3, 2))
     for index, frame in enumerate(frames):
-        for attribute in ATTRIBUTES:
+        for attribute in frame.attributes:
             np.testing.assert_array_equal(getattr(reader.read(index), attribute.name), getattr(frame, attribute.name))
     with SceneWriter(tmp_path / "again.4dv", plain_manifest()) as writer:
         for index, frame in enumerate(frames):

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from fourd.baking import BakedFrame, SceneReader, SceneWriter, open_scene
-from fourd.baking.attributes import ATTRIBUTES
+from fourd.baking import SceneReader, SceneWriter, open_scene
+from fourd.baking.scene import make_frame
 from fourd.capture import open_capture
 from fourd.cli.main import main
 from fourd.ply import write_ply
@@ -64,7 +64,7 @@ def test_eval_tells_the_same_of_run_and_scene(made: Path, tmp_path: Path) -> Non
 def test_eval_judges_a_full_scene_by_the_whole_picture(capture: Path, made: Path, tmp_path: Path) -> None:
     """Catches a background that is held against the object on black."""
     reader, views = SceneReader(made), open_capture(capture)
-    nothing = BakedFrame(*(getattr(reader.read(0), item.name)[:0] for item in ATTRIBUTES))
+    nothing = make_frame({name: array[:0] for name, array in reader.read(0).arrays.items()})
     with SceneWriter(tmp_path / "full.4dv", replace(reader.manifest, kind="full")) as writer:
         writer.add_background(nothing)
         for frame in range(reader.manifest.frame_count):

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from fourd.baking import BakedFrame, SceneBackground, SceneManifest, SceneReader
-from fourd.baking.attributes import ATTRIBUTES
 from fourd.baking.container import member_name
 from fourd.errors import UserError
 from fourd.viewer.playback.prefetch import FramePrefetcher
@@ -101,7 +100,7 @@ def rest(source: CountedSource, count: int) -> list[int]:
 
 def assert_same(got: BakedFrame | None, expected: BakedFrame) -> None:
     assert got is not None
-    for attribute in ATTRIBUTES:
+    for attribute in expected.attributes:
         np.testing.assert_array_equal(getattr(got, attribute.name), getattr(expected, attribute.name))
 
 
