@@ -1,4 +1,4 @@
-"""The hash grid's kernel against plain torch: values, gradients, hostile coordinates, threads and errors."""
+"""The hash grid kernel against plain torch: values, gradients, extreme coordinates, threads and errors."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from fourd.ops.hashgrid.shape import HashGridShape
 from fourd.ops.loading import load_native
 
 
-def grid(features: int = 2) -> HashGridShape:
-    """Six levels of which the first two keep all samples and the others hash theirs, with odd sizes between."""
+def small_grid(features: int = 2) -> HashGridShape:
+    """Six levels: the first two store all samples, the others hash theirs; several sizes are odd."""
     shape = HashGridShape(levels=6, features=features, log2_entries=9, coarsest=3, finest=70)
     assert [(side + 1) ** 3 <= 2**9 for side in shape.resolutions] == [True, True, False, False, False, False]
     return shape
@@ -37,7 +37,7 @@ Encode = Callable[[Tensor, Tensor, HashGridShape], Tensor]
 def results(
     function: Encode, shape: HashGridShape, coordinates: Tensor, table: Tensor, upstream: Tensor
 ) -> list[Tensor]:
-    """The encoding and its gradients in the coordinates and the table, on the CPU."""
+    """The encoding, and its gradients in the coordinates and the table, moved to the CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (coordinates, table)]
     out = function(*leaves, shape)
     return [tensor.detach().cpu() for tensor in (out, *torch.autograd.grad(out, leaves, upstream))]
@@ -53,31 +53,31 @@ def assert_close(found: list[Tensor], expected: list[Tensor]) -> None:
 def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a corner's weight on its neighbour, a level read at another's rows, a run's last points left out."""
+    """Catches swapped corner weights, a level read at another level's rows, and a chunk's last points left out."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
-    shape = grid(features)
+    shape = small_grid(features)
     inputs = (shape, points(rng, 5003), random_table(rng, shape))
     upstream = torch.from_numpy(rng.standard_normal((5003, shape.out_features)).astype(np.float32))
     assert_close(results(encode_hash_grid, *inputs, upstream), results(encode_hash_grid_reference, *inputs, upstream))
 
 
 @pytest.mark.parametrize("features", [2, 3])
-def test_the_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches points and levels swapped, and a gradient of coordinates that one level writes over another's."""
-    shape = grid(features)
+def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches points and levels swapped, and coordinate gradients that levels overwrite instead of add."""
+    shape = small_grid(features)
     tensors = [points(rng, 300), random_table(rng, shape)]
     tensors.append(torch.from_numpy(rng.standard_normal((300, shape.out_features)).astype(np.float32)))
     found = results(encode_hash_grid, shape, *(tensor.to(gpu) for tensor in tensors))
     assert_close(found, results(encode_hash_grid_reference, shape, *tensors))
 
 
-def test_a_grid_of_the_usual_size_equals_the_reference(rng: np.random.Generator) -> None:
-    """Catches products of the hash taken in too few bits, which small grids do not reach, and sides of 2^20."""
+def test_a_grid_of_default_size_equals_the_reference(rng: np.random.Generator) -> None:
+    """Catches overflow in the hash's products, which small grids do not reach, and at a resolution of 2^20."""
     shape = HashGridShape(levels=2, log2_entries=19, finest=2**20)
     table = random_table(rng, shape)
-    # Their places are exact in float32 at both levels.
+    # These coordinates are exact in float32 at both levels.
     coordinates = torch.from_numpy(rng.integers(0, 2**12, (200, 3)) / 2**12).float()
     torch.testing.assert_close(
         encode_hash_grid(coordinates, table, shape),
@@ -87,9 +87,11 @@ def test_a_grid_of_the_usual_size_equals_the_reference(rng: np.random.Generator)
     )
 
 
-def test_samples_are_where_the_paper_says(rng: np.random.Generator) -> None:
-    """Catches a kernel and a reference that agree on a wrong hash: at samples of the grid one entry has all the weight,
-    found by the paper's formula. And a first level that just fits (4^3 = 2^6) taken for one that does not."""
+def test_entries_are_where_the_paper_puts_them(rng: np.random.Generator) -> None:
+    """Catches a wrong hash that kernel and reference share, and a first level that just fits (4^3 = 2^6) but is hashed.
+
+    At a sample of the grid a single entry has all the weight; the paper's formula gives its row.
+    """
     shape = HashGridShape(levels=2, features=1, log2_entries=6, coarsest=3, finest=32)
     table = torch.arange(shape.total_entries, dtype=torch.float32)[:, None]
     for level, side in enumerate(shape.resolutions):
@@ -102,13 +104,13 @@ def test_samples_are_where_the_paper_says(rng: np.random.Generator) -> None:
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a gradient that agrees with the reference's and is wrong with it."""
+    """Catches an error that the kernel's gradient and the reference's share."""
     shape = HashGridShape(levels=3, log2_entries=6, coarsest=2, finest=9)
     table, step = random_table(rng, shape).double(), 1e-6
-    # Away from the cells' faces, where slopes jump.
+    # Avoid the faces of cells, where the derivative is discontinuous.
     coordinates = torch.from_numpy(rng.uniform(0.02, 0.98, (200, 3)))
-    places = coordinates[..., None] * torch.tensor(shape.resolutions)
-    coordinates = coordinates[((places - places.round()).abs() > 1e-3).all(dim=2).all(dim=1)]
+    scaled = coordinates[..., None] * torch.tensor(shape.resolutions)
+    coordinates = coordinates[((scaled - scaled.round()).abs() > 1e-3).all(dim=2).all(dim=1)]
     assert len(coordinates) > 100
 
     def total(at: Tensor, values: Tensor) -> Tensor:
@@ -127,9 +129,9 @@ def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
         assert float(grad_table[row, 1]) == pytest.approx(float(slope), rel=1e-4, abs=1e-4)
 
 
-def test_borders_and_what_is_no_number_stay_within_the_table(rng: np.random.Generator) -> None:
-    """Catches a read past the last sample, NaN that spreads to other points, and slopes beyond the border."""
-    shape = grid()
+def test_extreme_coordinates_stay_inside_the_table(rng: np.random.Generator) -> None:
+    """Catches reads past the last sample, NaN that spreads to other points, and gradients outside the borders."""
+    shape = small_grid()
     table = random_table(rng, shape).requires_grad_()
     values = torch.tensor([0, 1, np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-42, -0.0, 1 - 2**-24, 0.3])
     coordinates = torch.cartesian_prod(values, values, values).requires_grad_()
@@ -139,16 +141,14 @@ def test_borders_and_what_is_no_number_stay_within_the_table(rng: np.random.Gene
     slopes, grad_table = torch.autograd.grad(found.sum(), [coordinates, table])
     assert slopes.isfinite().all()
     assert grad_table.isfinite().all()
-    beyond = ~((coordinates >= 0) & (coordinates <= 1))
-    assert not slopes[beyond].any()
-    assert slopes[~beyond].any()
+    outside = ~((coordinates >= 0) & (coordinates <= 1))
+    assert not slopes[outside].any()
+    assert slopes[~outside].any()
 
 
-def test_result_is_the_same_for_any_number_of_threads(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Catches threads that add to one entry in the order of their luck."""
-    shape = grid()
+def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches threads that add to an entry in random order."""
+    shape = small_grid()
     inputs = (shape, points(rng, 20000), random_table(rng, shape))
     upstream = torch.from_numpy(rng.standard_normal((20000, shape.out_features)).astype(np.float32))
     found = []
@@ -159,9 +159,9 @@ def test_result_is_the_same_for_any_number_of_threads(
         assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
 
 
-def test_no_points_give_no_rows_and_zero_gradients(rng: np.random.Generator) -> None:
-    """Catches a gradient that is left uninitialised where nothing was looked up."""
-    shape = grid()
+def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
+    """Catches a gradient that is left uninitialized if there are no points."""
+    shape = small_grid()
     table = random_table(rng, shape).requires_grad_()
     found = encode_hash_grid(torch.zeros(0, 3), table, shape)
     assert found.shape == (0, shape.out_features)
@@ -170,41 +170,43 @@ def test_no_points_give_no_rows_and_zero_gradients(rng: np.random.Generator) -> 
     assert not gradient.any()
 
 
-ONE_OF_THEM = pytest.mark.parametrize(("moves", "learns"), [(True, False), (False, True)])
+ONE_GRADIENT = pytest.mark.parametrize(("needs_coordinates", "needs_table"), [(True, False), (False, True)])
 
 
-@ONE_OF_THEM
-def test_one_gradient_does_not_need_the_other(moves: bool, learns: bool, rng: np.random.Generator) -> None:
-    """Catches gradients that change places, or depend on which of them is asked for."""
-    assert_one_gradient(moves, learns, rng, torch.device("cpu"))
+@ONE_GRADIENT
+def test_one_gradient_without_the_other(needs_coordinates: bool, needs_table: bool, rng: np.random.Generator) -> None:
+    """Catches swapped gradients, and gradients that depend on which of them is required."""
+    assert_one_gradient(needs_coordinates, needs_table, rng, torch.device("cpu"))
 
 
-@ONE_OF_THEM
-def test_on_a_gpu_one_gradient_does_not_need_the_other(
-    moves: bool, learns: bool, gpu: torch.device, rng: np.random.Generator
+@ONE_GRADIENT
+def test_one_gradient_without_the_other_on_gpu(
+    needs_coordinates: bool, needs_table: bool, gpu: torch.device, rng: np.random.Generator
 ) -> None:
-    """Catches a kernel that writes the gradient nobody gave room for."""
-    assert_one_gradient(moves, learns, rng, gpu)
+    """Catches a kernel that writes a gradient without memory for it."""
+    assert_one_gradient(needs_coordinates, needs_table, rng, gpu)
 
 
-def assert_one_gradient(moves: bool, learns: bool, rng: np.random.Generator, device: torch.device) -> None:
-    shape = grid()
+def assert_one_gradient(
+    needs_coordinates: bool, needs_table: bool, rng: np.random.Generator, device: torch.device
+) -> None:
+    shape = small_grid()
     upstream = torch.from_numpy(rng.standard_normal((100, shape.out_features)).astype(np.float32)).to(device)
     coordinates, table = points(rng, 100).to(device), random_table(rng, shape).to(device)
     both = results(encode_hash_grid, shape, coordinates, table, upstream)[1:]
-    coordinates.requires_grad_(moves)
-    table.requires_grad_(learns)
+    coordinates.requires_grad_(needs_coordinates)
+    table.requires_grad_(needs_table)
     encode_hash_grid(coordinates, table, shape).backward(upstream)
-    for leaf, wanted, expected in ((coordinates, moves, both[0]), (table, learns, both[1])):
-        if wanted:
+    for leaf, needed, expected in ((coordinates, needs_coordinates, both[0]), (table, needs_table, both[1])):
+        if needed:
             assert_close([leaf.grad.cpu()], [expected])
         else:
             assert leaf.grad is None
 
 
 def test_float64_is_exact(rng: np.random.Generator) -> None:
-    """Catches doubles that are rounded on their way through a kernel of floats."""
-    shape = grid()
+    """Catches doubles that are rounded by a float32 kernel."""
+    shape = small_grid()
     table = random_table(rng, shape).double().requires_grad_()
     coordinates = torch.from_numpy(rng.uniform(0, 1, (50, 3))).requires_grad_()
     found = encode_hash_grid(coordinates, table, shape)
@@ -212,17 +214,20 @@ def test_float64_is_exact(rng: np.random.Generator) -> None:
     assert torch.equal(found, encode_hash_grid_reference(coordinates, table, shape))
 
 
-def test_operator_obeys_torch(rng: np.random.Generator) -> None:
+def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
     """Catches a fake implementation with other shapes, and a schema that hides a mutation."""
     shape = HashGridShape(levels=3, log2_entries=4, coarsest=2, finest=9)
-    for moves, learns in itertools.product((True, False), repeat=2):
-        leaves = (points(rng, 5).requires_grad_(moves), random_table(rng, shape).requires_grad_(learns))
+    for needs_coordinates, needs_table in itertools.product((True, False), repeat=2):
+        leaves = (
+            points(rng, 5).requires_grad_(needs_coordinates),
+            random_table(rng, shape).requires_grad_(needs_table),
+        )
         arguments = (*leaves, list(shape.resolutions), shape.log2_entries)
         torch.library.opcheck(torch.ops.fourd.encode_hash_grid.default, arguments)
 
 
-def test_sizes_are_the_papers() -> None:
-    """Catches a growth factor that is rounded, a finest level one cell short, and levels that overlap."""
+def test_default_sizes_equal_the_paper() -> None:
+    """Catches a rounded growth factor, a finest level one cell too small, and levels that overlap."""
     shape = HashGridShape()
     assert shape.resolutions == (16, 22, 30, 42, 58, 80, 111, 153, 212, 294, 406, 561, 776, 1072, 1482, 2048)
     assert shape.entries == (17**3, 23**3, 31**3, 43**3, 59**3, *[2**19] * 11)
@@ -247,15 +252,15 @@ def test_sizes_are_the_papers() -> None:
         ("finest", 2**20 + 1, "16 to 1048576"),
     ],
 )
-def test_wrong_sizes_are_named(field: str, value: int, expected: str) -> None:
-    """Catches sizes that only fail inside a kernel, or in memory."""
+def test_invalid_sizes_are_named(field: str, value: int, expected: str) -> None:
+    """Catches sizes that only fail inside a kernel or when memory is allocated."""
     with pytest.raises(ValueError, match=f"^{field}: expected {expected}, got {value}$"):
         HashGridShape(**{field: value})
 
 
-def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
-    """Catches arrays of other shapes that reach a kernel, which would read past them."""
-    shape = grid()
+def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
+    """Catches wrong shapes that reach a kernel, which would read past the end."""
+    shape = small_grid()
     good, table = points(rng, 5), random_table(rng, shape)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 3\), got \(5, 2\)"):
         encode_hash_grid(good[:, :2], table, shape)

@@ -1,4 +1,4 @@
-"""The K-Planes kernel against plain torch: values, gradients, hostile coordinates, threads and errors."""
+"""The K-Planes kernel against plain torch: values, gradients, extreme coordinates, threads and errors."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from fourd.ops.planes.reference import sample_planes_reference
 PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
 
-def field(rng: np.random.Generator, features: int, columns: int = 9) -> tuple[list[Tensor], list[int]]:
-    """One level of six planes with sides that differ, and one more of another resolution."""
+def random_planes(rng: np.random.Generator, features: int, columns: int = 9) -> tuple[list[Tensor], list[int]]:
+    """Six planes of different sizes, and a seventh of another resolution."""
     planes = []
     for first, second in (*PAIRS, PAIRS[0]):
         shape = (2 if second == 3 else columns + second, columns + first + len(planes), features)
@@ -32,11 +32,11 @@ def points(rng: np.random.Generator, count: int = 3000) -> Tensor:
 def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches rows and columns swapped, a corner's weight on its neighbour, and gradients beyond the border."""
+    """Catches rows and columns swapped, swapped corner weights, and gradients outside the border."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
-    planes, axes = field(rng, features)
+    planes, axes = random_planes(rng, features)
     coordinates = points(rng)
     upstream = torch.from_numpy(rng.standard_normal((len(coordinates), 7 * features)).astype(np.float32))
     results = []
@@ -50,9 +50,9 @@ def test_values_and_gradients_equal_the_reference(
 
 
 @pytest.mark.parametrize("features", [1, 8])
-def test_the_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches planes in another order, and a gradient of coordinates that one plane writes over another's."""
-    planes, axes = field(rng, features)
+def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches planes in the wrong order, and coordinate gradients that planes overwrite instead of add."""
+    planes, axes = random_planes(rng, features)
     coordinates = points(rng, 300)
     upstream = torch.from_numpy(rng.standard_normal((300, 7 * features)).astype(np.float32))
     results = []
@@ -67,8 +67,8 @@ def test_the_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a gradient that agrees with the reference's and is wrong with it."""
-    planes, axes = field(rng, 2, columns=4)
+    """Catches an error that the kernel's gradient and the reference's share."""
+    planes, axes = random_planes(rng, 2, columns=4)
     double = [plane.double() for plane in planes]
     coordinates = points(rng, 5).double()
 
@@ -85,25 +85,23 @@ def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
         torch.testing.assert_close(gradient[:, axis].double(), slope, rtol=1e-3, atol=1e-3)
 
 
-def test_borders_and_what_is_no_number_stay_within_the_planes(rng: np.random.Generator) -> None:
-    """Catches a read past the last row, and NaN that spreads to other points."""
-    planes, axes = field(rng, 8)
+def test_extreme_coordinates_stay_inside_the_planes(rng: np.random.Generator) -> None:
+    """Catches reads past the last row, and NaN that spreads to other points."""
+    planes, axes = random_planes(rng, 8)
     values = torch.tensor([-1, 1, np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-42, 0.3])
     coordinates = torch.cartesian_prod(values, values, values, values)
     leaves = [plane.clone().requires_grad_() for plane in planes]
-    moving = coordinates.clone().requires_grad_()
-    found = sample_planes(moving, leaves, axes)
+    leaf = coordinates.clone().requires_grad_()
+    found = sample_planes(leaf, leaves, axes)
     expected = sample_planes_reference(coordinates.nan_to_num(nan=-1, posinf=1, neginf=-1), planes, axes)
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)
-    for gradient in torch.autograd.grad(found.sum(), [moving, *leaves]):
+    for gradient in torch.autograd.grad(found.sum(), [leaf, *leaves]):
         assert gradient.isfinite().all()
 
 
-def test_result_is_the_same_for_any_number_of_threads(
-    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Catches threads that add to one plane in the order of their luck."""
-    planes, axes = field(rng, 8)
+def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches threads that add to a plane in random order."""
+    planes, axes = random_planes(rng, 8)
     coordinates = points(rng, 20000)
     upstream = torch.from_numpy(rng.standard_normal((20000, 56)).astype(np.float32))
     results = []
@@ -116,24 +114,25 @@ def test_result_is_the_same_for_any_number_of_threads(
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
-def test_no_points_give_no_rows_and_zero_gradients(rng: np.random.Generator) -> None:
-    """Catches a gradient that is left uninitialised where nothing was looked up."""
-    planes, axes = field(rng, 8)
+def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
+    """Catches a gradient that is left uninitialized if there are no points."""
+    planes, axes = random_planes(rng, 8)
     leaves = [plane.clone().requires_grad_() for plane in planes]
     found = sample_planes(torch.zeros(0, 4), leaves, axes)
     assert found.shape == (0, 56)
     assert all(not gradient.any() for gradient in torch.autograd.grad(found.sum(), leaves))
 
 
-def test_operator_obeys_torch(rng: np.random.Generator) -> None:
+def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
     """Catches a fake implementation with other shapes, and a schema that hides a mutation."""
-    planes, axes = field(rng, 3, columns=3)
+    planes, axes = random_planes(rng, 3, columns=3)
     leaves = [plane.requires_grad_() for plane in planes]
     torch.library.opcheck(torch.ops.fourd.sample_planes.default, (points(rng, 5).requires_grad_(), leaves, axes))
 
 
-def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
-    planes, axes = field(rng, 3)
+def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
+    """Catches wrong shapes that reach a kernel, which would read past the end."""
+    planes, axes = random_planes(rng, 3)
     good = points(rng, 5)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 4\), got \(5, 3\)"):
         sample_planes(good[:, :3], planes, axes)

@@ -1,4 +1,4 @@
-"""The CUDA kernels against the reference: on a GPU where there is one, and emulated on the CPU everywhere."""
+"""The CUDA kernels of points against the reference: on a GPU if there is one, and always emulated on the CPU."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from fourd.ops.gpu import cuda_unavailable_reason, load_gpu
 from fourd.ops.points.validation import pack_camera
 from fourd.raster import point_visibility, render_points
 from tests.ops.test_points_parity import NEAR, OUTPUTS, assert_parity, run
-from tests.raster.clouds import Cloud, random_cloud, spoilt_cloud, turned_camera
+from tests.raster.clouds import Cloud, cloud_with_invalid_points, random_cloud, turned_camera
 
 
 @pytest.mark.parametrize(("count", "size", "layers"), [(300, (41, 35), 15), (200, (16, 16), 1), (60, (3, 50), 40)])
 def test_pictures_and_gradients_equal_the_reference(
     count: int, size: tuple[int, int], layers: int, gpu: torch.device, rng: np.random.Generator
 ) -> None:
-    """Catches a pixel of another tile, a point composited out of order, lanes that leave their warp, lost sums."""
+    """Catches pixels of the wrong tile, points composited out of order, warp divergence errors, and lost sums."""
     cloud = random_cloud(rng, count, 3)
     got = run(cloud, size, "auto", 1, layers=layers, device=gpu)
     assert_parity(got, run(cloud, size, "reference", 1, layers=layers))
 
 
 @pytest.mark.parametrize("channels", [1, 2, 4, 5, 8, 9, 32])
-def test_numbers_of_channels(channels: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a stride that is right for the 4, 8 and 32 channels that kernels are made for alone."""
+def test_channel_counts(channels: int, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches a stride that is only right for the 4, 8 and 32 channels that have kernels of their own."""
     cloud = random_cloud(rng, 80, channels)
     got = run(cloud, (19, 18), "auto", 2, device=gpu)
     assert_parity(got, run(cloud, (19, 18), "reference", 2))
@@ -34,14 +34,14 @@ def test_numbers_of_channels(channels: int, gpu: torch.device, rng: np.random.Ge
 
 @pytest.mark.parametrize("outputs", [(name,) for name in OUTPUTS])
 def test_gradient_of_each_output_alone(outputs: tuple[str, ...], gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a gradient that only some outputs feed, and alpha's small ones lost in opaque places."""
+    """Catches an output that is missing in the gradient, and alpha's small gradients lost at opaque pixels."""
     cloud = random_cloud(rng, 150, 3)
     got = run(cloud, (33, 17), "auto", 3, outputs=outputs, device=gpu)
     assert_parity(got, run(cloud, (33, 17), "reference", 3, outputs=outputs))
 
 
 def test_visibility_equals_the_reference(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a weight credited to another point."""
+    """Catches a weight assigned to the wrong point."""
     cloud, camera = random_cloud(rng, 250, 1), turned_camera(40, 30)
     arrays = (cloud.xyz, cloud.radius, cloud.density)
     got = point_visibility(*(array.to(gpu) for array in arrays), camera, near=NEAR)
@@ -49,20 +49,20 @@ def test_visibility_equals_the_reference(gpu: torch.device, rng: np.random.Gener
     assert float((got.cpu() - expected).abs().max()) <= 1e-5
 
 
-def test_bad_points_change_nothing_and_get_no_gradient(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches NaN that sorts before a depth, and a culled point left with what was in memory before."""
-    cloud, sound = spoilt_cloud(rng, 200)
-    clean = Cloud(*(array[sound] for array in cloud.arrays))
+def test_invalid_points_change_nothing_and_get_no_gradient(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches NaN that is sorted before depths, and gradients of culled points left uninitialized."""
+    cloud, valid = cloud_with_invalid_points(rng, 200)
+    clean = Cloud(*(array[valid] for array in cloud.arrays))
     images, gradients = run(cloud, (40, 30), "auto", 5, device=gpu)
     expected = run(clean, (40, 30), "auto", 5, device=gpu)
     assert all(torch.equal(a, b) for a, b in zip(images, expected[0], strict=True))
     for value, wanted in zip(gradients, expected[1], strict=True):
-        assert float(value[~sound].abs().max()) == 0
-        assert float((value[sound] - wanted).abs().max()) <= 1e-5 * float(wanted.abs().max())
+        assert float(value[~valid].abs().max()) == 0
+        assert float((value[valid] - wanted).abs().max()) <= 1e-5 * float(wanted.abs().max())
 
 
 def test_weights_too_small_to_show_in_alpha(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a depth's gradient divided by a weight of 1e-42, which makes every gradient of its point NaN."""
+    """Catches a depth gradient divided by a weight of 1e-42, which makes all gradients of the point NaN."""
     cloud = random_cloud(rng, 40, 2)
     cloud.density[:] = 1e-42
     gradients = run(cloud, (30, 20), "auto", 8, device=gpu)[1]
@@ -71,8 +71,8 @@ def test_weights_too_small_to_show_in_alpha(gpu: torch.device, rng: np.random.Ge
     torch.testing.assert_close(gradients[3], expected[3], rtol=1e-4, atol=1e-4)
 
 
-def test_no_points_at_all(gpu: torch.device) -> None:
-    """Catches a kernel started on nothing, or a sort of no entries that fails."""
+def test_an_empty_cloud(gpu: torch.device) -> None:
+    """Catches a kernel launched with an empty grid, and a sort of no entries that fails."""
     cloud = Cloud(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0))
     images, gradients = run(cloud, (20, 10), "auto", 6, device=gpu)
     assert all(float(image.abs().max()) == 0 for image in images)
@@ -80,30 +80,30 @@ def test_no_points_at_all(gpu: torch.device) -> None:
 
 
 @pytest.mark.parametrize("entries", [0, 1, 700])
-def test_too_little_room_gives_the_same_picture(entries: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches entries written past their room, and tiles that lose points where there is too little of it."""
+def test_too_few_entries_give_the_same_picture(entries: int, gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches entries written past their memory, and tiles that lose points when entries do not fit."""
     cloud, camera = random_cloud(rng, 200, 3), turned_camera(50, 34)
     inputs = [array.to(gpu) for array in cloud.arrays]
     found = load_gpu(gpu)
     gradients = (torch.ones(34, 50, 3, device=gpu), torch.ones(34, 50, device=gpu), torch.ones(34, 50, device=gpu))
     pictures, sums = [], []
-    for room in (entries, 200_000):
-        # More bytes than either needs: what is written past the room for entries meets other arrays.
+    for capacity in (entries, 200_000):
+        # More bytes than needed: entries written past their memory overwrite other arrays of the workspace.
         workspace = torch.zeros(64 << 20, dtype=torch.uint8, device=gpu)
-        memory = (found.rooms, room, workspace, found.stream)
+        memory = (found.rooms, capacity, workspace, found.stream)
         out = [torch.empty(34, 50, 3, device=gpu), torch.empty(34, 50, device=gpu), torch.empty(34, 50, device=gpu)]
         found.kernels.render_points(*inputs, pack_camera(camera), 15, NEAR, 0.0, *memory, *out)
-        grown = [torch.empty_like(array) for array in inputs]
-        found.kernels.render_points_backward(*inputs, pack_camera(camera), 15, NEAR, *memory, *gradients, *grown)
+        gradient_out = [torch.empty_like(array) for array in inputs]
+        found.kernels.render_points_backward(*inputs, pack_camera(camera), 15, NEAR, *memory, *gradients, *gradient_out)
         pictures.append(out)
-        sums.append(grown)
+        sums.append(gradient_out)
     assert all(torch.equal(a, b) for a, b in zip(*pictures, strict=True))
     for value, wanted in zip(*sums, strict=True):
         assert float((value - wanted).abs().max()) <= 1e-5 * float(wanted.abs().max())
 
 
-def test_room_grows_to_what_pictures_need(gpu: torch.device) -> None:
-    """Catches a need that is never learnt, so that a scene of large points stays slow for ever."""
+def test_the_entry_estimate_grows_to_the_need_of_pictures(gpu: torch.device) -> None:
+    """Catches an estimate that never adapts, which keeps a scene of large points slow."""
     kernels = load_gpu(gpu).kernels
     rooms, camera, count = kernels.Rooms(), turned_camera(128, 128), 3000
     arrays = [torch.zeros(count, 3), torch.full((count,), 6.0), torch.full((count,), 0.5)]
@@ -121,8 +121,8 @@ def test_room_grows_to_what_pictures_need(gpu: torch.device) -> None:
     assert planned[0] < needed < planned[1] < 2 * needed
 
 
-def test_more_layers_than_a_gradient_takes_are_named(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches layers dropped in silence, or written past a thread's memory."""
+def test_too_many_layers_for_the_gradient_kernel_are_named(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches layers that are dropped silently or written past a thread's memory."""
     cloud = random_cloud(rng, 100, 3)
     message = "layers: expected at most 64 where gradients are required on a GPU, got 65; backend='reference' takes any"
     with pytest.raises(ValueError, match=message):
@@ -133,8 +133,8 @@ def test_more_layers_than_a_gradient_takes_are_named(gpu: torch.device, rng: np.
     assert float((got - expected).abs().max()) <= 1e-5
 
 
-def test_small_workspaces_and_wrong_shapes_are_refused(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches memory of another size taken as it comes: kernels would write past it."""
+def test_small_workspaces_and_wrong_shapes_are_rejected(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches memory of the wrong size, which kernels would write past."""
     found, camera = load_gpu(gpu), turned_camera(20, 10)
     inputs = [array.to(gpu) for array in random_cloud(rng, 30, 3).arrays]
     out = [torch.empty(10, 20, 3, device=gpu), torch.empty(10, 20, device=gpu), torch.empty(10, 20, device=gpu)]
@@ -151,8 +151,8 @@ def test_small_workspaces_and_wrong_shapes_are_refused(gpu: torch.device, rng: n
 
 
 @pytest.mark.skipif(not cuda_unavailable_reason() and torch.cuda.is_available(), reason="the CUDA kernels run here")
-def test_cuda_asked_for_in_vain_is_one_line(rng: np.random.Generator) -> None:
-    """Catches a traceback from within torch, or a quiet run on the CPU, where a GPU was asked for."""
+def test_missing_cuda_is_a_one_line_error(rng: np.random.Generator) -> None:
+    """Catches a traceback from torch, or a silent fallback to the CPU."""
     cloud = random_cloud(rng, 3, 3)
     expected = (
         "built without.*install CUDA's compiler nvcc" if cuda_unavailable_reason() else "expected a tensor on 'cuda'"

@@ -1,4 +1,4 @@
-"""The CPU kernel against the reference where a mean error would hide a fault: single elements, rare paths, limits."""
+"""The CPU kernel of points against the reference: single elements, rare paths and limits."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.ops.loading import load_native
 from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
 from fourd.ops.points.validation import MAX_SIDE_PX, pack_camera
 from fourd.raster import point_visibility, render_points
-from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
+from tests.raster.clouds import NAMES, Cloud, cloud_with_invalid_points, random_cloud, turned_camera
 
 NEAR = 0.01
 OUTPUTS = ("features", "alpha", "depth")
@@ -32,7 +32,7 @@ def run(
     dtype: torch.dtype = torch.float32,
     device: torch.device | None = None,
 ) -> tuple[list[Tensor], list[Tensor]]:
-    """The three images, and the gradients of a random linear function of some of them, the same for a seed."""
+    """The three images, and the gradients of a random linear function of ``outputs`` that depends on the seed."""
     free = [array.to(device, dtype, copy=True).requires_grad_() for array in cloud.arrays]
     image = render_points(
         free[0],
@@ -57,7 +57,7 @@ def run(
 
 
 def assert_parity(got: tuple[list[Tensor], list[Tensor]], wanted: tuple[list[Tensor], list[Tensor]]) -> None:
-    """1e-5 in the images; in the gradients 1e-4 of the largest of their array."""
+    """Tolerances: 1e-5 in images; in gradients 1e-4 of the array's largest."""
     for name, value, expected in zip(OUTPUTS, got[0], wanted[0], strict=True):
         assert float((value - expected).abs().max()) <= 1e-5, name
     for name, value, expected in zip(NAMES, got[1], wanted[1], strict=True):
@@ -66,24 +66,24 @@ def assert_parity(got: tuple[list[Tensor], list[Tensor]], wanted: tuple[list[Ten
 
 
 @pytest.mark.parametrize("channels", range(1, 33))
-def test_every_number_of_channels(channels: int, rng: np.random.Generator) -> None:
-    """Catches a stride that is right for the unrolled 1, 3 and 4 channels alone."""
+def test_every_channel_count(channels: int, rng: np.random.Generator) -> None:
+    """Catches a stride that is only right for the unrolled 1, 3 and 4 channels."""
     cloud = random_cloud(rng, 80, channels)
     assert_parity(run(cloud, (19, 18), "cpu", 1), run(cloud, (19, 18), "reference", 1))
 
 
 @pytest.mark.parametrize("outputs", [(name,) for name in OUTPUTS] + [("features", "alpha")])
 def test_gradient_of_each_output_alone(outputs: tuple[str, ...], rng: np.random.Generator) -> None:
-    """Catches the kernel without depth gradients going wrong, and alpha's small gradients lost in opaque places."""
+    """Catches errors in the kernel without depth gradients, and alpha's small gradients lost at opaque pixels."""
     cloud = random_cloud(rng, 300, 3)
     got = run(cloud, (41, 35), "cpu", 2, outputs=outputs)
     assert_parity(got, run(cloud, (41, 35), "reference", 2, outputs=outputs))
 
 
 def test_single_gradients_where_well_conditioned(rng: np.random.Generator) -> None:
-    """Catches an error in small gradients that the largest of the array outshines.
+    """Catches an error in small gradients that is hidden by the array's largest.
 
-    Well conditioned are those that the reference's own rounding moves by less than 1e-5 of themselves.
+    A gradient is well conditioned if the reference's own rounding changes it by less than 1e-5 of its value.
     """
     cloud = random_cloud(rng, 120, 3)
     cloud.radius[cloud.radius > 1] = 0.1
@@ -92,8 +92,8 @@ def test_single_gradients_where_well_conditioned(rng: np.random.Generator) -> No
     double = run(cloud, (60, 44), "reference", 3, dtype=torch.float64)[1]
     compared = 0
     for name, value, near_truth, truth in zip(NAMES, got, single, double, strict=True):
-        sound = ((near_truth - truth).abs() < 1e-5 * truth.abs()) & (truth.abs() > 1e-3 * truth.abs().max())
-        relative = ((value - truth).abs() / truth.abs())[sound]
+        stable = ((near_truth - truth).abs() < 1e-5 * truth.abs()) & (truth.abs() > 1e-3 * truth.abs().max())
+        relative = ((value - truth).abs() / truth.abs())[stable]
         assert bool((relative <= 1e-4).all()), f"{name}: off by {float(relative.max()):.3g} of itself"
         compared += relative.numel()
     assert compared > 100
@@ -102,7 +102,7 @@ def test_single_gradients_where_well_conditioned(rng: np.random.Generator) -> No
 def test_instruction_sets_and_threads_give_the_same_bits(
     rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a run that differs from itself on another machine, or with another number of threads."""
+    """Catches results that depend on the machine or on the number of threads."""
     cloud = random_cloud(rng, 900, 5)
     available = [name for name in SIMD if load_native().simd_available(name)]
     results = []
@@ -110,41 +110,41 @@ def test_instruction_sets_and_threads_give_the_same_bits(
         monkeypatch.setenv("FOURD_SIMD", simd)
         for threads in (1, 2, 3, 7):
             images, gradients = run(cloud, (70, 51), "cpu", 4, threads=threads)
-            seen = point_visibility(
+            visibility = point_visibility(
                 cloud.xyz, cloud.radius, cloud.density, turned_camera(70, 51), near=NEAR, threads=threads
             )
-            results.append([*images, *gradients, seen])
+            results.append([*images, *gradients, visibility])
     for result in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(result, results[0], strict=True))
 
 
-def test_an_instruction_set_that_is_none_is_named(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a misspelt FOURD_SIMD that is quietly ignored."""
+def test_an_unknown_instruction_set_is_named(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a misspelt FOURD_SIMD that is silently ignored."""
     monkeypatch.setenv("FOURD_SIMD", "avx1024")
     with pytest.raises(ValueError, match=r"FOURD_SIMD: expected baseline, avx2 or avx512.*got avx1024"):
         run(random_cloud(rng, 3, 3), (8, 8), "cpu", 0)
 
 
-def test_a_thread_count_that_is_none_is_named(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches FOURD_THREADS=0 or words taken for a number."""
+def test_an_invalid_thread_count_is_named(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches FOURD_THREADS that is not a number and is ignored."""
     monkeypatch.setenv("FOURD_THREADS", "two")
     with pytest.raises(ValueError, match="FOURD_THREADS: expected a whole number of at least 1, got 'two'"):
         run(random_cloud(rng, 3, 3), (8, 8), "cpu", 0)
 
 
-def test_bad_points_get_no_gradient_and_change_no_other(rng: np.random.Generator) -> None:
-    """Catches a NaN that leaves the image clean but spreads in the gradients."""
-    cloud, sound = spoilt_cloud(rng, 300)
-    clean = Cloud(*(array[sound] for array in cloud.arrays))
+def test_invalid_points_get_no_gradient_and_change_no_other(rng: np.random.Generator) -> None:
+    """Catches NaN that spares the image but spreads in the gradients."""
+    cloud, valid = cloud_with_invalid_points(rng, 300)
+    clean = Cloud(*(array[valid] for array in cloud.arrays))
     for backend in ("cpu", "reference"):
-        moved, expected = run(cloud, (40, 30), backend, 5)[1], run(clean, (40, 30), backend, 5)[1]
-        for value, wanted in zip(moved, expected, strict=True):
-            assert float(value[~sound].abs().max()) == 0
-            assert float((value[sound] - wanted).abs().max()) <= 1e-5 * float(wanted.abs().max())
+        gradients, expected = run(cloud, (40, 30), backend, 5)[1], run(clean, (40, 30), backend, 5)[1]
+        for value, wanted in zip(gradients, expected, strict=True):
+            assert float(value[~valid].abs().max()) == 0
+            assert float((value[valid] - wanted).abs().max()) <= 1e-5 * float(wanted.abs().max())
 
 
 def test_a_feature_that_is_not_finite_stays_in_its_pixels() -> None:
-    """Catches NaN times a weight of 0: a point that spoils its whole row of a tile."""
+    """Catches NaN times a weight of 0, which spreads to a whole row of a tile."""
     xyz = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     features = torch.tensor([[float("nan")], [1.0]])
     camera = turned_camera(32, 32)
@@ -157,8 +157,8 @@ def test_a_feature_that_is_not_finite_stays_in_its_pixels() -> None:
         assert torch.equal(torch.isnan(out.features[..., 0]), alone.alpha > 0)
 
 
-def test_views_that_are_not_dense(rng: np.random.Generator) -> None:
-    """Catches a kernel that reads a strided tensor as if it were dense."""
+def test_tensors_that_are_not_contiguous(rng: np.random.Generator) -> None:
+    """Catches a kernel that reads a strided tensor as if it were contiguous."""
     cloud = random_cloud(rng, 120, 3)
     strided = Cloud(
         cloud.xyz.t().contiguous().t(),
@@ -166,17 +166,19 @@ def test_views_that_are_not_dense(rng: np.random.Generator) -> None:
         torch.stack([cloud.radius, cloud.radius], 1)[:, 0],
         cloud.density.expand(2, -1)[1],
     )
-    dense = Cloud(*(array.contiguous() for array in strided.arrays))
+    compact = Cloud(*(array.contiguous() for array in strided.arrays))
     camera = turned_camera(33, 29)
-    got, wanted = (render_points(*each.arrays, camera, near=NEAR, backend="cpu").features for each in (strided, dense))
+    got, wanted = (
+        render_points(*each.arrays, camera, near=NEAR, backend="cpu").features for each in (strided, compact)
+    )
     assert torch.equal(got, wanted)
-    turned = render_points_numpy(*(array.numpy() for array in strided.arrays), camera, near=NEAR)
-    assert np.array_equal(turned[0], wanted.numpy())
+    from_numpy = render_points_numpy(*(array.numpy() for array in strided.arrays), camera, near=NEAR)
+    assert np.array_equal(from_numpy[0], wanted.numpy())
 
 
 @pytest.mark.parametrize("whole_image", [False, True])
 def test_background_gradients_equal_reference(whole_image: bool, rng: np.random.Generator) -> None:
-    """Catches a background whose share of the points' gradients, through alpha, is lost."""
+    """Catches a background that is ignored in the points' gradients through alpha."""
     cloud, camera = random_cloud(rng, 150, 3), turned_camera(29, 22)
     background = torch.from_numpy(rng.uniform(0, 1, (22, 29, 3) if whole_image else 3).astype(np.float32))
     weights = torch.from_numpy(rng.normal(size=(22, 29, 3)).astype(np.float32))
@@ -195,8 +197,8 @@ def test_background_gradients_equal_reference(whole_image: bool, rng: np.random.
     assert np.allclose(flat, results[0][0].detach().numpy(), atol=1e-6)
 
 
-def test_ending_pixels_early_costs_at_most_the_light_that_is_left(rng: np.random.Generator) -> None:
-    """Catches an early end that drops more than it may, and one that training would get wrong gradients from."""
+def test_early_termination_errs_by_at_most_the_transmittance(rng: np.random.Generator) -> None:
+    """Catches early termination that drops too much, or that is used in training, with wrong gradients."""
     cloud, camera = random_cloud(rng, 600, 3), turned_camera(50, 41)
     exact = render_points(*cloud.arrays, camera, near=NEAR)
     early = render_points(*cloud.arrays, camera, near=NEAR, transmittance_min=1e-2)
@@ -206,8 +208,8 @@ def test_ending_pixels_early_costs_at_most_the_light_that_is_left(rng: np.random
         render_points(free[0], free[1], free[2], free[3], camera, transmittance_min=1e-2)
 
 
-def test_custom_ops_of_gradient_and_visibility(rng: np.random.Generator) -> None:
-    """Catches a fake implementation whose shapes or strides torch.compile would trip over."""
+def test_gradient_and_visibility_operators_pass_opcheck(rng: np.random.Generator) -> None:
+    """Catches a fake implementation whose shapes or strides would break torch.compile."""
     from fourd.ops.points import op as ops
 
     cloud, numbers = random_cloud(rng, 20, 2), pack_camera(turned_camera(18, 11))
@@ -218,8 +220,8 @@ def test_custom_ops_of_gradient_and_visibility(rng: np.random.Generator) -> None
     torch.library.opcheck(ops.visibility, sizes)
 
 
-def test_gradients_survive_pictures_rendered_in_between(rng: np.random.Generator) -> None:
-    """Catches a gradient taken from the points of the last picture and not of its own."""
+def test_gradients_do_not_depend_on_pictures_rendered_in_between(rng: np.random.Generator) -> None:
+    """Catches a gradient computed from the points of the last picture instead of its own."""
     first, second = random_cloud(rng, 400, 3), random_cloud(rng, 500, 4)
     alone = run(first, (40, 30), "cpu", 5)[1]
     leaves = [[array.clone().requires_grad_() for array in cloud.arrays] for cloud in (first, second)]
@@ -237,8 +239,8 @@ def test_gradients_survive_pictures_rendered_in_between(rng: np.random.Generator
     assert all(torch.equal(a, b) for a, b in zip(alone, run(first, (40, 30), "cpu", 5)[1], strict=True))
 
 
-def test_no_points_at_all() -> None:
-    """Catches an empty array that is read, or an empty frame that stops a render."""
+def test_an_empty_cloud() -> None:
+    """Catches reads from an empty array, and an empty frame that fails to render."""
     cloud = Cloud(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0))
     images, gradients = run(cloud, (20, 10), "cpu", 6)
     assert all(float(image.abs().max()) == 0 for image in images)
@@ -249,8 +251,8 @@ def test_no_points_at_all() -> None:
     assert point_visibility_numpy(arrays[0], arrays[2], arrays[3], camera).shape == (0,)
 
 
-def test_an_image_of_more_tiles_than_are_counted(rng: np.random.Generator) -> None:
-    """Catches a tile count beyond 32 bits, which would write past an array: visibility holds no image to stop it."""
+def test_an_image_with_too_many_tiles_is_rejected(rng: np.random.Generator) -> None:
+    """Catches a tile count beyond 32 bits, which would write past an array."""
     cloud = random_cloud(rng, 3, 1)
     camera = replace(turned_camera(8, 8), width=MAX_SIDE_PX + 1)
     with pytest.raises(ValueError, match=f"camera: expected sides of at most {MAX_SIDE_PX} pixels, got"):
@@ -263,7 +265,7 @@ def test_an_image_of_more_tiles_than_are_counted(rng: np.random.Generator) -> No
 
 
 def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
-    """Catches a caller that skips the checks in Python and makes the kernel read past an array."""
+    """Catches a caller that bypasses the checks in Python and makes the kernel read past an array."""
     cloud, camera = random_cloud(rng, 5, 3), turned_camera(8, 6)
     image = [np.empty((6, 8, 3), np.float32), np.empty((6, 8), np.float32), np.empty((6, 7), np.float32)]
     arrays = [array.numpy() for array in cloud.arrays]
@@ -274,17 +276,17 @@ def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
         load_native().render_points(*short, pack_camera(camera), 4, NEAR, 0.0, 1, "", *image)
 
 
-def test_arguments_of_the_wrong_kind_are_named() -> None:
-    """Catches an AttributeError from deep inside in place of the argument's name."""
+def test_arguments_of_the_wrong_type_are_named() -> None:
+    """Catches an internal AttributeError instead of an error that names the argument."""
     camera = turned_camera(8, 8)
     arrays = [torch.zeros(5, 3), torch.zeros(5, 3), torch.ones(5), torch.ones(5)]
     with pytest.raises(TypeError, match=r"xyz: expected a torch.Tensor, got ndarray"):
         render_points(arrays[0].numpy(), *arrays[1:], camera)
     with pytest.raises(TypeError, match=r"camera: expected a fourd.cameras.Camera, got int"):
         render_points(*arrays, 3)
-    bent = replace(camera, distortion=np.array([0.1, 0, 0, 0]))
+    distorted = replace(camera, distortion=np.array([0.1, 0, 0, 0]))
     with pytest.raises(ValueError, match=r"camera: expected an ideal pinhole.*undistort"):
-        render_points(*arrays, bent)
+        render_points(*arrays, distorted)
     with pytest.raises(ValueError, match=r"transmittance_min: expected 0 or more and below 1, got 1"):
         render_points(*arrays, camera, transmittance_min=1.0)
     with pytest.raises(ValueError, match=r"background: expected shape \(3,\) or \(8, 8, 3\), got \(2,\)"):

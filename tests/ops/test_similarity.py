@@ -1,4 +1,4 @@
-"""The similarity kernel against the metric in plain torch."""
+"""The structural similarity kernel against plain torch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fourd.ops.similarity.reference import structural_similarity_reference
 
 
 def pictures(rng: np.random.Generator, height: int, width: int, channels: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """A smooth picture with flat parts, and the same with noise."""
+    """A picture with noise, and the smooth picture with flat parts that it comes from."""
     rows, columns = np.mgrid[:height, :width] / 9.0
     smooth = 0.5 + 0.4 * np.sin(rows)[..., None] * np.cos(columns[..., None] + np.arange(channels))
     smooth[: height // 3] = 0.0
@@ -22,10 +22,10 @@ def pictures(rng: np.random.Generator, height: int, width: int, channels: int) -
 
 @pytest.mark.parametrize("simd", ["baseline", "avx2"])
 @pytest.mark.parametrize("shape", [(11, 11, 3), (12, 40, 1), (53, 37, 3), (90, 64, 4)])
-def test_value_and_gradient_equal_the_metric(
+def test_value_and_gradient_equal_the_reference(
     shape: tuple[int, int, int], simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a window off by one at a border, a slope's sign, and channels that mix."""
+    """Catches a window off by one at a border, a wrong sign in the gradient, and channels that mix."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -39,8 +39,8 @@ def test_value_and_gradient_equal_the_metric(
     assert float((found - truth).abs().max()) <= 1e-3 * float(truth.abs().max())
 
 
-def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches sums in the order in which threads end: a run could not be resumed bit by bit."""
+def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches sums in the order in which threads finish: a resumed run would not repeat its bits."""
     noisy, smooth = pictures(rng, 150, 70, 3)
     results = []
     for threads in ("1", "2", "7"):
@@ -49,8 +49,8 @@ def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator, mon
     assert all(torch.equal(a, b) for result in results[1:] for a, b in zip(result, results[0], strict=True))
 
 
-def test_what_the_kernel_does_not_take_is_still_right(rng: np.random.Generator) -> None:
-    """Catches a target's gradient that is lost, and pictures smaller than the window."""
+def test_inputs_without_a_kernel_use_the_reference(rng: np.random.Generator) -> None:
+    """Catches a lost gradient of the target, and pictures smaller than the window."""
     noisy, smooth = pictures(rng, 20, 20, 3)
     target = smooth.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(structural_similarity(noisy, target), target)
@@ -62,7 +62,8 @@ def test_what_the_kernel_does_not_take_is_still_right(rng: np.random.Generator) 
         structural_similarity(noisy[:5], smooth[:5])
 
 
-def test_the_operator_keeps_torch_s_rules(rng: np.random.Generator) -> None:
+def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
+    """Catches a fake implementation with other shapes, and a schema that hides a mutation."""
     noisy, smooth = pictures(rng, 14, 13, 2)
-    for wanted in (True, False):
-        torch.library.opcheck(_similarity, (noisy, smooth, wanted))
+    for with_gradient in (True, False):
+        torch.library.opcheck(_similarity, (noisy, smooth, with_gradient))

@@ -1,4 +1,4 @@
-"""The CPU kernel against the reference, and the reference against finite differences."""
+"""The CPU renderer against the reference, and the reference against finite differences."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fourd.cameras import Camera
 from fourd.ops.loading import load_native
 from fourd.ops.points.arrays import point_visibility_numpy, render_points_numpy
 from fourd.raster import point_visibility, render_points
-from tests.raster.clouds import NAMES, Cloud, random_cloud, spoilt_cloud, turned_camera
+from tests.raster.clouds import NAMES, Cloud, cloud_with_invalid_points, random_cloud, turned_camera
 
 NEAR = 0.01
 SIMD = ("baseline", "avx2", "avx512")
@@ -25,7 +25,7 @@ def render(cloud: Cloud, camera: Camera, layers: int, backend: str, **more: obje
 def gradients(
     cloud: Cloud, camera: Camera, layers: int, backend: str, weights: tuple[Tensor, ...], **more: object
 ) -> list[Tensor]:
-    """Of a random linear function of all three outputs."""
+    """Gradients of a linear function of all three outputs."""
     free = [array.clone().requires_grad_() for array in cloud.arrays]
     out = render(Cloud(*free), camera, layers, backend, **more)
     total = sum((part * weight).sum() for part, weight in zip(out, weights, strict=True))
@@ -39,7 +39,7 @@ def output_weights(rng: np.random.Generator, camera: Camera, channels: int) -> t
 
 
 def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
-    """To 1e-4 of the array's largest gradient, which is the scale that rounding of its sums has."""
+    """Tolerance: 1e-4 of the array's largest gradient, the scale of rounding errors in its sums."""
     for name, value, wanted in zip(NAMES, got, expected, strict=True):
         scale = float(wanted.abs().max()) if wanted.numel() else 0.0
         worst = float((value - wanted).abs().max()) if wanted.numel() else 0.0
@@ -64,7 +64,7 @@ def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
 def test_kernel_equals_reference(
     count: int, size: tuple[int, int], layers: int, channels: int, rng: np.random.Generator
 ) -> None:
-    """Catches a point missed at a tile's border, ties in another order, a layer too many, a wrong derivative."""
+    """Catches a point lost at a tile's border, ties in another order, one layer too many, a wrong derivative."""
     camera = turned_camera(*size)
     cloud = random_cloud(rng, count, channels)
     for got, expected in zip(
@@ -78,8 +78,10 @@ def test_kernel_equals_reference(
 
 
 @pytest.mark.parametrize("simd", SIMD)
-def test_every_instruction_set(simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a vector path that is wrong on machines other than the developer's."""
+def test_every_instruction_set_equals_the_reference(
+    simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a SIMD path that is wrong on other machines than the developer's."""
     monkeypatch.setenv("FOURD_SIMD", simd)
     camera = turned_camera(45, 38)
     cloud = random_cloud(rng, 500, 3)
@@ -93,21 +95,21 @@ def test_every_instruction_set(simd: str, rng: np.random.Generator, monkeypatch:
     assert_gradients_agree(got_gradients, gradients(cloud, camera, 15, "reference", weights))
 
 
-def test_the_same_bits_for_any_number_of_threads(rng: np.random.Generator) -> None:
-    """Catches sums whose order depends on scheduling: training could not be repeated."""
+def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator) -> None:
+    """Catches sums whose order depends on scheduling: training would not be reproducible."""
     camera = turned_camera(70, 51)
     cloud = random_cloud(rng, 1500, 3)
     weights = output_weights(rng, camera, 3)
     images = [render(cloud, camera, 15, "cpu", threads=threads) for threads in (1, 2, 3, 7)]
-    moved = [gradients(cloud, camera, 15, "cpu", weights, threads=threads) for threads in (1, 2, 3, 7)]
+    repeated = [gradients(cloud, camera, 15, "cpu", weights, threads=threads) for threads in (1, 2, 3, 7)]
     for image in images[1:]:
         assert all(torch.equal(a, b) for a, b in zip(image, images[0], strict=True))
-    for gradient in moved[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(gradient, moved[0], strict=True))
+    for gradient in repeated[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(gradient, repeated[0], strict=True))
 
 
 def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a derivative that autograd misses in the reference itself, since all else is held to it."""
+    """Catches a derivative that is missing in the reference itself."""
     camera = turned_camera(9, 7)
     cloud = random_cloud(rng, 14, 2)
     cloud = Cloud(
@@ -119,39 +121,39 @@ def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) 
     weights = tuple(weight.double() for weight in output_weights(rng, camera, 2))
     exact = gradients(cloud, camera, 15, "reference", weights)
     step = 1e-6
-    for place, (array, gradient) in enumerate(zip(cloud.arrays, exact, strict=True)):
+    for argument, (array, gradient) in enumerate(zip(cloud.arrays, exact, strict=True)):
         numeric = torch.zeros_like(array)
-        for at in np.ndindex(*array.shape):
+        for index in np.ndindex(*array.shape):
             values = []
             for sign in (1, -1):
-                moved = [other.clone() for other in cloud.arrays]
-                moved[place][at] += sign * step
-                out = render(Cloud(*moved), camera, 15, "reference")
+                shifted = [other.clone() for other in cloud.arrays]
+                shifted[argument][index] += sign * step
+                out = render(Cloud(*shifted), camera, 15, "reference")
                 values.append(sum(float((part * weight).sum()) for part, weight in zip(out, weights, strict=True)))
-            numeric[at] = (values[0] - values[1]) / (2 * step)
-        # A disc's rim that crosses a pixel centre within the step bends the function: those are few.
+            numeric[index] = (values[0] - values[1]) / (2 * step)
+        # The derivative jumps where a disc's rim crosses a pixel centre within the step: those are few.
         close = (numeric - gradient).abs() <= 1e-5 * (1 + gradient.abs())
         assert float(close.double().mean()) > 0.97
 
 
-def test_bad_points_are_culled_and_spread_nowhere(rng: np.random.Generator) -> None:
-    """Catches one NaN that blackens a tile, or that reaches the gradients of its neighbours."""
+def test_invalid_points_are_culled(rng: np.random.Generator) -> None:
+    """Catches a NaN that spreads to a tile or to the gradients of its neighbours."""
     camera = turned_camera(40, 30)
-    cloud, sound = spoilt_cloud(rng, 300)
-    clean = Cloud(*(array[sound] for array in cloud.arrays))
+    cloud, valid = cloud_with_invalid_points(rng, 300)
+    clean = Cloud(*(array[valid] for array in cloud.arrays))
     weights = output_weights(rng, camera, 3)
     for backend in ("cpu", "reference"):
         image, expected = render(cloud, camera, 15, backend), render(clean, camera, 15, backend)
         for got, wanted in zip(image, expected, strict=True):
             assert torch.isfinite(got).all()
             assert float((got - wanted).abs().max()) <= 1e-6
-    moved = gradients(cloud, camera, 15, "cpu", weights)
-    assert all(torch.isfinite(gradient).all() for gradient in moved)
-    assert all(float(gradient[~sound].abs().max()) == 0 for gradient in moved)
+    found = gradients(cloud, camera, 15, "cpu", weights)
+    assert all(torch.isfinite(gradient).all() for gradient in found)
+    assert all(float(gradient[~valid].abs().max()) == 0 for gradient in found)
 
 
-def test_a_single_point_by_hand() -> None:
-    """Catches a half-pixel shift: a disc of 2 pixels on the centre of pixel (row 4, column 6)."""
+def test_a_single_point_has_the_expected_pixels() -> None:
+    """Catches a half-pixel shift: a disc of radius 2 pixels is centred on pixel (row 4, column 6)."""
     intrinsics = np.array([[10.0, 0, 6.5], [0, 10, 4.5], [0, 0, 1]])
     camera = Camera(intrinsics, np.eye(3), np.zeros(3), 12, 9)
     one = torch.ones(1)
@@ -164,7 +166,7 @@ def test_a_single_point_by_hand() -> None:
 
 
 def test_background_and_its_gradient(rng: np.random.Generator) -> None:
-    """Catches a background that is added in full, or that gets no gradient."""
+    """Catches a background that is added without the factor 1 - alpha, or that gets no gradient."""
     camera = turned_camera(30, 20)
     cloud = random_cloud(rng, 100, 3)
     background = torch.rand(3, requires_grad=True)
@@ -176,8 +178,8 @@ def test_background_and_its_gradient(rng: np.random.Generator) -> None:
     assert torch.allclose(background.grad, (1 - plain.alpha).sum().expand(3), rtol=1e-4)
 
 
-def test_numpy_entry_equals_torch_entry(rng: np.random.Generator) -> None:
-    """Catches an entry point for scenes that drifts from the one that they were trained with."""
+def test_numpy_renderer_equals_torch_renderer(rng: np.random.Generator) -> None:
+    """Catches scenes that are played differently from how they are trained."""
     camera = turned_camera(50, 34)
     cloud = random_cloud(rng, 400, 3)
     arrays = [array.numpy() for array in cloud.arrays]
@@ -185,13 +187,13 @@ def test_numpy_entry_equals_torch_entry(rng: np.random.Generator) -> None:
         render_points_numpy(*arrays, camera, layers=12, near=NEAR), render(cloud, camera, 12, "cpu"), strict=True
     ):
         assert np.array_equal(got, expected.numpy())
-    seen = point_visibility_numpy(arrays[0], arrays[2], arrays[3], camera, layers=12, near=NEAR)
+    visibility = point_visibility_numpy(arrays[0], arrays[2], arrays[3], camera, layers=12, near=NEAR)
     expected = point_visibility(cloud.xyz, cloud.radius, cloud.density, camera, layers=12, near=NEAR)
-    assert np.array_equal(seen, expected.numpy())
+    assert np.array_equal(visibility, expected.numpy())
 
 
-def test_visibility_equals_reference(rng: np.random.Generator) -> None:
-    """Catches points that are called hidden though a pixel shows them."""
+def test_visibility_equals_the_reference(rng: np.random.Generator) -> None:
+    """Catches points with a visibility of 0 that some pixel shows."""
     camera = turned_camera(50, 34)
     cloud = random_cloud(rng, 500, 1)
     values = [
@@ -201,15 +203,15 @@ def test_visibility_equals_reference(rng: np.random.Generator) -> None:
     assert float((values[0] - values[1]).abs().max()) <= 1e-5
 
 
-def test_custom_ops_keep_torch_s_rules(rng: np.random.Generator) -> None:
-    """Catches an op that torch.compile or autograd would take wrongly: shapes, mutation, registration."""
-    from fourd.ops.points import op as native
+def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
+    """Catches a fake implementation with other shapes, a hidden mutation, and a missing autograd registration."""
+    from fourd.ops.points import op
     from fourd.ops.points.validation import pack_camera
 
     camera = turned_camera(20, 14)
     cloud = random_cloud(rng, 30, 3)
     free = [array.clone().requires_grad_() for array in cloud.arrays]
-    torch.library.opcheck(native.render, (*free, pack_camera(camera), 20, 14, 15, NEAR, 0.0, 1))
+    torch.library.opcheck(op.render, (*free, pack_camera(camera), 20, 14, 15, NEAR, 0.0, 1))
 
 
 @pytest.mark.parametrize(
@@ -227,8 +229,8 @@ def test_custom_ops_keep_torch_s_rules(rng: np.random.Generator) -> None:
         ({"threads": -2}, r"threads: expected 0"),
     ],
 )
-def test_wrong_arguments_are_named(change: dict[str, object], message: str) -> None:
-    """Catches an out-of-bounds read in C++ that a shape check should have stopped."""
+def test_invalid_arguments_are_named(change: dict[str, object], message: str) -> None:
+    """Catches wrong shapes and ranges that reach the kernel, which would read out of bounds."""
     arguments: dict[str, object] = {
         "xyz": torch.zeros(5, 3),
         "features": torch.zeros(5, 3),
