@@ -6,6 +6,7 @@ import importlib
 import re
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +19,8 @@ PAGES = [
 ]
 TOP = ("fourd", "viewer", "csrc", "configs", "examples", "tools", "tests", "docs")
 PATH = re.compile(rf"`((?:{'|'.join(TOP)})/[\w./-]*)`")
+DEFINITION = re.compile(r"`((?:fourd|viewer|tools)/[\w/]+\.py)`, ((?:`[\w.]+`(?:, | and )?)+)")
+"""A file and names that it defines: `fourd/a.py`, `function` and `Class.method`."""
 NAME = re.compile(r"`(fourd(?:\.\w+)+)(?:\(\))?`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
@@ -27,7 +30,7 @@ GENERATED = {"docs/contributing.md", "docs/changelog.md", "docs/reference/cli.md
 """Pages that exist only in the built site."""
 
 
-def mentions(pattern: re.Pattern[str]) -> list[tuple[str, str]]:
+def mentions(pattern: re.Pattern[str]) -> list[tuple[str, Any]]:
     """Page and mention, for every match outside fenced blocks."""
     found = set()
     for page in PAGES:
@@ -42,6 +45,15 @@ def test_a_named_file_exists(page: str, path: str) -> None:
     if not PLACEHOLDER.search(path):
         actual = path.replace("fourd/viewer", "viewer")  # installed as fourd.viewer
         assert (ROOT / actual).exists(), f"{page} names {path}"
+
+
+@pytest.mark.parametrize(("page", "mention"), mentions(DEFINITION))
+def test_a_named_file_defines_what_the_page_names(page: str, mention: tuple[str, str]) -> None:
+    """Catches a function or class that was renamed or moved to another file."""
+    path, names = mention
+    source = (ROOT / path).read_text(encoding="utf-8")
+    for name in re.findall(r"\w+", names.replace("`", " ").replace(" and ", " ")):
+        assert re.search(rf"(?:def|class) {name}\b", source), f"{page}: {path} does not define {name}"
 
 
 @pytest.mark.parametrize(("page", "name"), mentions(NAME))
