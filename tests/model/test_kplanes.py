@@ -1,4 +1,4 @@
-"""K-Planes against a plain bilinear lookup, and its switches."""
+"""K-Planes against bilinear interpolation in NumPy, and its switches."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def small(reduction: str = "concat", time: bool = True) -> KPlanes:
 
 
 @pytest.mark.parametrize("reduction", ["concat", "sum", "product"])
-def test_lookup_equals_plain_bilinear_interpolation(reduction: str, rng: np.random.Generator) -> None:
-    """Catches swapped axes of a plane, half-cell shifts, and planes joined in the wrong order."""
+def test_lookup_equals_bilinear_interpolation(reduction: str, rng: np.random.Generator) -> None:
+    """Catches swapped axes of a plane, half-cell shifts, and planes concatenated in the wrong order."""
     field = small(reduction)
     points = rng.uniform(-1, 1, (7, 4)).astype(np.float32)
     found = field(torch.from_numpy(points)).detach().numpy()
@@ -40,19 +40,19 @@ def test_lookup_equals_plain_bilinear_interpolation(reduction: str, rng: np.rand
             for i, (first, second) in enumerate(field.pairs):
                 plane = field.planes[level * 6 + i].detach().numpy().transpose(2, 0, 1)
                 samples.append(bilinear(plane, point[first], point[second]))
-            joined = {"concat": np.concatenate, "sum": sum, "product": lambda s: np.prod(s, axis=0)}[reduction]
-            expected.append(joined(samples))
+            reduced = {"concat": np.concatenate, "sum": sum, "product": lambda s: np.prod(s, axis=0)}[reduction]
+            expected.append(reduced(samples))
         np.testing.assert_allclose(row, np.concatenate(expected), atol=1e-5)
 
 
-def test_out_features_tells_the_width() -> None:
+def test_out_features_is_the_width() -> None:
     for reduction in ("concat", "sum", "product"):
         field = small(reduction)
         assert field(torch.zeros(2, 4)).shape == (2, field.out_features)
 
 
 def test_time_changes_features_only_with_time_planes() -> None:
-    """Catches a time switch that is read but does nothing."""
+    """Catches a time switch without effect."""
 
     def difference(field: KPlanes) -> Tensor:
         early = torch.tensor([[0.1, 0.2, 0.3, -1.0]])
@@ -63,26 +63,26 @@ def test_time_changes_features_only_with_time_planes() -> None:
     assert difference(small(time=False)) == 0
 
 
-def test_points_outside_take_the_border() -> None:
+def test_points_outside_are_clamped_to_the_border() -> None:
     field = small()
     inside = field(torch.tensor([[1.0, -1.0, 1.0, 1.0]]))
     outside = field(torch.tensor([[3.0, -9.0, 1.5, 1.0]]))
     torch.testing.assert_close(inside, outside)
 
 
-def test_gradients_are_those_of_finite_differences() -> None:
+def test_gradients_equal_finite_differences() -> None:
     field = small().double()
     points = torch.rand(5, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(3)) * 1.8 - 0.9
     assert torch.autograd.gradcheck(field, (points.requires_grad_(),))
 
 
-def test_one_frame_has_usable_time_planes() -> None:
-    """Catches a division by zero rows when the capture has a single frame."""
+def test_one_frame_has_valid_time_planes() -> None:
+    """Catches a division by zero for a single frame."""
     field = KPlanes(PlanesConfig(levels=1), (1.0, 1.0, 1.0), frame_count=1)
     assert torch.isfinite(field(torch.zeros(1, 4))).all()
 
 
-def test_the_longest_side_gets_the_resolution() -> None:
+def test_the_longest_side_gets_the_full_resolution() -> None:
     field = KPlanes(PlanesConfig(levels=1, base_resolution=64), (2.0, 1.0, 0.5), frame_count=10)
     assert [tuple(plane.shape[:2]) for plane in field.planes] == [
         (32, 64), (16, 64), (16, 32), (10, 64), (10, 32), (10, 16),

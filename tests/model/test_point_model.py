@@ -1,4 +1,4 @@
-"""The point model: its parts against plain formulas, and every ablation switch."""
+"""The point model: its parts against explicit formulas, and every ablation switch."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def model(config: ModelConfig) -> PointModel:
 
 
 def test_sh_basis_is_orthonormal() -> None:
-    """Catches a wrong constant or a swapped term: the sphere's mean of Y Y^T times 4 pi is the identity."""
+    """Catches a wrong constant or a swapped term: the mean of Y Y^T over the sphere times 4 pi is the identity."""
     u, phi = np.meshgrid((np.arange(400) + 0.5) / 200 - 1, (np.arange(400) + 0.5) * np.pi / 200)
     ring_radius = np.sqrt(1 - u**2)
     directions = np.stack([ring_radius * np.cos(phi), ring_radius * np.sin(phi), u], axis=-1).reshape(-1, 3)
@@ -50,8 +50,8 @@ def test_sh_basis_is_orthonormal() -> None:
     torch.testing.assert_close(gram, torch.eye(16, dtype=torch.float64), atol=1e-3, rtol=0)
 
 
-def test_projection_equals_the_camera_type() -> None:
-    """Catches a transposed rotation in the batched projection."""
+def test_batched_projection_equals_camera_project() -> None:
+    """Catches a transposed rotation."""
     cameras = ring(3)
     pixels, depth = project_points(points(), cameras)
     for i, camera in enumerate(cameras):
@@ -60,8 +60,8 @@ def test_projection_equals_the_camera_type() -> None:
         np.testing.assert_allclose(depth[i].numpy(), expected_depth, atol=1e-5)
 
 
-def test_samples_are_the_pixels_under_the_points() -> None:
-    """Catches a half-pixel shift: a point at a pixel's centre must get exactly that pixel."""
+def test_samples_are_the_pixels_at_the_points() -> None:
+    """Catches a half-pixel shift: a point at a pixel's centre gets exactly that pixel."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     images = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1))
     row, column = 9, 20
@@ -71,60 +71,60 @@ def test_samples_are_the_pixels_under_the_points() -> None:
     torch.testing.assert_close(samples.colours[0, 0], images[0, :, row, column], atol=1e-5, rtol=0)
 
 
-def test_hidden_points_and_background_are_not_trusted() -> None:
-    """Catches occlusion or matte being ignored, and points behind the camera being sampled."""
+def test_occluded_points_and_background_have_no_visibility() -> None:
+    """Catches ignored occlusion or matte, and sampled points behind the camera."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     matte = torch.ones(1, 32, 32)
     matte[:, :, :16] = 0
     depth = torch.full((1, 32, 32), 2.0)
     sources = SourceViews(torch.rand(1, 3, 32, 32), matte, depth, (camera,))
     xyz = torch.tensor([[0.1, 0, 2.0], [0.1, 0, 3.0], [-0.2, 0, 2.0], [0.1, 0, -2.0]])
-    trust = sample_sources(xyz, sources, None, torch.full((len(xyz),), 0.01)).visibility[0]
-    torch.testing.assert_close(trust, torch.tensor([1.0, 0, 0, 0]), atol=1e-4, rtol=0)
+    visibility = sample_sources(xyz, sources, None, torch.full((len(xyz),), 0.01)).visibility[0]
+    torch.testing.assert_close(visibility, torch.tensor([1.0, 0, 0, 0]), atol=1e-4, rtol=0)
 
 
-def test_blend_is_a_softmax_over_trusted_views() -> None:
+def test_blend_is_a_softmax_over_visible_views() -> None:
     logits = torch.tensor([[0.0], [0.0], [3.0]])
     colours = torch.tensor([[[1.0, 0, 0]], [[0, 1.0, 0]], [[0, 0, 1.0]]])
     mixed = blend(logits, torch.tensor([[1.0], [1.0], [0.0]]), colours)
     torch.testing.assert_close(mixed, torch.tensor([[0.5, 0.5, 0]]))
 
 
-@pytest.mark.parametrize("trust", [0.0, 1e-6, 0.9e-3])
-def test_a_hidden_view_has_no_say_at_all(trust: float) -> None:
-    """Catches a colour that shines through what hides it, and a point without any where no view has a say."""
+@pytest.mark.parametrize("visibility", [0.0, 1e-6, 0.9e-3])
+def test_views_of_low_visibility_have_no_weight(visibility: float) -> None:
+    """Catches colours of views in which the point is occluded, and points without colour where no view sees them."""
     logits = torch.tensor([[0.0], [5.0]], requires_grad=True)
     colours = torch.tensor([[[0.2, 0.4, 0.6]], [[1.0, 0.0, 0.0]]])
-    assert torch.equal(blend(logits, torch.tensor([[1.0], [trust]]), colours), colours[0])
-    nowhere = blend(logits, torch.full((2, 1), trust), colours)
-    torch.testing.assert_close(nowhere, colours.mean(0))
-    (gradient,) = torch.autograd.grad(nowhere.sum(), logits)
+    assert torch.equal(blend(logits, torch.tensor([[1.0], [visibility]]), colours), colours[0])
+    unseen = blend(logits, torch.full((2, 1), visibility), colours)
+    torch.testing.assert_close(unseen, colours.mean(0))
+    (gradient,) = torch.autograd.grad(unseen.sum(), logits)
     assert torch.equal(gradient, torch.zeros(2, 1))
 
 
-def test_a_point_is_hidden_by_its_own_measure() -> None:
-    """Catches one softness for all: a sparse wall that hides itself, or dense points that shine through it."""
+def test_occlusion_depends_on_the_point_s_own_spacing() -> None:
+    """Catches one softness for all points: a sparse wall that occludes itself, or dense points visible through it."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     sources = SourceViews(torch.rand(1, 3, 32, 32), torch.ones(1, 32, 32), torch.full((1, 32, 32), 2.0), (camera,))
     xyz = torch.tensor([[0.0, 0, 2.1]]).expand(3, 3)
-    trust = sample_sources(xyz, sources, None, torch.tensor([0.1, 0.01, 0.0])).visibility[0]
-    torch.testing.assert_close(trust, torch.tensor([1.0, float(np.exp(-8)), 0.0]), atol=1e-5, rtol=0)
+    visibility = sample_sources(xyz, sources, None, torch.tensor([0.1, 0.01, 0.0])).visibility[0]
+    torch.testing.assert_close(visibility, torch.tensor([1.0, float(np.exp(-8)), 0.0]), atol=1e-5, rtol=0)
 
 
-def test_the_shared_first_layer_is_the_joint_one() -> None:
-    """Catches the point half being dropped or scaled when it is computed once a point."""
+def test_the_split_first_layer_equals_the_joint_layer() -> None:
+    """Catches a point half that is lost or scaled because it is computed once for all views."""
     head = BlendHead(6, 5, SMALL)
     features, samples = torch.rand(4, 6), torch.rand(3, 4, 5)
-    joined = torch.cat([features.expand(3, -1, -1), samples], dim=-1)
+    concatenated = torch.cat([features.expand(3, -1, -1), samples], dim=-1)
     weight = torch.cat([head.point.weight, head.image.weight], dim=1)
-    hidden = torch.relu(joined @ weight.T + head.point.bias)
+    hidden = torch.relu(concatenated @ weight.T + head.point.bias)
     raw = head.out(hidden)[..., 0]
     torch.testing.assert_close(head(head.point(features), samples), 5 * torch.tanh(raw / 5))
 
 
 @pytest.mark.parametrize("stride", [1, 2])
-def test_a_crop_gets_the_features_of_the_whole(stride: int) -> None:
-    """Catches normalisation over the image, which would make training crops and baking disagree."""
+def test_a_crop_has_the_features_of_the_whole_image(stride: int) -> None:
+    """Catches normalisation over the image, with which training crops and baking differ."""
     encoder = ImageEncoder(8, stride)
     side, margin = 96 * stride, 16 * stride
     image = torch.rand(1, 3, side, side)
@@ -134,7 +134,7 @@ def test_a_crop_gets_the_features_of_the_whole(stride: int) -> None:
     torch.testing.assert_close(whole[:, :, 40:56, 40:56], crop[:, :, 24:40, 24:40], atol=1e-5, rtol=0)
 
 
-def test_features_of_another_resolution_are_those_of_the_same_place(rng: np.random.Generator) -> None:
+def test_features_of_half_resolution_are_aligned(rng: np.random.Generator) -> None:
     """Catches a half-pixel shift between the image and features at half its resolution."""
     xyz = torch.from_numpy(rng.uniform(-0.3, 0.3, (50, 3)).astype(np.float32))
     seen = views()
@@ -146,9 +146,9 @@ def test_features_of_another_resolution_are_those_of_the_same_place(rng: np.rand
     torch.testing.assert_close(coarse, fine, atol=1e-3, rtol=0)
 
 
-def test_radius_and_density_start_where_the_config_says() -> None:
-    made = model(SMALL)
-    evaluated = made.evaluate(points(), torch.full((20,), 0.02), 0.5)
+def test_initial_radius_and_density_follow_the_config() -> None:
+    built = model(SMALL)
+    evaluated = built.evaluate(points(), torch.full((20,), 0.02), 0.5)
     torch.testing.assert_close(evaluated.radius, torch.full((20,), 1.3 * 0.02), atol=1e-4, rtol=0)
     assert evaluated.density.min() > 0.98
     assert evaluated.density.max() < 1
@@ -170,29 +170,29 @@ def test_radius_and_density_start_where_the_config_says() -> None:
     ],
     ids=lambda config: str(config)[-200:],
 )
-def test_every_switch_gives_a_model_whose_parameters_all_learn(config: ModelConfig) -> None:
-    """Catches a head that is built but never used, or used and cut off from the gradient."""
-    made = model(config)
+def test_all_parameters_have_a_gradient_under_every_switch(config: ModelConfig) -> None:
+    """Catches heads that are unused, or detached from the gradient."""
+    built = model(config)
     with torch.no_grad():
-        for parameter in made.parameters():
+        for parameter in built.parameters():
             parameter += 0.05 * torch.randn(parameter.shape, generator=torch.Generator().manual_seed(7))
     xyz = points().requires_grad_()
     explicit = torch.rand(20, 48, requires_grad=True) if config.sh == "explicit" else None
-    evaluated = made.evaluate(xyz, torch.full((20,), 0.02), 0.4, explicit_sh=explicit)
+    evaluated = built.evaluate(xyz, torch.full((20,), 0.02), 0.4, explicit_sh=explicit)
     sources = None if config.appearance == "sh" else views()
-    colour = made.colour(evaluated, ring(7)[1], sources)
+    colour = built.colour(evaluated, ring(7)[1], sources)
     assert colour.shape == (20, 3)
     (colour.square().sum() + evaluated.radius.sum() + evaluated.density.sum()).backward()
-    silent = [n for n, p in made.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
-    assert silent == []
+    without_gradient = [n for n, p in built.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert without_gradient == []
     assert explicit is None or explicit.grad is not None
 
 
-def test_only_continuous_blending_sees_the_viewer() -> None:
+def test_only_continuous_blending_depends_on_the_viewer() -> None:
     """Catches blend weights that depend on the viewing direction, which cannot be baked."""
     xyz, sources = points(), views()
     for continuous in (False, True):
-        made = model(replace(SMALL, appearance="ibr", continuous=continuous))
-        evaluated = made.evaluate(xyz, torch.full((20,), 0.02), 0.1)
-        first, second = (made.colour(evaluated, viewer, sources) for viewer in ring(5)[1:3])
+        built = model(replace(SMALL, appearance="ibr", continuous=continuous))
+        evaluated = built.evaluate(xyz, torch.full((20,), 0.02), 0.1)
+        first, second = (built.colour(evaluated, viewer, sources) for viewer in ring(5)[1:3])
         assert torch.equal(first, second) is not continuous

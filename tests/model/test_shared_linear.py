@@ -1,4 +1,4 @@
-"""Layers computed together against the same layers one by one."""
+"""Shared linear layers against the separate layers."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from torch import nn
 from fourd.model.shared_linear import shared_linear
 
 
-def test_values_and_gradients_are_those_of_the_layers(rng: np.random.Generator) -> None:
-    """Catches a layer that gets another's share of the gradient, also where one has no say in the result."""
+def test_values_and_gradients_equal_those_of_separate_layers(rng: np.random.Generator) -> None:
+    """Catches gradients of one layer that reach another, also where the result depends on some layers alone."""
     torch.manual_seed(int(rng.integers(2**31)))
     layers = [nn.Linear(12, width).double() for width in (5, 1, 7)]
     features = torch.randn(40, 12, dtype=torch.float64, requires_grad=True)

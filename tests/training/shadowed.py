@@ -1,4 +1,4 @@
-"""A capture with truth: a ball moves over a floor that is darker beneath it; plates of the empty floor."""
+"""A synthetic capture: a ball moves over a floor and casts a shadow; clean plates show the empty floor."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ def ball_centre(frame: int) -> NDArray[np.float64]:
 
 
 def floor() -> tuple[Floats, Floats]:
-    """Points (N, 3) of the floor and their colours (N, 3) in plain light."""
+    """Points (N, 3) of the floor and their colours (N, 3) without shadow."""
     steps = np.linspace(-1.2, 1.2, 40)
     x, y = (side.ravel() for side in np.meshgrid(steps, steps))
-    # Slow enough for 64 pixels at a grazing angle: the colours are blended from such pictures.
+    # Low frequencies, which 64 pixels at a grazing angle resolve: colours are blended from such pictures.
     waves = np.stack([np.sin(4 * x), np.sin(3 * y), np.sin(2 * (x + y))], axis=1)
     xyz = np.stack([x, y, np.full_like(x, FLOOR)], axis=1)
     return xyz.astype(np.float32), (0.6 + 0.15 * waves).astype(np.float32)
 
 
-def light(xyz: Floats, frame: int) -> Floats:
-    """(N,) what the ball leaves of the light on the floor: 0.4 beneath it."""
-    away = np.square(xyz[:, :2] - ball_centre(frame)[:2]).sum(axis=1)
-    return (1 - 0.6 * np.exp(-away / 0.05)).astype(np.float32)
+def shadow_factor(xyz: Floats, frame: int) -> Floats:
+    """(N,) shadow factor on the floor: 0.4 below the ball."""
+    squared_distance = np.square(xyz[:, :2] - ball_centre(frame)[:2]).sum(axis=1)
+    return (1 - 0.6 * np.exp(-squared_distance / 0.05)).astype(np.float32)
 
 
 def picture(camera: Camera, frame: int | None, *, shadow: bool = True) -> tuple[Floats, Floats]:
-    """RGB (H, W, 3) and the ball's matte (H, W); of the empty floor where ``frame`` is None."""
+    """RGB (H, W, 3) and the ball's matte (H, W); with ``frame`` None, of the empty floor."""
     xyz, rgb = floor()
     if frame is not None and shadow:
-        rgb = rgb * light(xyz, frame)[:, None]
+        rgb = rgb * shadow_factor(xyz, frame)[:, None]
     ball = (0.22 * sphere(3000) + ball_centre(frame or 0)).astype(np.float32)
     shade = np.repeat((0.5 + 0.4 * sphere(3000)[:, 2:]).astype(np.float32), 3, axis=1)
     parts = [(xyz, rgb, 0.07, 0.0)] + ([] if frame is None else [(ball, shade, 0.02, 1.0)])
@@ -77,7 +77,7 @@ def write_shadowed_capture(folder: Path) -> Path:
 
 
 def shadowed_config(seeds: Path, steps: int) -> TrainConfig:
-    """A full scene whose seeds are the floor and a grey shell around it."""
+    """A full scene whose initial background points are the floor and a grey shell around it."""
     config = full_config(seeds)
     xyz, rgb = floor()
     shell = (5 * sphere(400)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Checkpoints: bit for bit, whole or absent, never another model's."""
+"""Checkpoints are exact, atomic, and refused by other models."""
 
 from __future__ import annotations
 
@@ -44,17 +44,17 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_round_trip_is_bit_for_bit(tmp_path: Path) -> None:
-    """Catches a dtype that is converted, a transposed tensor, and NaNs or scalars that are lost."""
+def test_round_trip_is_bit_exact(tmp_path: Path) -> None:
+    """Catches converted dtypes, transposed tensors, and lost NaNs or scalars."""
     torch.manual_seed(1)
     tensors = {
         "float": torch.tensor([1e-45, -0.0, float("nan"), float("inf")]),
-        "turned": torch.rand(3, 5).T,
+        "transposed": torch.rand(3, 5).T,
         "half": torch.rand(4).half(),
-        "brain": torch.rand(4).bfloat16(),
+        "bfloat16": torch.rand(4).bfloat16(),
         "double": torch.rand(2, 2, dtype=torch.float64),
         "step": torch.tensor(7.0),
-        "whole": torch.arange(5),
+        "integers": torch.arange(5),
         "bytes": torch.arange(256).to(torch.uint8),
         "flags": torch.tensor([True, False]),
         "empty": torch.zeros(0, 3),
@@ -63,8 +63,8 @@ def test_round_trip_is_bit_for_bit(tmp_path: Path) -> None:
     state = {"seconds": 0.1 + 0.2, "names": ["05", "ü"], "nested": {"big": 2**127 + 1, "none": None}}
     path = save_checkpoint(tmp_path / "new", 42, tensors, state)
     assert path == checkpoint_path(tmp_path / "new", 42)
-    step, loaded, told = load_checkpoint(path)
-    assert (step, told) == (42, state)
+    step, loaded, loaded_state = load_checkpoint(path)
+    assert (step, loaded_state) == (42, state)
     assert loaded.keys() == tensors.keys()
     for name, value in tensors.items():
         assert loaded[name].dtype == value.dtype, name
@@ -74,8 +74,8 @@ def test_round_trip_is_bit_for_bit(tmp_path: Path) -> None:
         save_checkpoint(tmp_path / "new", 43, tensors, {"psnr": float("nan")})
 
 
-def test_the_two_newest_are_kept(tmp_path: Path) -> None:
-    """Catches an order by text (step 9 after step 10), and files of others that are deleted."""
+def test_the_two_newest_checkpoints_are_kept(tmp_path: Path) -> None:
+    """Catches alphabetical order (step 9 after step 10), and the deletion of other files."""
     (tmp_path / "mine.safetensors").write_bytes(b"")
     (tmp_path / "00000009.points").mkdir()
     for step in (9, 10, 123456789):
@@ -86,35 +86,35 @@ def test_the_two_newest_are_kept(tmp_path: Path) -> None:
     assert (found, note) == (checkpoint_path(tmp_path, 123456789), "")
 
 
-def test_no_checkpoint_is_none(tmp_path: Path) -> None:
+def test_a_folder_without_checkpoints_has_none(tmp_path: Path) -> None:
     assert latest_checkpoint(tmp_path / "absent") == (None, "")
     assert latest_checkpoint(tmp_path) == (None, "")
 
 
-def damage_cut(content: bytes) -> bytes:
+def cut_in_half(content: bytes) -> bytes:
     return content[: len(content) // 2]
 
 
-def damage_tail(content: bytes) -> bytes:
+def cut_last_byte(content: bytes) -> bytes:
     return content[:-1]
 
 
-def damage_empty(content: bytes) -> bytes:
+def empty(content: bytes) -> bytes:
     return b""
 
 
-def damage_bit(content: bytes) -> bytes:
+def flip_a_bit(content: bytes) -> bytes:
     return content[:-3] + bytes([content[-3] ^ 4]) + content[-2:]
 
 
-def damage_zeros(content: bytes) -> bytes:
-    """What a power cut leaves on some file systems: the size is right, the contents are not there."""
+def zero(content: bytes) -> bytes:
+    """The result of a power failure on some file systems: the right size, without the contents."""
     return bytes(len(content))
 
 
-@pytest.mark.parametrize("damage", [damage_cut, damage_tail, damage_empty, damage_bit, damage_zeros])
-def test_damaged_ones_are_passed_over_with_a_note(damage: object, tmp_path: Path) -> None:
-    """Catches going on from rubbish, and falling back without a word."""
+@pytest.mark.parametrize("damage", [cut_in_half, cut_last_byte, empty, flip_a_bit, zero])
+def test_damaged_checkpoints_are_skipped_with_a_note(damage: object, tmp_path: Path) -> None:
+    """Catches resuming from damaged data, and a silent fallback."""
     assert callable(damage)
     for step in (1, 2):
         save_checkpoint(tmp_path, step, {"a": torch.rand(100)}, {})
@@ -128,18 +128,18 @@ def test_damaged_ones_are_passed_over_with_a_note(damage: object, tmp_path: Path
     with pytest.raises(UserError, match=path.name):
         load_checkpoint(path)
     save_checkpoint(tmp_path, 1, {"a": torch.rand(100)}, {})
-    assert names(tmp_path) == ["00000001.safetensors"], "a damaged later one must not count as one of the two kept"
+    assert names(tmp_path) == ["00000001.safetensors"], "a damaged later checkpoint must not count as one of the two"
 
 
-def test_nothing_but_damaged_ones_is_none(tmp_path: Path) -> None:
+def test_a_folder_of_damaged_checkpoints_has_none(tmp_path: Path) -> None:
     checkpoint_path(tmp_path, 3).write_bytes(b"rubbish")
     found, note = latest_checkpoint(tmp_path)
     assert found is None
     assert "there is no other checkpoint" in note
 
 
-def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
-    """Catches a safetensors file from elsewhere that is taken for a checkpoint."""
+def test_other_safetensors_files_are_refused(tmp_path: Path) -> None:
+    """Catches any safetensors file accepted as a checkpoint."""
     save_file({"a": torch.zeros(1)}, tmp_path / "00000001.safetensors")
     with pytest.raises(UserError, match="expected a checkpoint of format"):
         load_checkpoint(tmp_path / "00000001.safetensors")
@@ -147,32 +147,32 @@ def test_another_kind_of_file_is_refused(tmp_path: Path) -> None:
         load_checkpoint(tmp_path / "absent.safetensors")
 
 
-def full_save(*_: object, **__: object) -> None:
+def save_to_full_disk(*_: object, **__: object) -> None:
     raise SafetensorError("Error while serializing: I/O error: No space left on device (os error 28)")
 
 
-def half_written(tensors: object, path: Path, metadata: object) -> None:
+def save_half(tensors: object, path: Path, metadata: object) -> None:
     path.write_bytes(b"half")
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-def full_sync(*_: object) -> None:
+def raise_disk_full(*_: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
 @pytest.mark.parametrize(
     ("target", "fault"),
     [
-        ("fourd.training.checkpoints.save_file", full_save),
-        ("fourd.training.checkpoints.save_file", half_written),
-        ("os.fsync", full_sync),
-        ("os.replace", full_sync),
+        ("fourd.training.checkpoints.save_file", save_to_full_disk),
+        ("fourd.training.checkpoints.save_file", save_half),
+        ("os.fsync", raise_disk_full),
+        ("os.replace", raise_disk_full),
     ],
 )
-def test_a_full_disk_leaves_the_previous_ones_good(
+def test_a_full_disk_leaves_previous_checkpoints_intact(
     target: str, fault: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches dropping the old one first, litter, and a traceback, wherever the disk becomes full."""
+    """Catches deleting the old checkpoint first, leftover files, and a traceback, at each place of failure."""
     for step in (1, 2):
         save_checkpoint(tmp_path, step, {"a": torch.full((3,), float(step))}, {})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -188,7 +188,7 @@ def test_a_full_disk_leaves_the_previous_ones_good(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_an_unwritable_folder_is_told_apart_from_a_full_disk(tmp_path: Path) -> None:
+def test_an_unwritable_folder_is_not_reported_as_a_full_disk(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="there is no previous checkpoint") as caught:
         save_checkpoint(tmp_path / "file", 1, {"a": torch.zeros(1)}, {})
@@ -205,23 +205,23 @@ for step in itertools.count(1):
 """
 
 
-def test_a_kill_at_any_moment_leaves_a_good_checkpoint(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a file written in place: after kill -9 the last one that was reported is there, whole."""
+def test_a_kill_at_any_time_leaves_an_intact_checkpoint(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches files written in place: after kill -9 the last reported checkpoint is intact."""
     for delay in rng.uniform(0, 0.05, 3):
         folder = tmp_path / f"{delay:.9f}"
         with subprocess.Popen(
             [sys.executable, "-c", KILLED, str(folder)], stdout=subprocess.PIPE, text=True
         ) as process:
             assert process.stdout is not None
-            told = [process.stdout.readline() for _ in range(2)]
+            reported = [process.stdout.readline() for _ in range(2)]
             time.sleep(delay)
             os.kill(process.pid, signal.SIGKILL)
-            told += process.stdout.read().splitlines()
+            reported += process.stdout.read().splitlines()
         found, note = latest_checkpoint(folder)
         assert note == ""
         assert found is not None
         step, tensors, state = load_checkpoint(found)
-        assert step >= int(told[-1])
+        assert step >= int(reported[-1])
         assert state == {"step": step}
         assert bool((tensors["a"] == step).all())
 
@@ -230,7 +230,7 @@ def small_model(width: int = 4) -> nn.Module:
     return nn.Sequential(nn.Linear(3, width), nn.ReLU(), nn.Linear(width, 2))
 
 
-def test_restore_takes_the_tensors_of_its_prefix() -> None:
+def test_restore_loads_the_tensors_of_its_prefix() -> None:
     torch.manual_seed(0)
     source, target = small_model(), small_model()
     tensors = {f"model.{name}": value for name, value in source.state_dict().items()}
@@ -239,8 +239,8 @@ def test_restore_takes_the_tensors_of_its_prefix() -> None:
         assert torch.equal(value, source.state_dict()[name])
 
 
-def test_restore_refuses_another_model() -> None:
-    """Catches a shape that broadcasts, a missing or surplus tensor, and a module left half loaded."""
+def test_restore_refuses_tensors_of_another_model() -> None:
+    """Catches shapes that broadcast, missing or surplus tensors, and a partly loaded module."""
     target = small_model()
     before = {name: value.clone() for name, value in target.state_dict().items()}
     tensors = {f"model.{name}": value for name, value in small_model(width=8).state_dict().items()}
@@ -276,16 +276,16 @@ def new_optimizer(model: nn.Module, fused: bool) -> torch.optim.Optimizer:
 
 
 @pytest.mark.parametrize("fused", [False, True])
-def test_going_on_is_bit_for_bit_the_same_as_never_stopping(fused: bool, tmp_path: Path) -> None:
-    """Catches a lost Adam moment or step, state given to another parameter, and a lost generator."""
+def test_resumed_training_is_bit_exact(fused: bool, tmp_path: Path) -> None:
+    """Catches lost Adam moments or steps, state of another parameter, and lost generator state."""
     torch.manual_seed(2)
-    straight = small_model()
-    optimizer, generator = new_optimizer(straight, fused), torch.Generator().manual_seed(3)
-    train(straight, optimizer, 5, generator)
-    tensors = {f"model.{name}": value for name, value in straight.state_dict().items()}
+    uninterrupted = small_model()
+    optimizer, generator = new_optimizer(uninterrupted, fused), torch.Generator().manual_seed(3)
+    train(uninterrupted, optimizer, 5, generator)
+    tensors = {f"model.{name}": value for name, value in uninterrupted.state_dict().items()}
     tensors |= pack_optimizer(optimizer, "optimizer.") | {"rng": pack_torch_rng(generator)}
     path = save_checkpoint(tmp_path, 5, tensors, {})
-    train(straight, optimizer, 5, generator)
+    train(uninterrupted, optimizer, 5, generator)
 
     resumed = small_model()
     second, other = new_optimizer(resumed, fused), torch.Generator()
@@ -295,16 +295,16 @@ def test_going_on_is_bit_for_bit_the_same_as_never_stopping(fused: bool, tmp_pat
     unpack_torch_rng(loaded["rng"], other)
     train(resumed, second, 5, other)
     for name, value in resumed.state_dict().items():
-        assert bits(value) == bits(straight.state_dict()[name]), name
+        assert bits(value) == bits(uninterrupted.state_dict()[name]), name
     packed, expected = pack_optimizer(second, "o."), pack_optimizer(optimizer, "o.")
     assert packed.keys() == expected.keys()
     assert all(bits(packed[name]) == bits(expected[name]) for name in packed)
-    # What was loaded stays as it was: the optimiser trains on copies.
+    # The optimizer trains on copies of the loaded tensors.
     _, again, _ = load_checkpoint(path)
     assert all(bits(loaded[name]) == bits(again[name]) for name in again)
 
 
-def test_optimizer_of_another_model_is_refused() -> None:
+def test_optimizer_state_of_another_model_is_refused() -> None:
     model, other = small_model(), small_model(width=8)
     optimizer = new_optimizer(model, fused=False)
     train(model, optimizer, 1, torch.Generator())
@@ -315,7 +315,7 @@ def test_optimizer_of_another_model_is_refused() -> None:
         unpack_optimizer(optimizer, {**packed, "optimizer.4.step": torch.tensor(1.0)}, "optimizer.")
 
 
-def test_an_optimizer_without_state_stays_without() -> None:
+def test_an_optimizer_without_steps_has_no_state() -> None:
     optimizer = new_optimizer(small_model(), fused=False)
     assert pack_optimizer(optimizer, "optimizer.") == {}
     unpack_optimizer(optimizer, {}, "optimizer.")
@@ -323,8 +323,8 @@ def test_an_optimizer_without_state_stays_without() -> None:
 
 
 @pytest.mark.parametrize("kind", ["PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64"])
-def test_numpy_generators_go_on(kind: str) -> None:
-    """Catches 128-bit numbers cut to 64 or made floats, and the spare half of a 32-bit draw."""
+def test_numpy_generators_resume(kind: str) -> None:
+    """Catches 128-bit integers truncated or converted to float, and the lost spare half of a 32-bit draw."""
     generator = np.random.Generator(getattr(np.random, kind)(7))
     generator.integers(0, 10, dtype=np.uint32)
     state = json.loads(json.dumps(pack_numpy_rng(generator)))
@@ -336,14 +336,14 @@ def test_numpy_generators_go_on(kind: str) -> None:
         unpack_numpy_rng({"bit_generator": "Dice"})
 
 
-def test_the_default_torch_generator_goes_on() -> None:
+def test_the_default_torch_generator_resumes() -> None:
     state = pack_torch_rng()
     first = torch.rand(4)
     unpack_torch_rng(state)
     assert torch.equal(torch.rand(4), first)
 
 
-def test_checkpoints_hold_no_pickle() -> None:
-    """Loading what someone sent must run no code."""
+def test_checkpoints_use_no_pickle() -> None:
+    """Loading a file from an untrusted source must execute no code."""
     source = Path(checkpoints.__file__).read_text()
     assert not [word for word in itertools.chain(("import pickle", "torch.load", "torch.save")) if word in source]

@@ -1,4 +1,4 @@
-"""The metrics log: what a kill leaves, what a resume keeps."""
+"""The metrics log after kills, resumes and write errors."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def records(folder: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
 
 
-def test_records_are_on_disk_at_once(tmp_path: Path) -> None:
-    """Catches a buffer that a kill would lose."""
+def test_records_are_flushed_at_once(tmp_path: Path) -> None:
+    """Catches records in a buffer that a kill loses."""
     log = MetricsLog(tmp_path / "run")
     log.scalars(10, {"psnr": 20.5, "loss/image": 1 / 3})
     assert records(tmp_path / "run") == [{"step": 10, "psnr": 20.5, "loss/image": 1 / 3}]
@@ -27,36 +27,36 @@ def test_records_are_on_disk_at_once(tmp_path: Path) -> None:
     log.close()
 
 
-def test_values_that_are_not_finite_are_null(tmp_path: Path) -> None:
-    """Catches NaN and Infinity, which are no JSON."""
+def test_nan_and_infinity_are_null(tmp_path: Path) -> None:
+    """Catches NaN and Infinity, which JSON does not have."""
     with MetricsLog(tmp_path) as log:
         log.scalars(1, {"psnr": float("inf"), "loss": float("nan"), "seconds": np.float32(2)})
     assert records(tmp_path) == [{"step": 1, "psnr": None, "loss": None, "seconds": 2.0}]
 
 
-def test_resume_drops_later_steps_and_torn_lines(tmp_path: Path) -> None:
-    """Catches steps that are there twice after a resume, and a record glued to a torn one."""
+def test_resume_drops_later_steps_and_truncated_lines(tmp_path: Path) -> None:
+    """Catches duplicate steps after a resume, and a record appended to a truncated line."""
     with MetricsLog(tmp_path) as log:
         for step in (10, 20, 30):
             log.scalars(step, {"psnr": step})
     path = tmp_path / "metrics.jsonl"
     whole = path.read_text()
-    path.write_text(whole.replace('{"step": 20', 'rubbish\n[1]\n{"step": 20') + '{"step": 5, "ps')
+    path.write_text(whole.replace('{"step": 20', 'garbage\n[1]\n{"step": 20') + '{"step": 5, "ps')
     with MetricsLog(tmp_path, resume_step=20) as log:
         log.scalars(21, {"psnr": 21})
     assert [record["step"] for record in records(tmp_path)] == [10, 20, 21]
 
 
-def test_a_whole_last_record_without_its_line_end_is_dropped(tmp_path: Path) -> None:
-    """Catches two records on one line: the line's end may be what the kill cut off."""
+def test_a_last_record_without_line_end_is_dropped(tmp_path: Path) -> None:
+    """Catches two records on one line, where a kill truncated the line end."""
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\n{"step": 2}')
     with MetricsLog(tmp_path, resume_step=5) as log:
         log.scalars(3, {})
     assert [record["step"] for record in records(tmp_path)] == [1, 3]
 
 
-def test_tensorboard_shows_scalars_and_pictures_and_hides_purged_steps(tmp_path: Path) -> None:
-    """Catches events that stay in memory, pictures with rows and channels swapped, and stale steps."""
+def test_tensorboard_shows_scalars_and_images_and_hides_purged_steps(tmp_path: Path) -> None:
+    """Catches events that are not flushed, images with swapped axes, and stale steps."""
     picture = np.zeros((6, 9, 3), dtype=np.uint8)
     with MetricsLog(tmp_path) as log:
         log.scalars(10, {"psnr": 1.0})
@@ -73,8 +73,8 @@ def test_tensorboard_shows_scalars_and_pictures_and_hides_purged_steps(tmp_path:
         log.image(1, "validation", picture.astype(np.float32))
 
 
-def test_a_full_disk_is_the_user_s_to_mend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a traceback in place of one line that names the folder."""
+def test_a_full_disk_is_a_user_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a traceback instead of one line with the folder."""
 
     class Full:
         closed = False

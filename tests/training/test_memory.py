@@ -1,4 +1,4 @@
-"""What a process keeps of what it freed."""
+"""The resident size of a process after it freed memory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def use_and_free(library, mebibytes):
     blocks = [library.malloc(ctypes.c_size_t(2**20)) for _ in range(mebibytes)]
     for block in blocks:
         ctypes.memset(block, 1, 2**20)
-    for block in blocks[:-1]:  # the last one holds the top of the heap, so that it cannot simply shrink
+    for block in blocks[:-1]:  # the last block stays at the top of the heap, so that the heap cannot shrink by itself
         library.free(ctypes.c_void_p(block))
 
 library = ctypes.CDLL(None)
@@ -25,17 +25,17 @@ before = resident_bytes()
 trimmer = HeapTrimmer(before + 64 * 2**20, min_growth=0)
 use_and_free(library, 32)
 trimmer.after_step()
-kept = resident_bytes() - before
+retained = resident_bytes() - before
 use_and_free(library, 96)
 trimmer.after_step()
-print(kept // 2**20, (resident_bytes() - before) // 2**20)
+print(retained // 2**20, (resident_bytes() - before) // 2**20)
 """
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only the GNU C library's heap is trimmed")
-def test_small_growth_is_kept_for_reuse_and_large_growth_given_back():
-    """A trim at every step pays page faults for everything; none at all lets memory grow with the steps."""
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only the heap of the GNU C library is trimmed")
+def test_small_growth_is_retained_and_large_growth_returned():
+    """Catches a trim in every step, which costs page faults, and memory that grows with the steps."""
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
-    kept, left = map(int, done.stdout.split())
-    assert kept >= 28
+    retained, left = map(int, done.stdout.split())
+    assert retained >= 28
     assert left <= 16

@@ -1,4 +1,4 @@
-"""Which views a step takes, and how rates fall."""
+"""Samples of steps, and the schedule of learning rates."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ def sampler(seed: int = 3) -> StepSampler:
 
 
 def test_held_out_views_and_the_target_are_never_sources() -> None:
-    """Catches held-out pictures leaking into training, and a target copied from itself."""
+    """Catches held-out views that leak into training, and a target blended from itself."""
     for step in range(80):
-        choice = sampler().sample(step)
-        assert choice.target not in choice.sources
-        assert choice.target not in (3, 8)
-        assert not {3, 8} & set(choice.sources)
-        assert len(set(choice.sources)) == 4
+        sample = sampler().sample(step)
+        assert sample.target not in sample.sources
+        assert sample.target not in (3, 8)
+        assert not {3, 8} & set(sample.sources)
+        assert len(set(sample.sources)) == 4
 
 
-def test_an_epoch_meets_every_view_of_every_frame_once() -> None:
-    made = sampler()
-    met = {(choice.frame, choice.target) for choice in map(made.sample, range(40))}
-    assert len(met) == 40
+def test_an_epoch_draws_every_view_of_every_frame_once() -> None:
+    drawn = sampler()
+    drawn_pairs = {(sample.frame, sample.target) for sample in map(drawn.sample, range(40))}
+    assert len(drawn_pairs) == 40
 
 
-def test_choices_depend_on_seed_and_step_alone() -> None:
-    """Catches state carried between steps, which would make a resumed run differ."""
+def test_samples_depend_on_seed_and_step_alone() -> None:
+    """Catches state between steps, which makes a resumed run differ."""
     whole = [sampler().sample(step) for step in range(10)]
     late = sampler().sample(9)
     assert (late.frame, late.target, late.sources) == (whole[9].frame, whole[9].target, whole[9].sources)
@@ -53,19 +53,19 @@ def test_choices_depend_on_seed_and_step_alone() -> None:
 
 @pytest.mark.parametrize(("scene", "least"), [("object", 8), ("full", 12)])
 def test_full_scenes_draw_more_layers(scene: Literal["object", "full"], least: int) -> None:
-    """Catches few layers on a floor, whose discs then grow until it is a blur."""
-    made = StepSampler(TrainConfig(seed=3, scene=scene), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
-    assert {made.sample(step).layers for step in range(200)} == set(range(least, 16))
+    """Catches too few layers for floors, whose discs then grow until all is blurred."""
+    drawn = StepSampler(TrainConfig(seed=3, scene=scene), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
+    assert {drawn.sample(step).layers for step in range(200)} == set(range(least, 16))
 
 
-def test_rates_warm_up_and_end_at_the_final_share() -> None:
+def test_rates_warm_up_and_decay_to_the_final_factor() -> None:
     rates = RateConfig(final=0.1, warm_up=10)
     assert rate_factor(rates, 0, 0.0) == pytest.approx(0.1)
     assert rate_factor(rates, 9, 0.0) == pytest.approx(1.0)
     assert rate_factor(rates, 500, 1.0) == pytest.approx(0.1)
 
 
-def test_the_budget_that_ends_first_counts() -> None:
+def test_the_first_exhausted_budget_counts() -> None:
     config = TrainConfig(max_steps=100, max_seconds=10.0)
     assert budget_spent(config, 50, 1.0) == 0.5
     assert budget_spent(config, 50, 9.0) == 0.9
@@ -76,6 +76,6 @@ def test_the_budget_that_ends_first_counts() -> None:
     ("field", "value", "words"),
     [("points", 0, "points: expected"), ("layers", 65, "layers: expected"), ("neighbour_pool", 2, "neighbour_pool")],
 )
-def test_values_out_of_range_are_named(field: str, value: int, words: str) -> None:
+def test_errors_name_values_out_of_range(field: str, value: int, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         TrainConfig(**{field: value})

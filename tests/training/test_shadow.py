@@ -1,4 +1,4 @@
-"""Shadows learnt: what falls on a floor beneath a ball is neither the ball's nor the floor's."""
+"""Learnt shadows of a ball on a floor."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from tests.training.shadowed import FRAMES, picture, shadowed_config, write_shad
 from tests.training.small import trained_run
 
 
-def test_a_shadow_is_explained_and_the_floor_stays_as_its_plate(tmp_path: Path) -> None:
-    """Catches a shadow that is not learnt, or falls in another frame, and a floor that turns dark for good."""
+def test_a_shadow_is_learnt_and_the_floor_keeps_its_plate_s_colours(tmp_path: Path) -> None:
+    """Catches a shadow that is not learnt or appears in another frame, and a floor that is dark in all frames."""
     capture = write_shadowed_capture(tmp_path / "capture")
     run = load_run(trained_run(capture, tmp_path / "run", shadowed_config(tmp_path / "seeds.ply", 160)).folder)
     index = run.run.test[0]

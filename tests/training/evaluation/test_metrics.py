@@ -1,4 +1,4 @@
-"""PSNR, SSIM and the matte's box against skimage, NumPy and finite differences."""
+"""PSNR, SSIM and bounding boxes against skimage, NumPy and finite differences."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def pair(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[np.ndarray, 
     return first, np.clip(first + rng.normal(0, 0.1, shape), 0, 1)
 
 
-def test_psnr_is_skimage_s(rng: np.random.Generator) -> None:
-    """Catches log of the root, a natural logarithm, or a mean per channel."""
+def test_psnr_equals_skimage(rng: np.random.Generator) -> None:
+    """Catches a logarithm of the root, a natural logarithm, or a mean by channel."""
     first, second = pair(rng, (13, 17, 3))
     assert float(psnr(second, first)) == pytest.approx(peak_signal_noise_ratio(first, second, data_range=1), rel=1e-9)
     assert math.isinf(float(psnr(first, first)))
 
 
-def test_psnr_counts_masked_pixels_alone(rng: np.random.Generator) -> None:
-    """Catches a division by all pixels, or by pixels in place of values."""
+def test_psnr_is_over_masked_pixels_alone(rng: np.random.Generator) -> None:
+    """Catches a division by all pixels, or by pixels instead of values."""
     first, second = pair(rng, (13, 17, 3))
     mask = rng.random((13, 17)) < 0.4
     mask[3, 4] = True
@@ -38,8 +38,8 @@ def test_psnr_counts_masked_pixels_alone(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("shape", [(11, 11, 3), (40, 27, 3), (31, 64, 1)])
-def test_ssim_is_skimage_s(shape: tuple[int, int, int], rng: np.random.Generator) -> None:
-    """Catches a wrong window, sigma, covariance, border, or rows taken for columns."""
+def test_ssim_equals_skimage(shape: tuple[int, int, int], rng: np.random.Generator) -> None:
+    """Catches a wrong window, sigma, covariance or border, and swapped axes."""
     first, second = pair(rng, shape)
     expected = structural_similarity(
         first, second, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1, channel_axis=2
@@ -53,12 +53,12 @@ def test_ssim_is_skimage_s(shape: tuple[int, int, int], rng: np.random.Generator
 def test_ssim_of_a_batch_is_the_mean(rng: np.random.Generator) -> None:
     """Catches a reshape that mixes pixels of different images."""
     first, second = pair(rng, (4, 19, 23, 3))
-    apart = np.mean([float(ssim(a, b)) for a, b in zip(first, second, strict=True)])
-    assert float(ssim(first, second)) == pytest.approx(apart, abs=1e-9)
+    separate = np.mean([float(ssim(a, b)) for a, b in zip(first, second, strict=True)])
+    assert float(ssim(first, second)) == pytest.approx(separate, abs=1e-9)
 
 
-def test_gradients_are_those_of_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a detached term: both metrics serve as losses."""
+def test_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
+    """Catches a detached term: both metrics are used as losses."""
     first, second = (torch.from_numpy(image) for image in pair(rng, (12, 13, 2)))
     weights = torch.from_numpy(rng.random((12, 13)))
     assert torch.autograd.gradcheck(lambda image: ssim(image, second), first.clone().requires_grad_())
@@ -66,8 +66,8 @@ def test_gradients_are_those_of_finite_differences(rng: np.random.Generator) -> 
     assert torch.autograd.gradcheck(lambda image: psnr(image, second, weights), first.clone().requires_grad_())
 
 
-def test_wrong_images_are_refused() -> None:
-    """Catches scores of images in 0 to 255, and of shapes that broadcast."""
+def test_invalid_images_are_refused() -> None:
+    """Catches scores of images with values up to 255, and of shapes that broadcast."""
     image = np.zeros((20, 20, 3))
     with pytest.raises(ValueError, match="floating point"):
         psnr(image.astype(np.uint8), image.astype(np.uint8))
@@ -81,8 +81,8 @@ def test_wrong_images_are_refused() -> None:
         psnr(image, image, np.zeros((20, 20)))
 
 
-def test_mask_box_has_its_margin_inside_the_image() -> None:
-    """Catches an end that leaves out the last row, rows taken for columns, and boxes past the border."""
+def test_mask_box_extends_its_margin_within_the_image() -> None:
+    """Catches a missing last row, swapped axes, and boxes beyond the border."""
     mask = np.zeros((50, 80), dtype=np.uint8)
     mask[20:24, 30:41] = 255
     assert mask_box(mask, margin=0) == (20, 24, 30, 41)
@@ -92,8 +92,8 @@ def test_mask_box_has_its_margin_inside_the_image() -> None:
     assert mask_box(mask > 0, margin=0) == (20, 24, 30, 41)
 
 
-def test_mask_box_passes_over_noise_and_empty_masks() -> None:
-    """Catches a box that one pixel of faint noise makes as large as the image."""
+def test_mask_box_ignores_noise_and_empty_masks() -> None:
+    """Catches a box that a single noisy pixel enlarges."""
     mask = np.zeros((50, 80), dtype=np.uint8)
     mask[0, 0] = 127
     assert mask_box(mask) is None

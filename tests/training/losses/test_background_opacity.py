@@ -1,4 +1,4 @@
-"""A background that is closed from between its cameras too."""
+"""The background is opaque from viewpoints between its cameras."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 
 INTRINSICS = np.array([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]])
-"""Of a picture of 64 x 64."""
+"""For images of 64 x 64 pixels."""
 
 
 @pytest.fixture(scope="module")
 def background(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> StaticBackground:
-    folder = tmp_path_factory.mktemp("closing")
+    folder = tmp_path_factory.mktemp("opacity")
     run = trained_run(ball_capture, folder / "run", replace(full_config(folder / "shell.ply"), max_steps=1))
     found = run.background(None)
     assert found is not None
     return found
 
 
-def test_viewers_stand_between_the_cameras(rng: np.random.Generator) -> None:
-    """Catches viewers outside the room, all in one place, or with pictures larger than what they are part of."""
+def test_viewpoints_lie_between_the_cameras(rng: np.random.Generator) -> None:
+    """Catches viewpoints outside the cameras' ring or all in one place, and crops larger than the image."""
     cameras = ring_cameras(8, 64)
     farthest = max(float(np.linalg.norm(camera.centre)) for camera in cameras)
     viewers = [interpolate_viewpoint(cameras[k % 8], cameras, 48, rng) for k in range(200)]
@@ -47,39 +47,39 @@ def test_viewers_stand_between_the_cameras(rng: np.random.Generator) -> None:
         np.testing.assert_array_equal(viewer.rotation, cameras[k % 8].rotation)
 
 
-def test_a_floor_of_many_layers_is_not_asked_for_larger_discs(background: StaticBackground) -> None:
-    """Catches a gradient against the slope: of few layers it asks for larger discs, and fewer of them fit then."""
+def test_the_gradient_on_a_floor_of_many_layers_has_the_right_sign(background: StaticBackground) -> None:
+    """Catches too few layers, with which the gradient enlarges the discs, and fewer of them fit into the layers."""
     x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
     floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
     points = FramePoints.fresh(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
     dense = StaticBackground(background.model, points, background.plates)
     viewer = look_at(np.array([3.0, 0, 0.2]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 64)
     radius_bias = dense.model.geometry_head.layers[-1].bias
-    asked = torch.autograd.grad(mean_squared_transmittance(dense, viewer, 0.0), radius_bias)[0][0]
+    gradient = torch.autograd.grad(mean_squared_transmittance(dense, viewer, 0.0), radius_bias)[0][0]
     with torch.no_grad():
         radius_bias[0] += 0.05
         larger = mean_squared_transmittance(dense, viewer, 0.0)
         radius_bias[0] -= 0.1
         smaller = mean_squared_transmittance(dense, viewer, 0.0)
         radius_bias[0] += 0.05
-    assert float(asked) == pytest.approx(float(larger - smaller) / 0.1, rel=0.2, abs=1e-4)
+    assert float(gradient) == pytest.approx(float(larger - smaller) / 0.1, rel=0.2, abs=1e-4)
 
 
-def test_a_wall_with_holes_closes(background: StaticBackground) -> None:
-    """Catches a term that does not reach the radii, or that leaves holes that no plate shows as they are."""
+def test_a_wall_with_holes_becomes_opaque(background: StaticBackground) -> None:
+    """Catches a term without a gradient for the radii."""
     y, z = torch.meshgrid(torch.arange(-2, 2, 0.1), torch.arange(-2, 2, 0.1), indexing="ij")
     wall = torch.stack([torch.full_like(y, -1.0), y, z], -1).reshape(-1, 3)
-    # The spacing of a cloud twice as dense: so radii begin too small.
+    # Half the true spacing, so that initial radii are too small.
     points = FramePoints.fresh(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
     holed = StaticBackground(background.model, points, background.plates)
     viewer = ring_cameras(8, 64)[0]
     optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)
-    left = []
+    values = []
     for _ in range(60):
         loss = mean_squared_transmittance(holed, viewer, 0.0)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-        left.append(float(loss.detach()))
-    assert left[0] > 0.05
-    assert left[-1] < 0.2 * left[0]
+        values.append(float(loss.detach()))
+    assert values[0] > 0.05
+    assert values[-1] < 0.2 * values[0]

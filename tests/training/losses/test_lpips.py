@@ -1,4 +1,4 @@
-"""LPIPS against a plain recomputation, and its weight files, good and bad. All weights are random."""
+"""LPIPS against a NumPy implementation, and its weight files, valid and invalid. All weights are random."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from fourd.errors import UserError
 from fourd.training.losses.lpips import LPIPS, expected_shapes, load_lpips
 
-# torchvision's numbering, written out: (number, inputs, outputs), None for a pooling.
+# torchvision's layers: (number, inputs, outputs), None for a pooling.
 PUBLISHED: list[tuple[int, int, int] | None] = [
     (0, 3, 64), (2, 64, 64), None,
     (5, 64, 128), (7, 128, 128), None,
@@ -48,7 +48,7 @@ def weights() -> tuple[dict[str, Tensor], dict[str, Tensor]]:
 
 @pytest.fixture(scope="module")
 def folder(weights: tuple[dict[str, Tensor], dict[str, Tensor]], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder as the usual downloads leave it, one file of each format."""
+    """A folder of downloaded weights, one file of each format."""
     path = tmp_path_factory.mktemp("weights")
     save_file(weights[0], path / "vgg16-397923af.safetensors")
     torch.save(weights[1], path / "vgg.pth")
@@ -64,7 +64,7 @@ def network(folder: Path) -> LPIPS:
 
 @pytest.fixture(autouse=True)
 def empty_caches(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """No test may depend on what the machine happens to have."""
+    """Tests must not depend on weights installed on the machine."""
     monkeypatch.setattr("torch.hub.get_dir", lambda: str(tmp_path / "hub"))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
 
@@ -72,11 +72,11 @@ def empty_caches(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def plain_distance(
     image: np.ndarray, other: np.ndarray, features: dict[str, Tensor], heads: dict[str, Tensor]
 ) -> float:
-    """LPIPS by loops over windows in float64 NumPy; images (H, W, 3) in [0, 1]."""
+    """LPIPS in float64 NumPy, with loops over windows; images (H, W, 3) in [0, 1]."""
 
     def taps(picture: np.ndarray) -> list[np.ndarray]:
         x = (picture.astype(np.float64) * 2 - 1 - [-0.030, -0.088, -0.188]) / [0.458, 0.448, 0.450]
-        kept = []
+        outputs = []
         for layer in PUBLISHED:
             if layer is None:
                 height, width = x.shape[0] // 2, x.shape[1] // 2
@@ -90,8 +90,8 @@ def plain_distance(
                     total += padded[i : i + x.shape[0], j : j + x.shape[1]] @ kernel[:, :, i, j].T
             x = np.maximum(total, 0)
             if layer[0] in TAPS:
-                kept.append(x)
-        return kept
+                outputs.append(x)
+        return outputs
 
     distance = 0.0
     for index, (a, b) in enumerate(zip(taps(image), taps(other), strict=True)):
@@ -102,37 +102,37 @@ def plain_distance(
     return distance
 
 
-def test_equals_a_plain_recomputation(
+def test_equals_a_numpy_implementation(
     network: LPIPS, weights: tuple[dict[str, Tensor], dict[str, Tensor]], rng: np.random.Generator
 ) -> None:
-    """Catches a wrong tap, number, shift, scale or input range, and swapped height and width."""
+    """Catches a wrong layer, number, shift, scale or input range, and swapped height and width."""
     image, other = (rng.random((37, 22, 3)).astype(np.float32) for _ in range(2))
     found = float(network(torch.from_numpy(image), torch.from_numpy(other)))
     assert found == pytest.approx(plain_distance(image, other, *weights), rel=1e-4)
 
 
-def test_names_and_shapes_are_the_published_ones(weights: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
-    """Catches a misnumbered layer in the table that files are checked against."""
+def test_names_and_shapes_are_as_published(weights: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
+    """Catches a wrong layer number in the table for the validation of files."""
     given = {
         name.replace(".model.1.weight", ""): tuple(value.shape) for name, value in (weights[0] | weights[1]).items()
     }
     assert expected_shapes() == given
 
 
-def test_batches_are_judged_pair_by_pair(network: LPIPS, rng: np.random.Generator) -> None:
+def test_batches_are_compared_pair_by_pair(network: LPIPS, rng: np.random.Generator) -> None:
     """Catches a mean over the batch, and (H, W, 3) read as (3, H, W)."""
     first, second = (torch.from_numpy(rng.random((2, 3, 20, 24)).astype(np.float32)) for _ in range(2))
-    together = network(first, second)
-    apart = [network(a.permute(1, 2, 0), b.permute(1, 2, 0)) for a, b in zip(first, second, strict=True)]
-    assert together.shape == (2,)
-    assert apart[0].shape == ()
-    torch.testing.assert_close(together, torch.stack(apart), rtol=1e-5, atol=1e-6)
+    batched = network(first, second)
+    separate = [network(a.permute(1, 2, 0), b.permute(1, 2, 0)) for a, b in zip(first, second, strict=True)]
+    assert batched.shape == (2,)
+    assert separate[0].shape == ()
+    torch.testing.assert_close(batched, torch.stack(separate), rtol=1e-5, atol=1e-6)
     assert float(network(first, first).abs().max()) == 0
 
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 40), (15, 15)])
 def test_small_images_are_extended_by_their_border(network: LPIPS, size: tuple[int, int]) -> None:
-    """Catches the crash of a pooling that has nothing left."""
+    """Catches the crash of a pooling with empty output."""
     torch.manual_seed(0)
     image, other = torch.rand(*size, 3), torch.rand(*size, 3)
     rows, columns = (torch.arange(max(side, 16)).clamp_max(side - 1) for side in size)
@@ -140,8 +140,8 @@ def test_small_images_are_extended_by_their_border(network: LPIPS, size: tuple[i
     torch.testing.assert_close(network(image, other), expected)
 
 
-def test_gradients_reach_the_image_and_only_it(network: LPIPS) -> None:
-    """Catches trainable weights, and the endless gradient of a root at 0 (all channels dark)."""
+def test_gradients_reach_the_image_alone(network: LPIPS) -> None:
+    """Catches trainable weights, and the infinite gradient of a root at 0 (all channels 0)."""
     dark = {name: value.clone() for name, value in network.state_dict().items()}
     for name in dark:
         if name.endswith("bias"):
@@ -167,10 +167,10 @@ def test_wrong_image_shapes_are_refused(network: LPIPS) -> None:
         network(torch.rand(20, 20, 3), torch.rand(20, 21, 3))
 
 
-def test_one_file_may_hold_everything_by_the_package_s_names(
+def test_one_file_may_contain_the_whole_network_under_the_package_s_names(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], network: LPIPS, tmp_path: Path
 ) -> None:
-    """A state dict of the whole lpips network, in half precision, with further keys to pass over."""
+    """Catches refusal of a state dict of the lpips network in half precision with additional keys."""
     starts = (0, 4, 9, 16, 23, 30)
     whole: dict[str, Tensor] = {"scaling_layer.shift": torch.zeros(1, 3, 1, 1)}
     for name, value in weights[0].items():
@@ -185,14 +185,14 @@ def test_one_file_may_hold_everything_by_the_package_s_names(
         torch.testing.assert_close(loaded.state_dict()[name], value, rtol=1e-2, atol=1e-3)
 
 
-def test_usual_caches_are_found(
+def test_default_locations_are_found(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a search that needs both halves in one place, or that imports the package."""
+    """Catches a search that needs both parts in one location, or that imports the package."""
     assert load_lpips(None) is None
     checkpoints = tmp_path / "hub" / "checkpoints"
     checkpoints.mkdir(parents=True)
-    # torchvision's own file is in torch's older format, which cannot be mapped.
+    # torchvision's own file has torch's older format, which cannot be memory-mapped.
     torch.save(weights[0], checkpoints / "vgg16-397923af.pth", _use_new_zipfile_serialization=False)
     assert load_lpips(None) is None
     package = tmp_path / "site" / "lpips"
@@ -206,15 +206,15 @@ def test_usual_caches_are_found(
     assert load_lpips(package / "weights" / "v0.1" / "vgg.pth") is not None
 
 
-def test_bad_weights_are_one_clear_line(
+def test_invalid_weights_are_one_line(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], folder: Path, tmp_path: Path
 ) -> None:
-    """Each message names the file and the mend."""
+    """Catches messages without the file or the fix."""
     cases: dict[str, tuple[Path, str]] = {}
     cases["missing"] = (tmp_path / "no.pth", "expected a file or folder with weights")
     (tmp_path / "empty").mkdir()
     cases["empty folder"] = (tmp_path / "empty", "expected files named vgg16")
-    cases["one half"] = (folder / "vgg.pth", "got none for features.0.weight")
+    cases["one part"] = (folder / "vgg.pth", "got none for features.0.weight")
     alex = {"lin0.model.1.weight": torch.rand(1, 64, 1, 1), "lin1.model.1.weight": torch.rand(1, 192, 1, 1)}
     torch.save(alex, tmp_path / "alex.pth")
     cases["another network"] = (tmp_path / "alex.pth", r"expected the shape \(1, 128, 1, 1\) for 'lin1")
@@ -223,7 +223,7 @@ def test_bad_weights_are_one_clear_line(
     save_file({"other": torch.rand(3)}, tmp_path / "other.safetensors")
     cases["unknown names"] = (tmp_path / "other.safetensors", "expected names like features.0.weight")
     (tmp_path / "cut.pth").write_bytes((folder / "vgg.pth").read_bytes()[:3000])
-    cases["cut short"] = (tmp_path / "cut.pth", "expected a file of tensors")
+    cases["truncated"] = (tmp_path / "cut.pth", "expected a file of tensors")
     (tmp_path / "text.safetensors").write_text("<html>not found</html>")
     cases["a web page"] = (tmp_path / "text.safetensors", "expected a file of tensors")
     torch.save([torch.rand(3)], tmp_path / "list.pth")
@@ -248,7 +248,7 @@ class Attack:
 
 
 @pytest.mark.parametrize("zipped", [True, False])
-def test_a_file_that_would_run_code_is_refused(zipped: bool, tmp_path: Path) -> None:
+def test_a_file_that_would_execute_code_is_refused(zipped: bool, tmp_path: Path) -> None:
     """Catches torch.load without weights_only."""
     torch.save(
         {"lin0.model.1.weight": Attack(tmp_path / "ran")}, tmp_path / "evil.pth", _use_new_zipfile_serialization=zipped

@@ -1,4 +1,4 @@
-"""Points that come where the error is and go where nothing shows."""
+"""Densification: points are split where gradients are large, and removed where nothing observes them."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ CONFIG = DensifyConfig(share=0.1, growth=1.25)
 
 
 def sheet(side: int = 20, *, colours: bool = True) -> FramePoints:
-    """side * side points a centimetre apart on z = 0, their x as red."""
+    """side * side points a centimetre apart on z = 0; red is proportional to x."""
     x, y = torch.meshgrid(torch.arange(side) * 0.01, torch.arange(side) * 0.01, indexing="ij")
     xyz = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3).float()
     rgb = xyz / xyz.max() if colours else None
     return FramePoints.fresh(xyz, torch.full((side * side,), 0.01), 1.3, explicit_sh=False, rgb=rgb)
 
 
-def pulled(points: FramePoints, hard: torch.Tensor) -> None:
-    """A step in which all points show, those of ``hard`` (N,) bool with ten times the gradient."""
+def observe(points: FramePoints, large: torch.Tensor) -> None:
+    """A step with gradients on all points, ten times as large on those of ``large`` (N,) bool."""
     gradient = torch.full_like(points.xyz, 0.1)
-    gradient[hard] *= 10
-    accumulate_gradient_magnitudes(points, torch.arange(len(hard)), gradient)
+    gradient[large] *= 10
+    accumulate_gradient_magnitudes(points, torch.arange(len(large)), gradient)
 
 
-def test_new_points_lie_among_those_that_pull_hardest() -> None:
-    """Catches points added anywhere, off the surface, or with what their parents are not."""
+def test_new_points_lie_among_those_with_the_largest_gradients() -> None:
+    """Catches points added elsewhere or off the surface, and attributes that are not their parents'."""
     points = sheet()
-    hard = points.xyz[:, 0] > 0.175
-    pulled(points, hard)
+    large = points.xyz[:, 0] > 0.175
+    observe(points, large)
     done = densify(points, CONFIG, unobserved_points(points, 40), [0])
     assert 30 <= done.added <= 40
     assert done.removed == 0
@@ -58,47 +58,47 @@ def test_new_points_lie_among_those_that_pull_hardest() -> None:
     assert float(points.optimizer.moments["xyz"][:, 400:].abs().max()) == 0
 
 
-def test_the_count_is_bounded() -> None:
-    """Catches a cloud that grows with every round."""
+def test_the_number_of_points_is_bounded() -> None:
+    """Catches a cloud that grows with every densification."""
     points = sheet(colours=False)
     for number in range(12):
-        pulled(points, torch.ones(len(points.xyz), dtype=torch.bool))
+        observe(points, torch.ones(len(points.xyz), dtype=torch.bool))
         densify(points, CONFIG, unobserved_points(points, 40), [number])
     assert 0.97 * 500 <= len(points.xyz) <= 500
 
 
-def test_what_never_shows_goes_and_what_stands_for_the_unseen_stays() -> None:
-    """Catches pruning before a point could show, of points that came late, and of those that no camera can see."""
+def test_unobserved_points_are_removed_and_permanent_ones_kept() -> None:
+    """Catches removal of new points before they could be observed, and of points outside all images."""
     points = sheet(colours=False)
-    shows = points.xyz[:, 1] > 0.095
+    visible = points.xyz[:, 1] > 0.095
     points.is_permanent[:7] = True
     for _ in range(5):
-        accumulate_gradient_magnitudes(points, torch.nonzero(shows)[:, 0], torch.full((int(shows.sum()), 3), 0.1))
+        accumulate_gradient_magnitudes(points, torch.nonzero(visible)[:, 0], torch.full((int(visible.sum()), 3), 0.1))
     assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 6), [0]).removed == 0
     assert densify(points, CONFIG, unobserved_points(points, 5), [0]).removed == 193
     kept = len(points.xyz)
     assert densify(points, replace(CONFIG, share=0.0), unobserved_points(points, 1), [1]).removed == 0, (
-        "new points had no step to show in"
+        "no step could observe the new points"
     )
     assert kept > 207
 
 
-def test_rounds_are_the_same_for_the_same_seed(rng: np.random.Generator) -> None:
-    """Catches partners drawn from a state that a resumed run does not have."""
-    hard = torch.from_numpy(rng.random(400) < 0.2)
+def test_densification_is_reproducible(rng: np.random.Generator) -> None:
+    """Catches partners drawn from a generator whose state a resumed run does not have."""
+    large = torch.from_numpy(rng.random(400) < 0.2)
     found = []
     for _ in range(2):
         points = sheet()
-        pulled(points, hard)
+        observe(points, large)
         densify(points, CONFIG, unobserved_points(points, 40), [1, 2, 3])
         found.append(points.xyz)
     assert torch.equal(*found)
 
 
-def test_history_survives_a_file(tmp_path: Path) -> None:
-    """Catches a resumed run that has forgotten which points showed, and files of before points had a history."""
+def test_the_gradient_history_is_saved(tmp_path: Path) -> None:
+    """Catches a resumed run without the history, and older files without one that cannot be read."""
     points = sheet()
-    pulled(points, points.xyz[:, 0] > 0.1)
+    observe(points, points.xyz[:, 0] > 0.1)
     named = points.tensors()
     again = FramePoints.from_tensors(named)
     assert torch.equal(again.gradient_sum, points.gradient_sum)
@@ -107,15 +107,15 @@ def test_history_survives_a_file(tmp_path: Path) -> None:
     assert int(FramePoints.from_tensors(old).initial_count) == 400
 
 
-def test_outside_all_images_is_what_no_picture_holds() -> None:
-    """Catches a shell that is pruned since no step shows it."""
+def test_points_outside_all_images_are_found() -> None:
+    """Catches the removal of the shell of points that no step observes."""
     cameras = ring_cameras(4, 64)
     xyz = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 50.0], [0.0, 0.0, -50.0]])
     assert outside_all_images(xyz, cameras).tolist() == [False, True, True]
 
 
-def test_a_run_grows_and_its_points_are_saved(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches rounds that never come, or whose points a checkpoint loses."""
+def test_a_run_densifies_and_saves_its_points(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a densification that never happens, or whose points a checkpoint loses."""
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, max_steps=24, densify=DensifyConfig(frame_every=2, background_every=6, until=1.0))
     run = trained_run(ball_capture, tmp_path / "run", config)

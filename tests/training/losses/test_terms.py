@@ -1,0 +1,77 @@
+"""Loss terms against plain formulas, and the lists of terms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.training.config import LossConfig, TrainConfig
+from fourd.training.evaluation.metrics import ssim
+from fourd.training.losses.image import ImageTerm
+from fourd.training.losses.lpips import LPIPS, expected_shapes
+from fourd.training.losses.mask import MaskTerm
+from fourd.training.losses.residual import ResidualTerm
+from fourd.training.losses.similarity import SimilarityTerm
+from fourd.training.losses.term import RenderedStep, weighted_values
+from fourd.training.losses.terms import common_terms
+from fourd.training.schedule import StepSample
+
+SAMPLE = StepSample(0, 0, [1], np.zeros(3, np.float32), 8)
+
+
+def rendered(side: int = 16) -> RenderedStep:
+    generator = torch.Generator().manual_seed(0)
+    prediction, truth = torch.rand(2, side, side, 3, generator=generator)
+    coverage, matte = torch.rand(2, side, side, generator=generator)
+    displacement = torch.rand(5, 3, generator=generator)
+    return RenderedStep(0, 0.0, SAMPLE, prediction, truth, coverage, matte, displacement)
+
+
+def test_terms_equal_their_formulas() -> None:
+    """Catches a term that compares other pictures, or forgets its unit."""
+    step = rendered()
+    assert step.matte is not None
+    assert step.displacement is not None
+    difference = (step.prediction - step.truth).abs()
+    huber = torch.where(difference < 0.1, difference.square() / 2, 0.1 * (difference - 0.05))
+    expected = {
+        ImageTerm("mse"): difference.square().mean(),
+        ImageTerm("huber"): huber.mean(),
+        SimilarityTerm(1.0): 1 - ssim(step.prediction, step.truth),
+        MaskTerm(1.0): (step.coverage - step.matte).square().mean(),
+        ResidualTerm(1.0, 0.1): (step.displacement / 0.1).square().mean(),
+    }
+    for term, value in expected.items():
+        torch.testing.assert_close(term.value(step), value, rtol=1e-5, atol=1e-6)
+
+
+def test_terms_need_what_they_compare() -> None:
+    """Catches a crash on plates, which have no matte, on models without displacement, and on small pictures."""
+    step = replace(rendered(side=10), matte=None, displacement=None)
+    terms = (ImageTerm("mse"), SimilarityTerm(1.0), MaskTerm(1.0), ResidualTerm(1.0, 0.1))
+    assert list(weighted_values(terms, step)) == ["image"]
+
+
+def test_values_are_weighted() -> None:
+    """Catches a weight that is ignored or applied twice."""
+    step = rendered()
+    values = weighted_values((MaskTerm(1.0),), step)["mask"], weighted_values((MaskTerm(0.3),), step)["mask"]
+    assert float(values[1]) == pytest.approx(0.3 * float(values[0]))
+
+
+def test_weight_zero_switches_a_term_off() -> None:
+    """Catches terms that are evaluated for nothing."""
+    config = TrainConfig(loss=LossConfig(stand_in=0, mask=0))
+    assert [term.name for term in common_terms(config, 0.1, None, None)] == ["image", "residual"]
+
+
+def test_lpips_replaces_ssim() -> None:
+    """Catches two perceptual terms at once, and none."""
+    network = LPIPS({name: torch.zeros(shape) for name, shape in expected_shapes().items()})
+    with_network = [term.name for term in common_terms(TrainConfig(), 0.1, network, None)]
+    without = [term.name for term in common_terms(TrainConfig(), 0.1, None, None)]
+    assert with_network == ["image", "lpips", "mask", "residual"]
+    assert without == ["image", "ssim", "mask", "residual"]
