@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -96,16 +94,3 @@ def test_held_out_cameras_are_not_source_views(trained: TrainedRun, scene_path: 
     manifest = open_scene(scene_path).manifest
     assert "03" not in manifest.source_names
     assert manifest.other_names == ("03",)
-
-
-def test_a_scene_plays_without_torch(scene_path: Path) -> None:
-    """Catches an import of torch while playing: viewers do not need to install it."""
-    code = (
-        "import sys\n"
-        "from fourd.baking import open_scene\n"
-        f"scene = open_scene({str(scene_path)!r})\n"
-        "scene.render(scene.manifest.cameras[0], 0)\n"
-        "assert 'torch' not in sys.modules, 'torch was imported'\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr

@@ -36,9 +36,16 @@ def draw_points_reference(
         (H, W, 4) float32 in [0, 1]: colour over the background, and alpha; not rounded to bytes.
     """
     colours = shade_points_reference(xyz, sh, blend_weights, rgb, shading)
-    arrays = (xyz, colours, radius.astype(np.float32), density.astype(np.float32))
-    tensors = [torch.from_numpy(np.array(array)) for array in arrays]
-    image, alpha, _ = (part.numpy() for part in render_points_reference(*tensors, camera, layers, near))
+    rendered = render_points_reference(
+        torch.from_numpy(xyz.copy()),
+        torch.from_numpy(colours),
+        torch.from_numpy(radius.astype(np.float32)),
+        torch.from_numpy(density.astype(np.float32)),
+        camera,
+        layers,
+        near,
+    )
+    image, alpha, _ = (part.numpy() for part in rendered)
     image = image + (1 - alpha)[..., None] * np.asarray(background, np.float32)
     return np.concatenate([np.clip(image, 0, 1), alpha[..., None]], axis=2)
 
