@@ -28,7 +28,7 @@ from fourd.training.checkpoints import (
     unpack_optimizer,
 )
 from fourd.training.config import TrainConfig
-from fourd.training.evaluation.render import Renderer
+from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.evaluation.scores import score_view
 from fourd.training.log import MetricsLog
 from fourd.training.losses.lpips import LPIPS
@@ -83,7 +83,7 @@ class Trainer:
         saved = self._restore()
         drop_stale_points(run.checkpoints)
         self.frames = run.frame_store(saved)
-        self.renderer = Renderer(self.scene, run.training, run.focus)
+        self.renderer = ModelRenderer(self.scene, run.training, run.focus)
         self._saved_step = self.done if saved is not None else -1
 
     def train(self) -> TrainSummary:

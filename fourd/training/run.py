@@ -34,7 +34,7 @@ from fourd.training.cameras.rig import Rig
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
-from fourd.training.evaluation.render import Renderer
+from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.frame_store import FrameStore
 from fourd.training.points.scratch import Scratch
@@ -164,7 +164,7 @@ class TrainedRun:
     step: int
     model: PointModel
     frames: FrameStore
-    renderer: Renderer
+    renderer: ModelRenderer
 
 
 def open_run(folder: Path) -> Run:
@@ -201,7 +201,7 @@ def load_run(folder: Path) -> TrainedRun:
         each.requires_grad_(False)
     scene.set_rig(rig)
     frames = run.frame_store(points_folder(found))
-    return TrainedRun(run, step, model, frames, Renderer(scene, run.training, run.focus))
+    return TrainedRun(run, step, model, frames, ModelRenderer(scene, run.training, run.focus))
 
 
 def read_run_plates(

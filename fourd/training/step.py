@@ -20,7 +20,7 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.selective_adam import BETAS, EPSILON
 from fourd.training.points.silhouette import revert_moves_out_of_silhouettes
 from fourd.training.rendering import composite
-from fourd.training.scenes.scene import OptimizedPoints, Scene, Target
+from fourd.training.scenes.scene import OptimizedPoints, Target, TrainingScene
 from fourd.training.schedule import StepSample
 
 
@@ -41,7 +41,11 @@ class Stepper:
     """Trains a scene, one view of a frame or one clean plate a step."""
 
     def __init__(
-        self, scene: Scene, config: TrainConfig, lpips: LPIPS | None = None, refinement: Refinement | None = None
+        self,
+        scene: TrainingScene,
+        config: TrainConfig,
+        lpips: LPIPS | None = None,
+        refinement: Refinement | None = None,
     ) -> None:
         self.scene = scene
         self.config = config

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.capture.layout import sample_indices
 from fourd.training.cameras.rig import recolour
-from fourd.training.evaluation.render import Renderer, render_view
+from fourd.training.evaluation.render import ModelRenderer, render_view
 from fourd.training.points.frame_store import FrameStore
 from fourd.training.rendering import RenderablePoints
 
@@ -58,7 +58,9 @@ class FittedView:
         return rgb if self.colours is None else _recolour(self.colours, rgb, alpha)
 
 
-def fit_test_camera(renderer: Renderer, frames: FrameStore, index: int, layers: int, *, colours: bool) -> FittedView:
+def fit_test_camera(
+    renderer: ModelRenderer, frames: FrameStore, index: int, layers: int, *, colours: bool
+) -> FittedView:
     """Fit the pose of a held-out camera to its pictures of up to three frames.
 
     Args:
@@ -89,7 +91,7 @@ class _NormalEquations:
 
 
 class _Alignment:
-    def __init__(self, renderer: Renderer, frames: FrameStore, index: int, layers: int, colours: bool) -> None:
+    def __init__(self, renderer: ModelRenderer, frames: FrameStore, index: int, layers: int, colours: bool) -> None:
         self.renderer = renderer
         self.frames = frames
         self.index = index

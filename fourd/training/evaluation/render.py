@@ -14,7 +14,7 @@ from fourd.training.background import StaticBackground
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import RenderablePoints, composite
 from fourd.training.scenes.full_scene import FullScene
-from fourd.training.scenes.scene import Scene
+from fourd.training.scenes.scene import TrainingScene
 from fourd.training.views import ViewStore
 
 
@@ -35,10 +35,10 @@ class RenderedView:
     foreground: NDArray[np.float32]
 
 
-class Renderer:
+class ModelRenderer:
     """Renders frames of a scene; source views are the training cameras nearest to the viewer."""
 
-    def __init__(self, scene: Scene, training: list[int], focus: NDArray[np.float64]) -> None:
+    def __init__(self, scene: TrainingScene, training: list[int], focus: NDArray[np.float64]) -> None:
         """Make a renderer.
 
         Args:

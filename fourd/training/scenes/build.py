@@ -7,11 +7,13 @@ from fourd.training.background import StaticBackground
 from fourd.training.config import TrainConfig
 from fourd.training.scenes.full_scene import FullScene
 from fourd.training.scenes.object_scene import ObjectScene
-from fourd.training.scenes.scene import Scene
+from fourd.training.scenes.scene import TrainingScene
 from fourd.training.views import ViewStore
 
 
-def build_scene(config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None) -> Scene:
+def build_scene(
+    config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None
+) -> TrainingScene:
     """A full scene where there is a background, else an object."""
     if background is None:
         return ObjectScene(config, model, views)

@@ -34,7 +34,7 @@ BACKGROUND_SEED = 2**31
 
 
 class FullScene:
-    """A foreground and a static background; see :class:`fourd.training.scenes.scene.Scene`.
+    """A foreground and a static background; see :class:`fourd.training.scenes.scene.TrainingScene`.
 
     Steps render either a frame or a clean plate. With ``config.background.joint`` the background is part of a frame's
     picture; without it a frame's step trains the foreground alone.

@@ -29,7 +29,7 @@ from fourd.training.views import View, ViewStore
 
 
 class ObjectScene:
-    """The foreground alone; see :class:`fourd.training.scenes.scene.Scene`."""
+    """The foreground alone; see :class:`fourd.training.scenes.scene.TrainingScene`."""
 
     background: StaticBackground | None = None
     resident_bytes = RESIDENT_BYTES

@@ -70,7 +70,7 @@ class OptimizedPoints:
         return RenderablePoints.of(self.evaluated, self.colour)
 
 
-class Scene(Protocol):
+class TrainingScene(Protocol):
     """An object or a full scene."""
 
     @property
