@@ -1,10 +1,10 @@
-"""The one exception type for input that a user can mend."""
+"""The exception for errors that the user can fix."""
 
 from __future__ import annotations
 
 
 class UserError(Exception):
-    """Input that the user must mend: the CLI prints its one line and exits with 2.
+    """Invalid input; the CLI prints the one-line message and exits with 2.
 
-    The message names the file or argument, what was expected, what came, and the mend.
+    The message names the file or argument, what was expected, what was found, and the fix.
     """

@@ -1,4 +1,4 @@
-"""Atomic writing: a file is either the old one or the whole new one, never a part."""
+"""Atomic writing: a file has either its old or its whole new content, never a part."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 UNFINISHED = ".unfinished-"
-"""How names of files begin that are being written."""
+"""Prefix of the names of temporary files during writing."""
 
 
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success fsync it and rename it over ``target``.
 
-    Use this for writers that want a path of their own. If the body raises, the temporary
-    file is removed and ``target`` stays as it was; a killed process leaves it behind, for
-    :func:`remove_unfinished`. The temporary name keeps the suffix of ``target``, since some
-    writers choose their format by it.
+    For writers that need a path. If the body raises, the temporary file is removed and ``target`` is unchanged; a
+    killed process leaves it behind for :func:`remove_unfinished`. The temporary name keeps the suffix of ``target``,
+    by which some writers choose their format.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -39,7 +38,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, name) or error.errno is None:
             raise
-        # Under the name that the user knows.
+        # Report the name that the user knows.
         raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -57,23 +56,23 @@ def write_text_atomically(target: Path | str, content: str) -> None:
 
 
 def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
-    """Remove what killed processes left half-written in ``folder``, and below it when ``deep``.
+    """Remove the temporary files of killed processes in ``folder``, and below it when ``deep``.
 
-    Only where no other process writes: its files would vanish under its hands.
+    Not safe while another process writes there: its temporary files are removed too.
     """
     for path in Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*"):
         path.unlink(missing_ok=True)
 
 
 def remove_unfinished_file(target: Path | str) -> None:
-    """Remove what killed processes left of one file, beside others of which nothing is known."""
+    """Remove the temporary files of killed processes for one target, and no others beside it."""
     target = Path(target)
     for path in target.parent.glob(f"{UNFINISHED}{glob.escape(target.stem)}-????????{glob.escape(target.suffix)}"):
         path.unlink(missing_ok=True)
 
 
 def is_unused(folder: Path | str) -> bool:
-    """Whether a folder is not there, or holds no file but what killed processes left half-written."""
+    """Whether a folder is missing, or holds no files but temporary ones of killed processes."""
     folder = Path(folder)
     if not folder.is_dir():
         return not folder.exists()

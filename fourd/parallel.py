@@ -1,4 +1,4 @@
-"""Work spread over processes, which end when the user stops and start nothing that was done."""
+"""A process pool that yields results as they come and leaves no process behind."""
 
 from __future__ import annotations
 
@@ -19,28 +19,27 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 Item = TypeVar("Item")
 
-LONGEST_BLOCK = 16
-"""Items of a job: few, so that cores end together; many, since each job opens its files again."""
-LOOK_SECONDS = 0.2
-"""Between two looks for results."""
+MAX_BLOCK = 16
+"""Items per job: few, so that all cores finish together; many, since each job opens its files again."""
+POLL_SECONDS = 0.2
 
 
 def core_count() -> int:
-    """Number of cores that this process may use."""
+    """Number of cores available to this process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
-    """Runs of neighbouring items, some for each worker."""
-    length = max(1, min(LONGEST_BLOCK, len(items) // (3 * workers)))
-    return [items[begin : begin + length] for begin in range(0, len(items), length)]
+    """Blocks of consecutive items, several per worker."""
+    length = max(1, min(MAX_BLOCK, len(items) // (3 * workers)))
+    return [items[start : start + length] for start in range(0, len(items), length)]
 
 
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """Results of ``work`` on the jobs as they come, in any order; in this process where ``workers`` is 1.
+    """Yield the results of ``work`` for all jobs in the order of completion; in this process for one worker or job.
 
-    When the consumer stops or a job fails, the processes are ended, and they end by themselves when this one was
-    killed: files must be written atomically.
+    When the consumer stops or a job fails, the processes are terminated; they also end when this process is killed.
+    Jobs must therefore write files atomically.
     """
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
@@ -48,12 +47,12 @@ def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], worke
         return
     context = multiprocessing.get_context("spawn")
     results: SimpleQueue[Any] = context.SimpleQueue()
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_begin, initargs=(results,)) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_initialize, initargs=(results,)) as pool:
         try:
-            with _interrupts_held():
-                pending: set[Future[None]] = {pool.submit(_do, work, job) for job in jobs}
+            with _block_interrupts():
+                pending: set[Future[None]] = {pool.submit(_run_job, work, job) for job in jobs}
             while pending:
-                done, pending = wait(pending, timeout=LOOK_SECONDS, return_when=FIRST_COMPLETED)
+                done, pending = wait(pending, timeout=POLL_SECONDS, return_when=FIRST_COMPLETED)
                 while not results.empty():
                     yield results.get()
                 for future in done:
@@ -66,36 +65,37 @@ def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], worke
 
 
 _results: SimpleQueue[Any]
-"""Of a process of the pool: where its results go."""
+"""In a process of the pool: the queue of its results."""
 
 
-def _begin(results: SimpleQueue[Any]) -> None:
-    """Ctrl-C reaches all processes of a terminal, and the parent alone answers it; its death ends this process.
+def _initialize(results: SimpleQueue[Any]) -> None:
+    """Set up a process of the pool.
 
-    OpenCV's threads would take the other processes' cores.
+    It ignores Ctrl-C, which reaches all processes of a terminal and which the parent handles, ends with its parent,
+    and uses one OpenCV thread, since the other cores run other processes.
     """
     global _results
     cv2.setNumThreads(1)
     _results = results
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 
-def _end_with_parent() -> None:
+def _exit_with_parent() -> None:
     parent = multiprocessing.parent_process()
     assert parent is not None
     wait_for([parent.sentinel])
     os._exit(1)
 
 
-def _do(work: Callable[[Job], Iterable[object]], job: Job) -> None:
+def _run_job(work: Callable[[Job], Iterable[object]], job: Job) -> None:
     for result in work(job):
         _results.put(result)
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Ctrl-C waits until the end of this; processes that are started meanwhile never hear it."""
+def _block_interrupts() -> Iterator[None]:
+    """Defer Ctrl-C until the end of the block; processes started in it inherit the blocked signal."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

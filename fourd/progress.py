@@ -1,4 +1,4 @@
-"""Progress that all stages show alike: a bar on a terminal, a line now and then in a file."""
+"""Progress of all stages: a bar on a terminal, occasional lines in a file."""
 
 from __future__ import annotations
 
@@ -14,45 +14,45 @@ from rich.text import Text
 
 Item = TypeVar("Item")
 Log = Callable[[str], None]
-"""Is told what was found, a line each."""
+"""Logging callback: called with one line at a time."""
 
 LINE_SECONDS = 30.0
-"""Between two lines where there is no terminal."""
-PACE_SECONDS = 60.0
-PACE_ITEMS = 20
-WORTH_TELLING_SECONDS = 2.0
-"""A phase that was shorter gets no line."""
+"""Interval between lines where there is no terminal."""
+RATE_SECONDS = 60.0
+RATE_ITEMS = 20
+MIN_LOGGED_SECONDS = 2.0
+"""Shorter phases get no line."""
 
 
 class Track(Protocol):
-    """Wraps a loop for a progress bar."""
+    """Wraps a loop for progress."""
 
     def __call__(self, items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-        """The same items, which are ``count``; ``what`` is done with them."""
+        """The same items; ``count`` is their number, ``what`` describes the work."""
 
 
 def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-    """The items, without a bar."""
+    """The items, without progress."""
     return items
 
 
 def console_log(console: Console) -> Log:
-    """Prints lines as they are."""
+    """A logging callback that prints lines unchanged."""
 
-    def told(line: str) -> None:
+    def log(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
 
-    return told
+    return log
 
 
 @dataclass(frozen=True)
 class Tracker:
-    """Progress with the time that is left: bars where the console is a terminal, lines where it is none."""
+    """Progress with the remaining time: a bar if the console is a terminal, else lines."""
 
     console: Console
 
     def track(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
-        """The items, counted as they are done."""
+        """Yield the items, counting them as they are done."""
         return self._bar(items, count, what) if self.console.is_terminal else self._lines(items, count, what)
 
     def _bar(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
@@ -61,64 +61,65 @@ class Tracker:
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
-            _TimeLeft(),
+            _RemainingTime(),
         )
         with Progress(*columns, console=self.console, transient=True) as progress:
-            pace = Pace(monotonic(), count)
-            task = progress.add_task(what, total=count, ends=None)
+            estimate = EndEstimate(monotonic(), count)
+            task = progress.add_task(what, total=count, end=None)
             for done, item in enumerate(items, 1):
                 yield item
-                progress.update(task, completed=done, ends=pace.end_after(monotonic(), done))
+                progress.update(task, completed=done, end=estimate.update(monotonic(), done))
 
     def _lines(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
-        begun = told = monotonic()
-        pace = Pace(begun, count)
+        start = last_line = monotonic()
+        estimate = EndEstimate(start, count)
         done = 0
         for done, item in enumerate(items, 1):
             yield item
             now = monotonic()
-            ends = pace.end_after(now, done)
-            if now - told >= LINE_SECONDS and done < count:
-                self._say(f"{what}: {done} of {count} after {clock(now - begun)}, {clock(ends - now)} left")
-                told = now
-        if monotonic() - begun >= WORTH_TELLING_SECONDS:
-            self._say(f"{what}: {done} of {count} after {clock(monotonic() - begun)}")
+            end = estimate.update(now, done)
+            if now - last_line >= LINE_SECONDS and done < count:
+                elapsed, remaining = format_duration(now - start), format_duration(end - now)
+                self._print(f"{what}: {done} of {count} after {elapsed}, {remaining} left")
+                last_line = now
+        if monotonic() - start >= MIN_LOGGED_SECONDS:
+            self._print(f"{what}: {done} of {count} after {format_duration(monotonic() - start)}")
 
-    def _say(self, line: str) -> None:
+    def _print(self, line: str) -> None:
         self.console.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
-class Pace:
-    """When a phase will end, by how fast its last items were done.
+class EndEstimate:
+    """Estimates when a phase ends from the rate of its last items.
 
-    These are all of the last minute, and 20 at least: enough that processes which end their items together do not
-    shake it, and few enough that it follows a machine which gets other work.
+    The rate is over the last minute, and over at least 20 items: enough to be stable when processes finish items
+    together, few enough to follow a change of the machine's load.
     """
 
-    def __init__(self, begun: float, count: int) -> None:
-        """At ``begun``, seconds on any clock; the phase has ``count`` items."""
+    def __init__(self, start: float, count: int) -> None:
+        """For a phase of ``count`` items that starts at ``start``, in seconds of any clock."""
         self._count = count
-        self._marks = deque([(begun, 0)])
+        self._marks = deque([(start, 0)])
 
-    def end_after(self, now: float, done: int) -> float:
-        """When the last item will be done, on the same clock; ``done``, at least 1 more than before, are so ``now``."""
+    def update(self, now: float, done: int) -> float:
+        """The estimated end of the phase on the same clock, after ``done`` items, more than at the last call."""
         self._marks.append((now, done))
-        while len(self._marks) > PACE_ITEMS + 1 and self._marks[1][0] <= now - PACE_SECONDS:
+        while len(self._marks) > RATE_ITEMS + 1 and self._marks[1][0] <= now - RATE_SECONDS:
             self._marks.popleft()
         since, before = self._marks[0]
         return now + (now - since) * (self._count - done) / (done - before)
 
 
-def clock(seconds: float) -> str:
-    """H:MM:SS of whole seconds, as the bars have it."""
+def format_duration(seconds: float) -> str:
+    """H:MM:SS of whole seconds; negative times count as 0."""
     minutes, rest = divmod(round(max(0.0, seconds)), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 
 
-class _TimeLeft(ProgressColumn):
-    """Counts down to when the phase is expected to end."""
+class _RemainingTime(ProgressColumn):
+    """Time until the estimated end of the phase."""
 
     def render(self, task: Task) -> Text:
-        ends: float | None = task.fields["ends"]
-        left = "-:--:--" if ends is None else clock(ends - monotonic())
-        return Text(left, style="progress.remaining")
+        end: float | None = task.fields["end"]
+        text = "-:--:--" if end is None else format_duration(end - monotonic())
+        return Text(text, style="progress.remaining")

@@ -1,4 +1,4 @@
-"""Files are old or new, never in between."""
+"""Files are either old or new, never partial."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fourd.files import (
 )
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
+def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     """Catches writing in place."""
     target = tmp_path / "a.json"
     write_text_atomically(target, "old")
@@ -29,15 +29,15 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 def test_permissions_are_those_of_a_plain_file(tmp_path: Path) -> None:
-    """Catches files that only their maker can read, as mkstemp makes them."""
+    """Catches files that only their owner can read, as mkstemp creates them."""
     plain, ours = tmp_path / "plain", tmp_path / "deep" / "ours"
     plain.write_text("")
     write_text_atomically(ours, "")
     assert stat.S_IMODE(ours.stat().st_mode) == stat.S_IMODE(plain.stat().st_mode)
 
 
-def test_what_a_killed_process_leaves_is_known_and_removed(tmp_path: Path) -> None:
-    """Catches names of half-written files that their remover does not know, and whole files that it takes."""
+def test_temporary_files_of_killed_processes_are_removed(tmp_path: Path) -> None:
+    """Catches temporary names that are not recognised, and whole files that are removed."""
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "deep" / "a.json") as temporary:
         assert temporary.name.startswith(UNFINISHED)
         assert temporary.suffix == ".json"
@@ -53,8 +53,8 @@ def test_what_a_killed_process_leaves_is_known_and_removed(tmp_path: Path) -> No
     assert not is_unused(tmp_path / "whole")
 
 
-def test_what_is_left_of_one_file_is_removed_alone(tmp_path: Path) -> None:
-    """Catches gigabytes left beside a scene whose writing was killed, and another program's files taken with them."""
+def test_temporary_files_of_one_target_are_removed(tmp_path: Path) -> None:
+    """Catches gigabytes left beside a scene after a kill, and removed files of another program."""
     for name in ("scene.4dv", "scene-2.4dv"):
         with pytest.raises(FileNotFoundError), atomic_path(tmp_path / name) as temporary:
             ours = temporary.stem.rsplit("-", 1)[0]

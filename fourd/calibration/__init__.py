@@ -1,1 +1,1 @@
-"""How well a calibration agrees with its pictures, and cameras from pictures alone."""
+"""Camera calibration: how well it agrees with the pictures, what it leaves open, and calibration from pictures."""

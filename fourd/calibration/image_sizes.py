@@ -1,4 +1,4 @@
-"""Pictures of another size than their calibration's: how one became the other, judged by the pictures."""
+"""Pictures of another size than their calibration: hypotheses of how they were resized, tested on the pictures."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.calibration.matching import Matches
-from fourd.calibration.residuals import Pair, Residuals, residuals_of
+from fourd.calibration.residuals import Pair, Residuals, compute_residuals
 from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-BLACK = 40
-"""A row or column is border when 95 in 100 of its pixels are darker than this, of 255."""
+BLACK_LEVEL = 40
+"""A row or column is border when 95% of its pixels are darker than this, of 255."""
 CONTENT_ROWS = 4
-NEAR_PX = 0.75
-"""By which a border may differ from the one that a hypothesis makes."""
-WORST_PX = 3.0
-LEAD = 1.5
-"""The second best hypothesis must be this many times as far from the pictures as the best, for evidence to be clear."""
+MAX_BORDER_ERROR_PX = 0.75
+"""Largest difference between a measured border and the one that a hypothesis predicts."""
+MAX_GOOD_PX = 3.0
+MIN_LEAD = 1.5
+"""Minimum ratio of the second best hypothesis' residual to the best one's for clear evidence."""
 
 
 @dataclass(frozen=True)
@@ -34,28 +34,28 @@ class Borders:
     right: float
     bottom: float
 
-    def difference(self, other: Borders) -> float:
-        """The greatest difference on any side."""
+    def max_difference(self, other: Borders) -> float:
+        """The largest difference over the four sides."""
         pairs = ((self.left, other.left), (self.top, other.top), (self.right, other.right), (self.bottom, other.bottom))
-        return max(abs(mine - its) for mine, its in pairs)
+        return max(abs(a - b) for a, b in pairs)
 
 
 @dataclass(frozen=True, eq=False)
 class SizeChoice:
-    """What became of pictures whose size is not their calibration's.
+    """How pictures came to a size other than their calibration's.
 
     Attributes:
         name: the best hypothesis.
-        lenses: all cameras for the pictures as they are, under that hypothesis.
-        residuals: of all pairs of cameras, by hypothesis.
+        cameras: all cameras for the pictures under that hypothesis.
+        residuals: residuals of all pairs of cameras, by hypothesis.
         means_px: mean of the medians of the pairs with a resized camera, by hypothesis; None without such a pair.
-        borders_px: greatest difference of the measured borders from those that a hypothesis makes; None if unmeasured.
-        is_clear: whether the evidence decides; else a person should look.
+        borders_px: largest difference between measured and predicted borders, by hypothesis; None if not measured.
+        is_clear: whether the evidence is sufficient to decide without the user.
         why: the evidence in one line.
     """
 
     name: str
-    lenses: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]
     residuals: dict[str, Residuals]
     means_px: dict[str, float | None]
     borders_px: dict[str, float | None]
@@ -63,63 +63,65 @@ class SizeChoice:
     why: str
 
 
-def size_hypotheses(lens: Camera, width: int, height: int) -> dict[str, Camera]:
-    """The camera of pictures of ``width`` x ``height``, by the way they were made from those of ``lens``.
+def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera]:
+    """The camera of pictures of ``width`` x ``height`` made from those of ``camera``, by how they were made.
 
     Names: ``unchanged`` alone for equal sizes, else
-    - ``stretched``: each axis scaled by itself; ``scaled`` where both have one scale, to half a pixel;
-    - ``letterboxed``: one scale so that all fits, black borders on two sides, equally wide;
-    - ``filled``: one scale so that no border stays, the rest cut off equally on two sides;
-    - ``cropped left``, ``cropped right`` (``top``, ``bottom``): not scaled, what is missing was cut off
-      that side; ``cropped centre``: equally off both sides; only where no side is longer than before.
+    - ``stretched``: each axis scaled by its own factor; ``scaled`` where both factors agree to half a pixel;
+    - ``letterboxed``: one scale so that the whole picture fits, with equal black borders on two sides;
+    - ``filled``: one scale so that no border remains, cropped equally on two sides;
+    - ``cropped left``, ``cropped right`` (``top``, ``bottom``): not scaled, cropped on that side alone;
+      ``cropped centre``: cropped equally on both sides; only where no side is longer than before.
 
     Distortion is kept: it is in units of the focal length.
     """
-    if (width, height) == (lens.width, lens.height):
-        return {"unchanged": lens}
-    x, y = width / lens.width, height / lens.height
-    if abs(lens.width * y - width) <= 0.5 or abs(lens.height * x - height) <= 0.5:
-        found = {"scaled": lens.resize(width, height)}
+    if (width, height) == (camera.width, camera.height):
+        return {"unchanged": camera}
+    x, y = width / camera.width, height / camera.height
+    if abs(camera.width * y - width) <= 0.5 or abs(camera.height * x - height) <= 0.5:
+        found = {"scaled": camera.resize(width, height)}
     else:
-        found = {"stretched": lens.resize(width, height), "letterboxed": _fitted(lens, width, height, min(x, y))}
+        found = {
+            "stretched": camera.resize(width, height),
+            "letterboxed": _scale_about_centre(camera, width, height, min(x, y)),
+        }
         if max(x, y) != 1:
-            found["filled"] = _fitted(lens, width, height, max(x, y))
-    if width > lens.width or height > lens.height:
+            found["filled"] = _scale_about_centre(camera, width, height, max(x, y))
+    if width > camera.width or height > camera.height:
         return found
-    missing_x, missing_y = lens.width - width, lens.height - height
-    found["cropped centre"] = _fitted(lens, width, height, 1.0)
+    missing_x, missing_y = camera.width - width, camera.height - height
+    found["cropped centre"] = _scale_about_centre(camera, width, height, 1.0)
     if not missing_y:
-        found["cropped left"] = lens.crop(missing_x, 0, width, height)
-        found["cropped right"] = lens.crop(0, 0, width, height)
+        found["cropped left"] = camera.crop(missing_x, 0, width, height)
+        found["cropped right"] = camera.crop(0, 0, width, height)
     if not missing_x:
-        found["cropped top"] = lens.crop(0, missing_y, width, height)
-        found["cropped bottom"] = lens.crop(0, 0, width, height)
+        found["cropped top"] = camera.crop(0, missing_y, width, height)
+        found["cropped bottom"] = camera.crop(0, 0, width, height)
     return found
 
 
-def _fitted(lens: Camera, width: int, height: int, scale: float) -> Camera:
-    """Scaled about the picture's middle, which stays the middle."""
-    shift = (width - scale * lens.width) / 2, (height - scale * lens.height) / 2
+def _scale_about_centre(camera: Camera, width: int, height: int, scale: float) -> Camera:
+    shift = (width - scale * camera.width) / 2, (height - scale * camera.height) / 2
     change = np.array([[scale, 0, shift[0]], [0, scale, shift[1]], [0, 0, 1]])
-    return replace(lens, intrinsics=change @ lens.intrinsics, width=width, height=height)
+    return replace(camera, intrinsics=change @ camera.intrinsics, width=width, height=height)
 
 
-def black_borders(pictures: Sequence[Picture]) -> Borders:
-    """Black borders of one camera's pictures (H, W, 3), uint8, which must be as recorded: not undistorted.
+def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
+    """Black borders of one camera's distorted pictures (H, W, 3), uint8.
 
-    Several frames are better than one. A border that ends within a pixel leaves that pixel a
-    mixture; its share, by the brightness of the next rows, is counted. Where the scene itself is
-    dark along a side, the border cannot be told and comes out 0 or too wide.
+    Several frames give a better result than one. A border that ends within a pixel leaves a mixed pixel, whose share
+    is estimated from the brightness of the next rows. Where the scene is dark along a side, the border is measured as
+    0 or too wide.
     """
     grey = np.mean([picture.mean(axis=2) for picture in pictures], axis=0)
     sides = (grey.T, grey, grey.T[::-1], grey[::-1])
-    left, top, right, bottom = (_border(rows) for rows in sides)
+    left, top, right, bottom = (_border_width(rows) for rows in sides)
     return Borders(left, top, right, bottom)
 
 
-def _border(rows: Array) -> float:
-    """Width of the border before the first row, to a fraction."""
-    bright = np.percentile(rows[: len(rows) // 4], 95, axis=1) >= BLACK
+def _border_width(rows: Array) -> float:
+    """Width of the black border before the first row of content, with fraction."""
+    bright = np.percentile(rows[: len(rows) // 4], 95, axis=1) >= BLACK_LEVEL
     if bright[0] or not bright.any():
         return 0.0
     first = int(bright.argmax())
@@ -134,78 +136,86 @@ def _border(rows: Array) -> float:
     return float((1 - share).sum())
 
 
-def pick_size(
+def choose_size(
     matches: Mapping[Pair, Matches],
-    lenses: Sequence[Camera],
+    cameras: Sequence[Camera],
     sizes: Sequence[tuple[int, int]],
     borders: Mapping[int, Borders] | None = None,
 ) -> SizeChoice:
-    """Find how pictures came to a size that their calibration has not; all such are taken to be made one way.
+    """Find how pictures were resized; all resized pictures are assumed to be made in the same way.
 
     Args:
-        matches: of pairs of pictures, in their own pixels (of several frames, joined).
-        lenses: the calibration, one camera a picture.
+        matches: matches of pairs of pictures, in pixels of the distorted pictures, of several frames concatenated.
+        cameras: the calibration, one camera per picture.
         sizes: (width, height) of the pictures.
-        borders: by index of the camera, of those whose size differs.
+        borders: measured borders by camera index, of the resized pictures.
 
     Returns:
-        SizeChoice. Black borders decide where the hypotheses make different ones; among those that
-        fit them the least epipolar residual does. The evidence is clear when borders of at least 2
-        pixels are met by one hypothesis alone, or when the best hypothesis agrees with the
-        pictures to 3 pixels and any other that the borders allow is 1.5 times as far from them.
+        SizeChoice. Black borders exclude hypotheses that predict others; among the rest the smallest epipolar residual
+        wins. The evidence is clear when borders of at least 2 pixels fit one hypothesis alone, or when the best
+        residual is within 3 pixels and every other that the borders allow is at least 1.5 times as large.
 
     Raises:
-        ValueError: when all sizes are the calibration's, or no way would make all of them.
+        ValueError: when no picture is resized, or no hypothesis explains all sizes.
     """
-    options = [size_hypotheses(lens, *size) for lens, size in zip(lenses, sizes, strict=True)]
+    options = [size_hypotheses(camera, *size) for camera, size in zip(cameras, sizes, strict=True)]
     resized = [index for index, option in enumerate(options) if "unchanged" not in option]
     names = [name for name in options[resized[0]] if all(name in options[i] for i in resized)] if resized else []
     if not names:
         raise ValueError("sizes: expected some that differ from the calibration's in one way, got none")
-    cameras = {name: tuple(option.get(name, lenses[i]) for i, option in enumerate(options)) for name in names}
-    residuals = {name: residuals_of(matches, cameras[name]) for name in names}
-    means = {name: _mean(found, resized) for name, found in residuals.items()}
-    misses = {name: _border_miss(name, cameras[name], lenses, borders) for name in names}
-    allowed = [name for name in names if (miss := misses[name]) is None or miss <= NEAR_PX] or names
+    by_name = {name: tuple(option.get(name, cameras[i]) for i, option in enumerate(options)) for name in names}
+    residuals = {name: compute_residuals(matches, by_name[name]) for name in names}
+    means = {name: _mean_residual(found, resized) for name, found in residuals.items()}
+    border_errors = {name: _border_error(name, by_name[name], cameras, borders) for name in names}
+    allowed = [name for name in names if (error := border_errors[name]) is None or error <= MAX_BORDER_ERROR_PX]
+    allowed = allowed or names
     best = min(allowed, key=lambda name: (_or_infinity(means[name]), names.index(name)))
-    is_wide = bool(borders) and any(max(b.left, b.top, b.right, b.bottom) >= 2 for b in (borders or {}).values())
+    is_clear = _is_clear(best, allowed, means, borders)
+    return SizeChoice(best, by_name[best], residuals, means, border_errors, is_clear, _evidence(means, border_errors))
+
+
+def _is_clear(
+    best: str, allowed: Sequence[str], means: Mapping[str, float | None], borders: Mapping[int, Borders] | None
+) -> bool:
+    is_wide = any(max(b.left, b.top, b.right, b.bottom) >= 2 for b in (borders or {}).values())
     by_borders = is_wide and len(allowed) == 1
     others = [_or_infinity(means[name]) for name in allowed if name != best]
     mean = means[best]
-    by_residuals = mean is not None and mean <= WORST_PX and all(other >= LEAD * mean for other in others)
-    contradicted = mean is not None and min(map(_or_infinity, means.values())) * LEAD < mean <= WORST_PX
-    is_clear = (by_borders and not contradicted) or (by_residuals and len(names) > 1)
-    return SizeChoice(best, cameras[best], residuals, means, misses, is_clear, _why(means, misses))
+    by_residuals = mean is not None and mean <= MAX_GOOD_PX and all(other >= MIN_LEAD * mean for other in others)
+    contradicted = mean is not None and min(map(_or_infinity, means.values())) * MIN_LEAD < mean <= MAX_GOOD_PX
+    return (by_borders and not contradicted) or (by_residuals and len(means) > 1)
 
 
-def _mean(found: Residuals, resized: Sequence[int]) -> float | None:
+def _mean_residual(found: Residuals, resized: Sequence[int]) -> float | None:
     values = [value for pair, value in found.pairs.items() if set(pair) & set(resized)]
     return float(np.mean(values)) if values else None
 
 
-def _border_miss(
-    name: str, cameras: Sequence[Camera], lenses: Sequence[Camera], borders: Mapping[int, Borders] | None
+def _border_error(
+    name: str, resized: Sequence[Camera], cameras: Sequence[Camera], borders: Mapping[int, Borders] | None
 ) -> float | None:
     if not borders:
         return None
-    return max(found.difference(_made(name, cameras[index], lenses[index])) for index, found in borders.items())
+    return max(
+        found.max_difference(_predicted_borders(name, resized[index], cameras[index]))
+        for index, found in borders.items()
+    )
 
 
-def _made(name: str, camera: Camera, lens: Camera) -> Borders:
-    """The borders that a hypothesis makes."""
+def _predicted_borders(name: str, resized: Camera, camera: Camera) -> Borders:
     if name != "letterboxed":
         return Borders(0, 0, 0, 0)
-    scale = min(camera.width / lens.width, camera.height / lens.height)
-    x, y = (camera.width - scale * lens.width) / 2, (camera.height - scale * lens.height) / 2
+    scale = min(resized.width / camera.width, resized.height / camera.height)
+    x, y = (resized.width - scale * camera.width) / 2, (resized.height - scale * camera.height) / 2
     return Borders(x, y, x, y)
 
 
-def _why(means: Mapping[str, float | None], misses: Mapping[str, float | None]) -> str:
+def _evidence(means: Mapping[str, float | None], border_errors: Mapping[str, float | None]) -> str:
     parts = []
     for name, mean in means.items():
         residual = "no matches" if mean is None else f"{mean:.2f} px off"
-        miss = misses[name]
-        parts.append(f"{name}: {residual}" + ("" if miss is None else f", borders {miss:.1f} px off"))
+        error = border_errors[name]
+        parts.append(f"{name}: {residual}" + ("" if error is None else f", borders {error:.1f} px off"))
     return "; ".join(parts)
 
 

@@ -1,8 +1,8 @@
-"""Principal points on the wrong side of the picture's middle: what turning a calibration by 90 degrees can do.
+"""Principal points mirrored about the picture's centre, an error of programs that rotate a calibration by 90 degrees.
 
-A picture that is turned by a quarter has its axes swapped and one of them reversed. Where a program
-swaps the calibration's numbers and forgets to reverse, the focal lengths and poses are right and the
-principal point is mirrored along one axis: twice its distance from the middle off, often 10 pixels or more.
+Such a rotation swaps the picture's axes and reverses one of them. A program that swaps the numbers without reversing
+keeps focal lengths and poses right, but mirrors the principal point along one axis: an error of twice its distance
+from the centre, often 10 pixels or more.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from itertools import product
 import numpy as np
 
 from fourd.calibration.matching import Matches
-from fourd.calibration.residuals import Pair, Residuals, residuals_of
+from fourd.calibration.residuals import Pair, Residuals, compute_residuals
 from fourd.cameras import Camera
 
-MOST_COMBINATIONS = 1024
-WORST_PX = 3.0
-LEAST_GAIN = 3.0
-"""Times by which the mirrored calibration must agree better than the given one."""
-LEAD = 1.5
+MAX_COMBINATIONS = 1024
+MAX_GOOD_PX = 3.0
+MIN_GAIN = 3.0
+"""Minimum ratio of the given calibration's residual to the mirrored one's."""
+MIN_LEAD = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +30,16 @@ class MirrorChoice:
 
     Attributes:
         names: by camera "as given", "mirrored x", "mirrored y" or "mirrored both".
-        lenses: the cameras so.
+        cameras: the cameras with the chosen principal points.
         given, chosen: residuals of the calibration as given and as chosen.
         given_px, chosen_px: means of the pairs' medians.
-        next_px: the same of the best other combination.
-        is_clear: whether the chosen one is good to 3 pixels, 3 times as good as the given one and 1.5 times
-            as good as any other; where the given one is chosen, only the last.
+        next_px: mean of the best other combination.
+        is_clear: whether the choice is within 3 pixels, the next combination is at least 1.5 times as far off and, for
+            a mirrored choice, the given calibration is at least 3 times as far off.
     """
 
     names: tuple[str, ...]
-    lenses: tuple[Camera, ...]
+    cameras: tuple[Camera, ...]
     given: Residuals
     chosen: Residuals
     given_px: float
@@ -48,8 +48,8 @@ class MirrorChoice:
     is_clear: bool
 
 
-def principal_point_hypotheses(lens: Camera) -> dict[str, Camera]:
-    """The camera with its principal point as given and mirrored about the picture's middle, by name."""
+def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
+    """The camera with its principal point as given and mirrored about the picture's centre, by name."""
     found = {}
     for name, x, y in (
         ("as given", False, False),
@@ -57,52 +57,55 @@ def principal_point_hypotheses(lens: Camera) -> dict[str, Camera]:
         ("mirrored y", False, True),
         ("mirrored both", True, True),
     ):
-        intrinsics = lens.intrinsics.copy()
+        intrinsics = camera.intrinsics.copy()
         if x:
-            intrinsics[0, 2] = lens.width - intrinsics[0, 2]
+            intrinsics[0, 2] = camera.width - intrinsics[0, 2]
         if y:
-            intrinsics[1, 2] = lens.height - intrinsics[1, 2]
-        found[name] = replace(lens, intrinsics=intrinsics)
+            intrinsics[1, 2] = camera.height - intrinsics[1, 2]
+        found[name] = replace(camera, intrinsics=intrinsics)
     return found
 
 
-def pick_centres(matches: Mapping[Pair, Matches], lenses: Sequence[Camera]) -> MirrorChoice:
-    """Try all combinations of mirrored principal points against matches in the pictures' own pixels.
+def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
+    """Score all combinations of mirrored principal points by matches in pixels of the distorted pictures.
 
-    ``lenses`` have the size that the calibration was made for, or were resized without a crop, so
-    that the picture's middle is still the calibration's. At most 5 cameras (4^5 combinations): take a
-    part of a larger set. Raises ValueError for more, and where no pair has enough matches.
+    The pictures have the calibration's size or are resized without a crop, so that both have the same centre. At most
+    5 cameras (4^5 combinations).
+
+    Raises:
+        ValueError: for more cameras, or when no pair has enough matches.
     """
-    if 4 ** len(lenses) > MOST_COMBINATIONS:
-        raise ValueError(f"lenses: expected at most 5 cameras, got {len(lenses)}; take a part of them")
-    options = [principal_point_hypotheses(lens) for lens in lenses]
-    given = residuals_of(matches, lenses)
+    if 4 ** len(cameras) > MAX_COMBINATIONS:
+        raise ValueError(f"cameras: expected at most 5, got {len(cameras)}; take a part of them")
+    options = [principal_point_hypotheses(camera) for camera in cameras]
+    given = compute_residuals(matches, cameras)
     if not given.pairs:
         raise ValueError("matches: expected a pair of cameras with at least 8, got none; add frames or other matches")
     medians = {
-        (pair, mine, its): residuals_of({pair: matches[pair]}, _with(lenses, {pair[0]: one, pair[1]: other})).pairs[
-            pair
-        ]
+        (pair, first_name, second_name): _pair_median(matches, cameras, pair, first, second)
         for pair in given.pairs
-        for mine, one in options[pair[0]].items()
-        for its, other in options[pair[1]].items()
+        for first_name, first in options[pair[0]].items()
+        for second_name, second in options[pair[1]].items()
     }
-    tried = sorted(
+    ranked = sorted(
         (float(np.mean([medians[pair, names[pair[0]], names[pair[1]]] for pair in given.pairs])), names)
         for names in product(*options)
     )
-    best, names = tried[0]
-    cameras = tuple(option[name] for option, name in zip(options, names, strict=True))
-    given_px = _mean(given)
-    is_lead = tried[1][0] >= LEAD * best
+    best, names = ranked[0]
+    chosen = tuple(option[name] for option, name in zip(options, names, strict=True))
+    given_px = float(np.mean(list(given.pairs.values())))
+    leads = ranked[1][0] >= MIN_LEAD * best
     is_given = set(names) == {"as given"}
-    is_clear = is_lead and best <= WORST_PX and (is_given or given_px >= LEAST_GAIN * best)
-    return MirrorChoice(names, cameras, given, residuals_of(matches, cameras), given_px, best, tried[1][0], is_clear)
+    is_clear = leads and best <= MAX_GOOD_PX and (is_given or given_px >= MIN_GAIN * best)
+    return MirrorChoice(
+        names, chosen, given, compute_residuals(matches, chosen), given_px, best, ranked[1][0], is_clear
+    )
 
 
-def _with(lenses: Sequence[Camera], others: Mapping[int, Camera]) -> list[Camera]:
-    return [others.get(index, lens) for index, lens in enumerate(lenses)]
-
-
-def _mean(found: Residuals) -> float:
-    return float(np.mean(list(found.pairs.values())))
+def _pair_median(
+    matches: Mapping[Pair, Matches], cameras: Sequence[Camera], pair: Pair, first: Camera, second: Camera
+) -> float:
+    """Median residual of a pair with its two cameras replaced."""
+    changed = list(cameras)
+    changed[pair[0]], changed[pair[1]] = first, second
+    return compute_residuals({pair: matches[pair]}, changed).pairs[pair]

@@ -1,4 +1,4 @@
-"""How well a calibration agrees with the pictures: distances of matched points from their epipolar lines."""
+"""Epipolar residuals: distances of matched points from their epipolar lines under a calibration."""
 
 from __future__ import annotations
 
@@ -10,21 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from fourd.calibration.matching import Features, Matches, features, match, supported, undistorted
+from fourd.calibration.matching import (
+    Features,
+    Matches,
+    extract_features,
+    match_features,
+    undistort_points,
+    verify_matches,
+)
 from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 Pair = tuple[int, int]
 
-ALL_PAIRS = 8
+ALL_PAIRS_CAMERAS = 8
 NEIGHBOURS = 6
-LEAST_MATCHES = 8
-WORST_PX = 3.0
-WORST_RATIO = 4.0
-LEAST_PAIRS = 2
-BAD_SHARE = 0.75
-"""Of a bad camera's pairs that disagree, at least."""
+MIN_MATCHES = 8
+MAX_GOOD_PX = 3.0
+MAX_GOOD_RATIO = 4.0
+MIN_PAIRS = 2
+MIN_BAD_SHARE = 0.75
+"""Share of a camera's pairs that must disagree for the camera to be bad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +39,10 @@ class Residuals:
     """Distances of matches from their epipolar lines, in pixels of the pictures.
 
     Attributes:
-        pairs: median distance by pair (i, j), i < j; only pairs with enough matches.
-        counts: matches that were used, by pair that was tried.
-        cameras: residual of each camera by itself, where pairs hold r_ij^2 = r_i^2 + r_j^2; None without a pair.
-        bad: cameras that disagree with the others, ascending; see :func:`bad_cameras`.
+        pairs: median distance by pair (i, j), i < j; only pairs with at least 8 matches.
+        counts: number of matches by pair.
+        cameras: residual of each camera alone, fitted so that r_ij^2 = r_i^2 + r_j^2; None for a camera without pairs.
+        bad: indices of cameras that disagree with the others, ascending; see :func:`find_bad_cameras`.
     """
 
     pairs: dict[Pair, float]
@@ -45,82 +52,76 @@ class Residuals:
 
 
 def epipolar_residuals(
-    pictures: Sequence[Picture], cameras: Sequence[Camera], *, most_features: int = 4000
+    pictures: Sequence[Picture], cameras: Sequence[Camera], *, max_features: int = 4000
 ) -> Residuals:
-    """Match pictures of one moment and tell how far the matches are from the cameras' epipolar lines.
+    """Match pictures of one frame and compute the distances of the matches from their epipolar lines.
 
     Args:
-        pictures: an RGB picture (H, W, 3) of each camera, of its size.
-        cameras: lenses of the pictures as they are: with distortion, or pinholes of undistorted pictures.
-        most_features: in each picture.
+        pictures: an RGB picture (H, W, 3) of each camera, of the camera's size.
+        cameras: cameras of the pictures: with distortion, or pinholes for undistorted pictures.
+        max_features: features per picture.
 
     Returns:
-        Residuals; wrong matches were dropped by geometry that was fitted to the matches alone
-        (:func:`fourd.calibration.matching.supported`), so a wrong calibration does not hide behind its matches.
+        Residuals. Wrong matches are dropped without the cameras' poses
+        (:func:`fourd.calibration.matching.inlier_mask`), so that a wrong calibration keeps its residuals.
 
     Raises:
         ValueError: when a picture is not of its camera's size.
     """
-    return residuals_of(matched_pairs(pictures, cameras, most_features=most_features), cameras)
+    return compute_residuals(match_pairs(pictures, cameras, max_features=max_features), cameras)
 
 
-def matched_pairs(
-    pictures: Sequence[Picture], cameras: Sequence[Camera], *, most_features: int = 4000
+def match_pairs(
+    pictures: Sequence[Picture], cameras: Sequence[Camera], *, max_features: int = 4000
 ) -> dict[Pair, Matches]:
-    """Supported matches of the pairs that :func:`likely_pairs` names; arguments as epipolar_residuals.
-
-    Matches of several frames may be joined before they are scored: ``a[pair].joined(b[pair])``.
-    """
+    """Verified matches of the pairs of :func:`select_pairs`; arguments and errors as epipolar_residuals."""
     for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
         if picture.shape != (camera.height, camera.width, 3):
             raise ValueError(
                 f"pictures[{index}]: expected {camera.height} x {camera.width} x 3, as the camera has, "
                 f"got {' x '.join(map(str, picture.shape))}"
             )
-    found: list[Features] = [features(picture, most_features) for picture in pictures]
-    pairs: dict[Pair, Matches] = {}
-    for i, j in likely_pairs(cameras):
-        matches = match(found[i], found[j])
-        straight = Matches(undistorted(cameras[i], matches.first_px), undistorted(cameras[j], matches.second_px))
-        kept = supported(straight, cameras[j].width, cameras[j].height)
-        pairs[i, j] = Matches(matches.first_px[kept], matches.second_px[kept])
-    return pairs
+    features: list[Features] = [extract_features(picture, max_features) for picture in pictures]
+    return {
+        (i, j): verify_matches(match_features(features[i], features[j]), cameras[i], cameras[j])
+        for i, j in select_pairs(cameras)
+    }
 
 
-def likely_pairs(cameras: Sequence[Camera]) -> list[Pair]:
-    """Pairs (i, j), i < j, whose pictures may look alike: all of up to 8 cameras, else each with 6 neighbours.
+def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
+    """Pairs (i, j), i < j, to match: all pairs of up to 8 cameras, else each camera with 6 neighbours.
 
-    Neighbours are those whose viewing direction differs least, and of these the nearest in place.
+    Neighbours are the cameras with the smallest angle between viewing directions; ties go to the nearest in space.
     """
     count = len(cameras)
-    if count <= ALL_PAIRS:
+    if count <= ALL_PAIRS_CAMERAS:
         return list(combinations(range(count), 2))
     centres, forwards = (
         np.stack([camera.centre for camera in cameras]),
         np.stack([camera.forward for camera in cameras]),
     )
-    turn = np.arccos(np.clip(forwards @ forwards.T, -1, 1))
-    apart = np.linalg.norm(centres[:, None] - centres[None], axis=2)
-    cost = turn + 0.1 * apart / max(float(np.median(apart)), 1e-12) + np.diag(np.full(count, np.inf))
+    angles = np.arccos(np.clip(forwards @ forwards.T, -1, 1))
+    distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)
+    cost = angles + 0.1 * distances / max(float(np.median(distances)), 1e-12) + np.diag(np.full(count, np.inf))
     nearest = np.argsort(cost, axis=1, kind="stable")[:, :NEIGHBOURS]
     return sorted({(min(i, int(j)), max(i, int(j))) for i in range(count) for j in nearest[i]})
 
 
-def residuals_of(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> Residuals:
-    """Score a calibration by matches in the pixels of the cameras' pictures; see epipolar_residuals."""
+def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> Residuals:
+    """Epipolar residuals of matches in the pixels of the cameras' distorted pictures."""
     counts = {pair: len(found) for pair, found in matches.items()}
     pairs = {
         (i, j): float(np.median(np.abs(epipolar_distances(found, cameras[i], cameras[j]))))
         for (i, j), found in matches.items()
-        if len(found) >= LEAST_MATCHES
+        if len(found) >= MIN_MATCHES
     }
-    return Residuals(pairs, counts, _blame(pairs, counts, len(cameras)), bad_cameras(pairs))
+    return Residuals(pairs, counts, _camera_residuals(pairs, counts, len(cameras)), find_bad_cameras(pairs))
 
 
 def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array:
-    """(M,) distance of each match from its epipolar lines in pixels, the mean of both pictures', signed as one.
+    """(M,) signed distance in pixels of each match from its epipolar lines, mean of both pictures.
 
-    Cameras at one place have no epipolar lines: all distances are 0.
+    Cameras with the same centre have no epipolar lines: all distances are 0.
     """
     rotation = second.rotation @ first.rotation.T
     shift = second.translation - rotation @ first.translation
@@ -131,7 +132,7 @@ def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation
     fundamental = np.linalg.inv(second.intrinsics).T @ essential @ np.linalg.inv(first.intrinsics)
     here, there = (
-        np.column_stack([undistorted(camera, xy), np.ones(len(xy))])
+        np.column_stack([undistort_points(camera, xy), np.ones(len(xy))])
         for camera, xy in ((first, matches.first_px), (second, matches.second_px))
     )
     lines_there, lines_here = here @ fundamental.T, there @ fundamental
@@ -140,42 +141,43 @@ def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array
     return np.asarray(0.5 * (error / slopes[0] + error / slopes[1]), np.float64)
 
 
-def bad_cameras(pairs: Mapping[Pair, float], *, worst_px: float = WORST_PX) -> tuple[int, ...]:
-    """Cameras that disagree with cameras that agree among each other, ascending.
+def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX) -> tuple[int, ...]:
+    """Indices of cameras that disagree with cameras that agree among each other, ascending.
 
-    A pair disagrees when its median is above ``worst_px`` and above 4 times the median of the
-    better half of all pairs. A camera is bad when it has at least 2 pairs, 3 in 4 of them or
-    more disagree, and at least 2 of the partners there have a pair elsewhere that agrees. So
-    two cameras alone are never accused, and neither is any where all disagree: then something
-    common to all is wrong.
+    A pair disagrees when its median residual exceeds both ``max_px`` and 4 times the median of the better half of all
+    pairs. A camera is bad when it has at least 2 pairs, at least 3 in 4 of them disagree, and at least 2 of its
+    partners in these have another pair that agrees. Two cameras alone are never bad, nor is any where all disagree:
+    then the error is common to all.
     """
     if not pairs:
         return ()
     better = np.sort(list(pairs.values()))[: (len(pairs) + 1) // 2]
-    limit = max(worst_px, WORST_RATIO * float(np.median(better)))
+    limit = max(max_px, MAX_GOOD_RATIO * float(np.median(better)))
     bad: list[int] = []
     for camera in sorted({index for pair in pairs for index in pair}):
-        mine = {pair for pair in pairs if camera in pair}
-        disagree = [pair for pair in mine if pairs[pair] > limit]
+        own = {pair for pair in pairs if camera in pair}
+        disagree = [pair for pair in own if pairs[pair] > limit]
         partners = {index for pair in disagree for index in pair} - {camera}
-        sound = {index for index in partners if any(index in p and pairs[p] <= limit for p in pairs if p not in mine)}
-        if len(mine) >= LEAST_PAIRS and len(disagree) >= BAD_SHARE * len(mine) and len(sound) >= LEAST_PAIRS:
+        sound = {index for index in partners if any(index in p and pairs[p] <= limit for p in pairs if p not in own)}
+        if len(own) >= MIN_PAIRS and len(disagree) >= MIN_BAD_SHARE * len(own) and len(sound) >= MIN_PAIRS:
             bad.append(camera)
     return tuple(bad)
 
 
-def _blame(pairs: Mapping[Pair, float], counts: Mapping[Pair, int], cameras: int) -> tuple[float | None, ...]:
-    """Each camera's share r_i >= 0 of r_ij^2 = r_i^2 + r_j^2: least absolute deviations by reweighting."""
+def _camera_residuals(
+    pairs: Mapping[Pair, float], counts: Mapping[Pair, int], cameras: int
+) -> tuple[float | None, ...]:
+    """r_i >= 0 of each camera with r_ij^2 = r_i^2 + r_j^2: least absolute deviations by reweighted least squares."""
     if not pairs:
         return (None,) * cameras
     design = np.zeros((len(pairs), cameras))
     for row, pair in enumerate(pairs):
         design[row, list(pair)] = 1.0
     squares = np.array(list(pairs.values())) ** 2
-    trust = np.sqrt([min(counts[pair], 100) for pair in pairs])
-    weights, solution = trust, np.zeros(cameras)
+    base_weights = np.sqrt([min(counts[pair], 100) for pair in pairs])
+    weights, solution = base_weights, np.zeros(cameras)
     for _ in range(20):
         solution, _ = nnls(weights[:, None] * design, weights * squares)
         error = np.abs(design @ solution - squares)
-        weights = trust / np.sqrt(np.maximum(error, 1e-3 * max(float(squares.max()), 1e-12)))
+        weights = base_weights / np.sqrt(np.maximum(error, 1e-3 * max(float(squares.max()), 1e-12)))
     return tuple(float(np.sqrt(solution[i])) if design[:, i].any() else None for i in range(cameras))

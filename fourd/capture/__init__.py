@@ -1,4 +1,4 @@
-"""The multi-view video on disk: layout, calibration, lazy reading, checks and the synthetic generator."""
+"""Multi-view video on disk: layout, calibration files, lazy reading, checks."""
 
 from fourd.capture.calibration import read_calibration, write_calibration
 from fourd.capture.reader import Capture, open_capture

@@ -1,4 +1,4 @@
-"""intri.yml and extri.yml: EasyMocap's calibration files, in OpenCV's FileStorage format."""
+"""Reading and writing of EasyMocap's calibration files, intri.yml and extri.yml, in OpenCV's FileStorage format."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Array = NDArray[np.float64]
 
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
-MOST_DISAGREEMENT = 1e-3
-"""Of R_c (Rodrigues) and Rot_c where a file gives both; radians, about."""
+MAX_ROTATION_DIFFERENCE = 1e-3
+"""Largest difference of matrix elements between R_c (Rodrigues) and Rot_c where a file has both."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """One camera's calibration as the files give it; width and height are None where they do not."""
+    """One camera's calibration as stored; width and height are None where the files lack them."""
 
     intrinsics: Array
     rotation: Array
@@ -35,70 +35,70 @@ class Calibration:
     height: int | None
 
     def camera(self, width: int, height: int) -> Camera:
-        """The camera, for images of ``width`` x ``height`` pixels. Raises ValueError as Camera does."""
+        """The camera of images of ``width`` x ``height`` pixels. Raises ValueError as Camera does."""
         return Camera(self.intrinsics, self.rotation, self.translation, width, height, self.distortion)
 
 
 @dataclass(frozen=True)
-class Survey:
-    """All that the calibration files say.
+class CalibrationReport:
+    """Content and errors of the calibration files.
 
     Attributes:
-        names: cameras of intri.yml, also those whose values are at fault.
-        calibrations: the good ones, by name.
-        faults: what is wrong, in the order found.
+        names: all cameras of intri.yml, including those with invalid values.
+        calibrations: the valid calibrations by name.
+        errors: errors in the order found.
     """
 
     names: tuple[str, ...]
     calibrations: dict[str, Calibration]
-    faults: tuple[UserError, ...]
+    errors: tuple[UserError, ...]
 
 
 def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     """Calibrations of ``folder``'s cameras by name, in the order of intri.yml's ``names``.
 
-    Reads ``K_c`` (3, 3) in pixels, ``D_c`` or else ``dist_c``, as EasyMocap's own tools write it
-    (OpenCV distortion, optional), ``H_c`` and ``W_c`` (optional), ``Rot_c`` (3, 3) or ``R_c``
-    (Rodrigues vector), ``T_c`` (3,), for ``x_camera = R x_world + T``.
+    Reads ``K_c`` (3, 3) in pixels, ``D_c`` or ``dist_c``, which EasyMocap's tools write (OpenCV distortion, optional),
+    ``H_c`` and ``W_c`` (optional), ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector), ``T_c`` (3,), for
+    ``x_camera = R x_world + T``.
 
     Raises:
-        UserError: naming the file and the key, when a file is missing or no FileStorage, a value
-            is missing, of another shape or not finite, or a rotation is none.
+        UserError: naming the file and the key, when a file is missing or no FileStorage, a value is missing, of
+            another shape or not finite, or a rotation matrix is not orthonormal.
     """
-    survey = survey_calibration(folder)
-    if survey.faults:
-        raise survey.faults[0]
-    return survey.calibrations
+    report = check_calibration(folder)
+    if report.errors:
+        raise report.errors[0]
+    return report.calibrations
 
 
-def survey_calibration(folder: Path | str) -> Survey:
-    """Read as read_calibration does, and go on after faults to find all of them; raises nothing for these."""
-    faults: list[UserError] = []
+def check_calibration(folder: Path | str) -> CalibrationReport:
+    """Read as read_calibration does, but collect all errors instead of raising the first."""
+    errors: list[UserError] = []
     with ExitStack() as stack:
         storages = []
         for file in (INTRINSICS_NAME, EXTRINSICS_NAME):
             try:
                 storages.append(stack.enter_context(_Storage(Path(folder) / file)))
             except UserError as error:
-                faults.append(error)
+                errors.append(error)
         if len(storages) < 2:
-            return Survey((), {}, tuple(faults))
+            return CalibrationReport((), {}, tuple(errors))
         intri, extri = storages
         try:
             names, others = intri.names(), extri.names(required=False)
         except UserError as error:
-            return Survey((), {}, (error,))
+            return CalibrationReport((), {}, (error,))
         for name in others:
             if name not in names:
-                fault = f"expected camera '{name}' of {EXTRINSICS_NAME}, got no such name; add it or drop it there"
-                faults.append(UserError(f"{intri.path}: {fault}"))
+                message = f"expected camera '{name}' of {EXTRINSICS_NAME}, got no such name; add it or remove it there"
+                errors.append(UserError(f"{intri.path}: {message}"))
         calibrations = {}
         for name in names:
             try:
-                calibrations[name] = _one(name, intri, extri)
+                calibrations[name] = _read_camera(name, intri, extri)
             except UserError as error:
-                faults.append(error)
-        return Survey(tuple(names), calibrations, tuple(faults))
+                errors.append(error)
+        return CalibrationReport(tuple(names), calibrations, tuple(errors))
 
 
 def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:
@@ -131,7 +131,7 @@ def _write_names(storage: cv2.FileStorage, names: Sequence[str]) -> None:
     storage.endWriteStruct()
 
 
-def _one(name: str, intri: _Storage, extri: _Storage) -> Calibration:
+def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
     intrinsics = intri.matrix(f"K_{name}", (3, 3))
     if not np.allclose(intrinsics[2], (0, 0, 1)):
         raise UserError(
@@ -139,7 +139,7 @@ def _one(name: str, intri: _Storage, extri: _Storage) -> Calibration:
         )
     calibration = Calibration(
         intrinsics,
-        _rotation(name, extri),
+        _read_rotation(name, extri),
         extri.matrix(f"T_{name}", (3,)),
         next((intri.matrix(key, None) for key in (f"D_{name}", f"dist_{name}") if intri.has(key)), None),
         intri.count(f"W_{name}"),
@@ -153,8 +153,8 @@ def _one(name: str, intri: _Storage, extri: _Storage) -> Calibration:
     return calibration
 
 
-def _rotation(name: str, extri: _Storage) -> Array:
-    """Rot_c, or R_c where that is not given; both must agree."""
+def _read_rotation(name: str, extri: _Storage) -> Array:
+    """Rot_c, or R_c where that is missing; where both exist they must agree."""
     if not extri.has(f"R_{name}"):
         return extri.matrix(f"Rot_{name}", (3, 3))
     vector = extri.matrix(f"R_{name}", None)
@@ -165,17 +165,17 @@ def _rotation(name: str, extri: _Storage) -> Array:
         return from_vector
     rotation = extri.matrix(f"Rot_{name}", (3, 3))
     error = float(np.abs(rotation - from_vector).max())
-    is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < MOST_DISAGREEMENT
-    if is_rotation and error > MOST_DISAGREEMENT:
+    is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < MAX_ROTATION_DIFFERENCE
+    if is_rotation and error > MAX_ROTATION_DIFFERENCE:
         raise UserError(
             f"{extri.path}: camera '{name}': expected R_{name} and Rot_{name} to be one rotation, "
-            f"got matrices that differ by {error:.3g}; drop the wrong one"
+            f"got matrices that differ by {error:.3g}; remove the wrong one"
         )
     return rotation
 
 
 class _Storage:
-    """A FileStorage that was opened for reading, with errors that name file and key."""
+    """A FileStorage open for reading; errors name the file and the key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -186,12 +186,14 @@ class _Storage:
             )
         try:
             self._storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-            # A file that ends within its first key opens as a text, in which nothing can be looked up.
+            # A file truncated within its first key opens as a string without nodes.
             opened = self._storage.isOpened() and (self._storage.root().isMap() or self._storage.root().empty())
         except (cv2.error, SystemError):
             opened = False
         if not opened:
-            raise UserError(f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got something else; write it again")
+            raise UserError(
+                f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got something else; export it again"
+            )
 
     def __enter__(self) -> _Storage:
         return self
@@ -211,24 +213,30 @@ class _Storage:
             raise UserError(f'{self.path}: names: expected a list of quoted names ("00"), got none; add it')
         names = [entry.string() for entry in entries]
         if len(set(names)) != len(names):
-            raise UserError(f"{self.path}: names: expected each camera once, got {', '.join(names)}; drop the doubles")
+            raise UserError(
+                f"{self.path}: names: expected each camera once, got {', '.join(names)}; remove the duplicates"
+            )
         return names
 
     def matrix(self, key: str, shape: tuple[int, ...] | None) -> Array:
-        """A finite matrix; with a shape None of any size, flat."""
+        """A finite matrix of that shape; for None any matrix, flattened."""
         node = self._storage.getNode(key)
         if node.empty():
-            raise UserError(f"{self.path}: {key}: expected a matrix, got nothing; add it or drop that camera")
+            raise UserError(f"{self.path}: {key}: expected a matrix, got nothing; add it or remove that camera")
         try:
             matrix = node.mat()
         except cv2.error as error:
-            raise UserError(f"{self.path}: {key}: expected a whole matrix, got a part of one; copy it again") from error
+            raise UserError(
+                f"{self.path}: {key}: expected a whole matrix, got a truncated one; copy it again"
+            ) from error
         if matrix is None and node.isSeq():
             matrix = np.array([node.at(i).real() for i in range(node.size())])
         if matrix is None or (shape is not None and matrix.size != int(np.prod(shape))):
             got = "something else" if matrix is None else " x ".join(map(str, matrix.shape))
-            wanted = "a matrix" if shape is None else " x ".join(map(str, shape))
-            raise UserError(f"{self.path}: {key}: expected {wanted} numbers, got {got}; mend or drop that camera")
+            required = "a matrix" if shape is None else " x ".join(map(str, shape))
+            raise UserError(
+                f"{self.path}: {key}: expected {required} numbers, got {got}; correct or remove that camera"
+            )
         values = matrix.astype(np.float64)
         if not np.isfinite(values).all():
             raise UserError(
@@ -237,11 +245,11 @@ class _Storage:
         return values.reshape(-1 if shape is None else shape)
 
     def count(self, key: str) -> int | None:
-        """A whole number of pixels, or None where the key is missing or 0."""
+        """A whole number of pixels; None where the key is missing or 0."""
         node = self._storage.getNode(key)
         if node.empty():
             return None
         value = node.real() if node.isReal() or node.isInt() else float("nan")
         if not (np.isfinite(value) and value == round(value) and 0 <= value <= 1 << 20):
-            raise UserError(f"{self.path}: {key}: expected a number of pixels, got {value:g}; mend or drop it")
+            raise UserError(f"{self.path}: {key}: expected a number of pixels, got {value:g}; correct or remove it")
         return int(value) or None

@@ -1,4 +1,4 @@
-"""Picture files to arrays, whole or not at all."""
+"""Decoding of picture files; a damaged file is an error, never a partial picture."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from PIL import Image, UnidentifiedImageError
 from fourd.errors import UserError
 
 PICTURE_FORMATS = ("JPEG", "PNG")
-"""Formats that Pillow may try, whatever the file's suffix: some others (EPS) start other programs."""
+"""The formats that Pillow may detect by content: others, such as EPS, start other programs."""
 
 
 def decode_rgb(path: Path) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 RGB of a picture file, pixels as stored (no rotation by EXIF, no colour management).
 
     Raises:
-        UserError: when the file is missing, no picture, or cut short.
+        UserError: when the file is missing, no JPEG or PNG, or truncated.
     """
     return np.asarray(_open(path, path, "RGB"))
 
@@ -30,7 +30,7 @@ def decode_rgb_bytes(content: bytes, place: str) -> NDArray[np.uint8]:
 
 
 def decode_matte(path: Path) -> NDArray[np.uint8]:
-    """(H, W) uint8 matte of a picture file: its grey value, of 16 bits the upper 8. Raises as decode_rgb."""
+    """(H, W) uint8 matte of a picture file: its grey value, the upper 8 of 16 bits. Raises as decode_rgb."""
     return np.asarray(_open(path, path, "L"))
 
 

@@ -14,8 +14,8 @@ PARALLEL = 1e-4
 
 def find_focus(cameras: Sequence[Camera]) -> np.ndarray | None:
     """(3,) world point nearest to the cameras' optical axes in the least-squares sense; None for parallel axes."""
-    across = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
-    if np.linalg.eigvalsh(np.mean(across, axis=0))[0] < PARALLEL:
+    projections = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
+    if np.linalg.eigvalsh(np.mean(projections, axis=0))[0] < PARALLEL:
         return None
-    right = sum((p @ camera.centre for p, camera in zip(across, cameras, strict=True)), np.zeros(3))
-    return np.linalg.lstsq(np.sum(across, axis=0), right, rcond=None)[0]
+    right = sum((p @ camera.centre for p, camera in zip(projections, cameras, strict=True)), np.zeros(3))
+    return np.linalg.lstsq(np.sum(projections, axis=0), right, rcond=None)[0]

@@ -1,4 +1,4 @@
-"""Which files a capture has: pictures and mattes by camera and frame, found by listing folders alone."""
+"""Files of a capture: pictures, mattes and videos by camera and frame, found by listing folders."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts")
 
 VIDEOS = "videos"
-"""Folder of a capture whose frames lie in videos, CAM.mp4 or another of VIDEO_SUFFIXES."""
+"""Folder of a capture with one video per camera, CAM.mp4 or another of VIDEO_SUFFIXES."""
 
 DERIVED = Path(".fourd")
 """Folder of a capture for everything that fourd computes from it; fourd deletes stale files there."""
 
 MATTES = DERIVED / "mattes"
-"""Mattes that fourd made, CAM/FRAME.png, of the undistorted pictures."""
+"""Generated mattes, CAM/FRAME.png, of the undistorted pictures."""
 
 
 def camera_folders(folder: Path) -> list[str]:
-    """Names of the folders in ``folder``, sorted; none where it does not exist."""
+    """Names of the folders in ``folder``, sorted; empty where it does not exist."""
     if not folder.is_dir():
         return []
     return sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith("."))
 
 
 def find_pictures(folder: Path) -> dict[str, str]:
-    """File names of a camera's pictures by stem, which is the frame's name.
+    """File names of a camera's pictures by stem, the frame's name.
 
     Raises:
         UserError: when two files share a stem.
@@ -45,17 +45,17 @@ def find_pictures(folder: Path) -> dict[str, str]:
             continue
         if stem in found:
             raise UserError(
-                f"{folder / entry}: expected one picture a frame, got {found[stem]} as well; remove one of them"
+                f"{folder / entry}: expected one picture per frame, got {found[stem]} as well; remove one of them"
             )
         found[stem] = entry
     return found
 
 
 def find_videos(folder: Path) -> dict[str, Path]:
-    """Videos of ``folder`` by their names without suffix, sorted.
+    """Paths of the videos in ``folder`` by name without suffix, sorted.
 
     Raises:
-        UserError: when two videos have one name.
+        UserError: when two videos have the same name without suffix.
     """
     found: dict[str, Path] = {}
     for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
@@ -92,31 +92,31 @@ def refuse_symlinks(capture: Path, folder: Path) -> None:
         )
 
 
-def sample_indices(count: int, most: int) -> list[int]:
-    """At most ``most`` positions of ``count``, evenly from the first to the last."""
-    return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})
+def sample_indices(count: int, max_samples: int) -> list[int]:
+    """At most ``max_samples`` indices below ``count``, evenly spaced from the first to the last."""
+    return sorted({round(index) for index in np.linspace(0, count - 1, min(count, max_samples))})
 
 
 def frame_name(number: int) -> str:
-    """The name of a frame that has only a number, from 0."""
+    """The name of a frame that is known by its number alone, from 0."""
     return f"{number:06d}"
 
 
-def frame_order(stems: set[str]) -> list[str]:
-    """Frames in order: by number where all stems are numbers, by name otherwise."""
+def sort_frames(stems: set[str]) -> list[str]:
+    """Frame names in order: by number where all are numbers, else by name."""
     if all(stem.isdecimal() for stem in stems):
         return sorted(stems, key=lambda stem: (int(stem), stem))
     return sorted(stems)
 
 
-def missing_frame(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
-    """The error of the first of ``frames`` that a camera's folder lacks, if one does."""
-    lost = [stem for stem in frames if stem not in found]
-    if not lost:
+def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
+    """The error for the first of ``frames`` that a camera's folder lacks; None if it has all."""
+    missing = [stem for stem in frames if stem not in found]
+    if not missing:
         return None
     suffix = Counter(Path(name).suffix for name in found.values()).most_common(1)
-    name = f"{lost[0]}{suffix[0][0] if suffix else '.png'}"
-    more = f" (and {len(lost) - 1} more there)" if len(lost) > 1 else ""
+    name = f"{missing[0]}{suffix[0][0] if suffix else '.png'}"
+    more = f" (and {len(missing) - 1} more there)" if len(missing) > 1 else ""
     return UserError(
         f"{folder / name}: expected a picture, as other cameras have of that frame, got none{more}; restore it, "
         "or leave the frames out with --frames or the camera with --views"
@@ -124,10 +124,10 @@ def missing_frame(folder: Path, found: dict[str, str], frames: Sequence[str]) ->
 
 
 def parse_frame_range(text: str | None, count: int) -> range:
-    """``A:B[:S]`` as Python slices it (from A, up to but without B, every S-th), within ``count`` frames.
+    """The frames of a Python slice ``A:B[:S]`` (B excluded) of ``count`` frames; all for None.
 
     Raises:
-        UserError: when the text is no range, or holds no frame.
+        UserError: when the text is no slice, or selects no frame.
     """
     if text is None:
         return range(count)
@@ -147,10 +147,10 @@ def parse_frame_range(text: str | None, count: int) -> range:
 
 
 def select_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
-    """The cameras asked for, in the order of ``names``; all for None.
+    """The selected cameras, in the order of ``names``; all for None.
 
     Raises:
-        UserError: on a name that is not there (the nearest is told), or on none at all.
+        UserError: for an unknown name, with the nearest known one, or an empty selection.
     """
     if views is None:
         return list(names)

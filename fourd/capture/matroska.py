@@ -1,4 +1,4 @@
-"""Whether a Matroska or WebM file is whole: it says how long it is, and not how many frames it has (RFC 8794, 9559)."""
+"""Truncated Matroska and WebM files: their header has the length in bytes but no frame count (RFC 8794, 9559)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ SEGMENT = b"\x18\x53\x80\x67"
 
 
 def missing_bytes(path: Path) -> int:
-    """Bytes that a file lacks of what it says it holds.
+    """Number of bytes that are missing at the end of a Matroska file.
 
-    0 where it lacks none, is of another kind, or does not say: what is recorded live has no length until its end.
+    0 for whole files, other formats, and files without a length, such as live recordings that were not finalised.
     """
     with path.open("rb") as stream:
         if stream.read(len(HEADER)) != HEADER:
@@ -28,7 +28,7 @@ def missing_bytes(path: Path) -> int:
 
 
 def _size(stream: BinaryIO) -> int | None:
-    """The size of an element, whose first byte's leading zeros count the bytes that follow; None where unknown."""
+    """An element's size; the leading zeros of its first byte count the bytes that follow. None where unknown."""
     first = stream.read(1)
     if not first or not first[0]:
         return None

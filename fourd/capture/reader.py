@@ -1,8 +1,7 @@
-"""A capture that was opened: cameras, and pictures and mattes decoded when they are asked for."""
+"""An opened capture: cameras, and pictures and mattes that are decoded on demand and cached."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -11,6 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
@@ -24,10 +24,10 @@ from fourd.capture.layout import (
     find_pictures,
     find_videos,
     frame_name,
-    frame_order,
-    missing_frame,
+    missing_frame_error,
     parse_frame_range,
     select_views,
+    sort_frames,
 )
 from fourd.capture.video import VideoReader
 from fourd.capture.video_list import Video, common_frames, list_videos
@@ -39,8 +39,8 @@ class Mattes:
     """A camera's mattes of the selected frames.
 
     Attributes:
-        source: one file a frame.
-        made: whether fourd made them: these hold the pixels of the undistorted pictures.
+        frames: one file per frame.
+        is_generated: whether fourd made them: then their pixels are those of the undistorted pictures.
     """
 
     frames: CameraFrames
@@ -49,7 +49,7 @@ class Mattes:
 
 @dataclass(frozen=True)
 class Footage:
-    """A camera's selected frames; mattes is None where the capture has none of it."""
+    """A camera's selected frames and their size; mattes is None where the camera has none."""
 
     images: CameraFrames
     mattes: Mattes | None
@@ -59,24 +59,23 @@ class Footage:
 class Capture:
     """Selected cameras and frames of a multi-view video.
 
-    Pictures and mattes come undistorted and scaled, as ``cameras`` describe them. They are
-    decoded when asked for and kept in one cache of bounded size, so that memory does not grow
-    with the number of frames. Not for several threads at once.
+    Pictures and mattes are undistorted and scaled to match ``cameras``. They are decoded on demand and kept in one
+    cache of bounded size, so that memory does not grow with the number of frames. Not thread-safe.
 
     Attributes:
         path: the capture's folder.
         names: camera names.
         cameras: pinholes without distortion, in the order of ``names``.
-        frame_names: names of the selected frames, which are their files' without suffix.
-        frame_numbers: positions of the selected frames in the whole capture, from 0.
-        total_frames: frames of the whole capture.
+        frame_names: names of the selected frames: their files' names without suffix.
+        frame_numbers: indices of the selected frames in the whole capture.
+        total_frames: number of frames of the whole capture.
     """
 
     def __init__(
         self,
         path: Path,
         names: Sequence[str],
-        lenses: Sequence[Camera],
+        distorted_cameras: Sequence[Camera],
         footage: Sequence[Footage],
         frame_names: Sequence[str],
         frame_numbers: Sequence[int],
@@ -87,22 +86,22 @@ class Capture:
     ) -> None:
         self.path = path
         self.names = tuple(names)
-        self.cameras = tuple(replace(lens, distortion=None).rescale(scale) for lens in lenses)
+        self.cameras = tuple(replace(camera, distortion=None).rescale(scale) for camera in distorted_cameras)
         self.frame_names = tuple(frame_names)
         self.frame_numbers = tuple(frame_numbers)
         self.total_frames = total_frames
-        self._lenses = tuple(lenses)
+        self._distorted_cameras = tuple(distorted_cameras)
         self._footage = tuple(footage)
         frame_bytes = sum(3 * camera.width * camera.height for camera in self.cameras)
-        self._cache = _Cache((cache_mb << 20) + cache_frames * frame_bytes)
+        self._cache = _ArrayCache((cache_mb << 20) + cache_frames * frame_bytes)
 
     @property
     def distorted_cameras(self) -> tuple[Camera, ...]:
-        """The cameras as the files' pictures have them: at full size, with distortion."""
-        return self._lenses
+        """The cameras of the stored pictures: at full size, with distortion."""
+        return self._distorted_cameras
 
     def with_cameras(self, cameras: Sequence[Camera]) -> Capture:
-        """The same pictures with other ``cameras`` said to have taken them: pinholes, one for each of ``names``."""
+        """The same pictures with other pinhole cameras, one for each of ``names``."""
         other = copy(self)
         other.cameras = tuple(cameras)
         return other
@@ -123,11 +122,11 @@ class Capture:
 
     def image(self, camera: int, frame: int) -> Picture:
         """(H, W, 3) uint8 RGB, read-only. Raises UserError when the file is damaged or of another size."""
-        source = self._footage[camera].images
-        return self._cache.get(("image", camera, frame), lambda: self._pinhole(source, camera, frame))
+        frames = self._footage[camera].images
+        return self._cache.get(("image", camera, frame), lambda: self._read(frames, camera, frame))
 
     def mask(self, camera: int, frame: int) -> Picture:
-        """(H, W) uint8 matte, 255 = object, read-only. Raises UserError as image, and where there are none."""
+        """(H, W) uint8 matte, 255 = object, read-only. Raises UserError as image, and without mattes."""
         mattes = self._footage[camera].mattes
         if mattes is None:
             raise UserError(
@@ -135,25 +134,25 @@ class Capture:
                 f"make them: fourd matte {self.path}"
             )
         return self._cache.get(
-            ("matte", camera, frame), lambda: self._pinhole(mattes.frames, camera, frame, mattes.is_generated)
+            ("matte", camera, frame), lambda: self._read(mattes.frames, camera, frame, mattes.is_generated)
         )
 
-    def _pinhole(self, source: CameraFrames, index: int, frame: int, undistorted: bool = False) -> Picture:
-        picture = source.read(frame)
-        lens, camera = self._lenses[index], self.cameras[index]
+    def _read(self, frames: CameraFrames, index: int, frame: int, is_undistorted: bool = False) -> Picture:
+        picture = frames.read(frame)
+        distorted, camera = self._distorted_cameras[index], self.cameras[index]
         height, width = picture.shape[:2]
-        if (width, height) != (lens.width, lens.height):
+        if (width, height) != (distorted.width, distorted.height):
             raise UserError(
-                f"{source.describe(frame)}: expected {lens.width} x {lens.height} pixels, as camera "
+                f"{frames.describe(frame)}: expected {distorted.width} x {distorted.height} pixels, as camera "
                 f"'{self.names[index]}' has, got {width} x {height}; export it again at that size"
             )
-        if lens.distortion is not None and not undistorted:
-            maps = self._cache.get(index, lambda: _undistortion(lens))
+        if distorted.distortion is not None and not is_undistorted:
+            maps = self._cache.get(index, lambda: _undistortion_maps(distorted))
             picture = np.asarray(cv2.remap(picture, maps[0], maps[1], cv2.INTER_LINEAR), np.uint8)
         if (camera.width, camera.height) != (width, height):
-            smaller = camera.width < width
-            how = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-            picture = np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=how), np.uint8)
+            interpolation = cv2.INTER_AREA if camera.width < width else cv2.INTER_LINEAR
+            size = (camera.width, camera.height)
+            picture = np.asarray(cv2.resize(picture, size, interpolation=interpolation), np.uint8)
         picture.flags.writeable = False
         return picture
 
@@ -170,21 +169,21 @@ def open_capture(
 ) -> Capture:
     """Open a capture of the EasyMocap layout: images/CAM/FRAME.jpg|png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
-    Where there is no images/, the frames are those of videos/CAM.mp4 (or another suffix), read by seeking.
-    No picture is decoded here. Mattes that fourd made stand in where masks/ has none.
-    Lens distortion is taken out of pictures and mattes with the intrinsics kept; what the lens did not see is 0.
+    Without images/, the frames are those of videos/CAM.mp4 (or another suffix), read by seeking. No picture is decoded
+    here. Generated mattes are used where masks/ has none. Pictures and mattes are undistorted with K unchanged; pixels
+    outside the distorted picture are 0.
 
     Args:
         path: the capture's folder.
         views: names of the cameras to use; None for all.
-        frames: ``A:B[:S]``, positions in the capture's order of frames; None for all.
-        scale: of the images' size, in (0, 4].
-        cache_mb: MiB of decoded pictures to keep at most.
-        cache_frames: pictures of so many frames of all cameras that are kept beyond these.
-        mattes: whether to look for mattes, which must then be whole.
+        frames: ``A:B[:S]``, indices in the capture's order of frames; None for all.
+        scale: factor on the pictures' size, in (0, 4].
+        cache_mb: size of the cache of decoded pictures in MiB.
+        cache_frames: number of frames, of all cameras, by which the cache is enlarged.
+        mattes: whether to open mattes, which must then be complete.
 
     Raises:
-        UserError: one line, when files are missing or contradict each other, or the selection is empty.
+        UserError: when files are missing or inconsistent, or the selection is empty.
     """
     path = Path(path)
     if not 0 < scale <= 4:
@@ -194,105 +193,114 @@ def open_capture(
             f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}; check the path"
         )
     calibrations = read_calibration(path)
-    names = _usable_names(path, calibrations, views)
+    names = _select_cameras(path, calibrations, views)
     if camera_folders(path / "images"):
-        stems = _picture_frames(path, names)
-        selected = parse_frame_range(frames, len(stems))
-        chosen = [stems[number] for number in selected]
-        footage = [_of_pictures(path, name, chosen) for name in names]
+        all_frames = _list_picture_frames(path, names)
+        selected = parse_frame_range(frames, len(all_frames))
+        chosen = [all_frames[number] for number in selected]
+        footage = [_open_pictures(path, name, chosen) for name in names]
     else:
         videos = list_videos(path, names)
-        stems = _video_frames(path, videos)
-        selected = parse_frame_range(frames, len(stems))
-        chosen = [stems[number] for number in selected]
-        footage = [_of_video(videos[name], selected) for name in names]
+        all_frames = _list_video_frames(path, videos)
+        selected = parse_frame_range(frames, len(all_frames))
+        chosen = [all_frames[number] for number in selected]
+        footage = [_open_video(videos[name], selected) for name in names]
     if mattes:
-        footage = [replace(of, mattes=_mattes(path, name, chosen)) for name, of in zip(names, footage, strict=True)]
+        footage = [
+            replace(of, mattes=_open_mattes(path, name, chosen)) for name, of in zip(names, footage, strict=True)
+        ]
+    _check_mattes(path, names, footage)
+    cameras = [_to_camera(path, name, calibrations[name], of.size) for name, of in zip(names, footage, strict=True)]
+    count = len(all_frames)
+    return Capture(path, names, cameras, footage, chosen, list(selected), count, scale, cache_mb, cache_frames)
+
+
+def _check_mattes(path: Path, names: Sequence[str], footage: Sequence[Footage]) -> None:
+    """Raise UserError where some cameras have mattes and others have none."""
     for name, of_camera in zip(names, footage, strict=True):
         if (of_camera.mattes is None) != (footage[0].mattes is None):
-            bare = name if of_camera.mattes is None else names[0]
+            unmatted = name if of_camera.mattes is None else names[0]
             raise UserError(
-                f"{path / 'masks' / bare}: expected mattes, as other cameras have them, got none; "
+                f"{path / 'masks' / unmatted}: expected mattes, as other cameras have them, got none; "
                 "add them or leave the camera out with --views"
             )
-    lenses = [_lens(path, name, calibrations[name], of.size) for name, of in zip(names, footage, strict=True)]
-    return Capture(path, names, lenses, footage, chosen, list(selected), len(stems), scale, cache_mb, cache_frames)
 
 
-def _picture_frames(path: Path, names: Sequence[str]) -> list[str]:
+def _list_picture_frames(path: Path, names: Sequence[str]) -> list[str]:
     """Names of all frames that any camera has a picture of, in order."""
     found = {name: find_pictures(path / "images" / name) for name in names}
     for name in names:
         if not found[name]:
             raise UserError(f"{path / 'images' / name}: expected pictures (FRAME.jpg or .png), got none; restore them")
-    return frame_order(set().union(*found.values()))
+    return sort_frames(set().union(*found.values()))
 
 
-def _of_pictures(path: Path, name: str, chosen: Sequence[str]) -> Footage:
+def _open_pictures(path: Path, name: str, chosen: Sequence[str]) -> Footage:
     folder = path / "images" / name
     found = find_pictures(folder)
-    error = missing_frame(folder, found, chosen)
+    error = missing_frame_error(folder, found, chosen)
     if error is not None:
         raise error
     images = [folder / found[stem] for stem in chosen]
     return Footage(PictureFrames(images, decode_rgb), None, picture_size(images[0]))
 
 
-def _video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
-    """Names of all frames that every video has."""
+def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
+    """Names of the frames that all videos have."""
     total = common_frames(videos)
     if total < 1:
         raise UserError(f"{path / VIDEOS}: expected videos with frames in common, got none; import with other offsets")
     return [frame_name(number) for number in range(total)]
 
 
-def _of_video(video: Video, selected: range) -> Footage:
+def _open_video(video: Video, selected: range) -> Footage:
     numbers = [number + video.offset for number in selected]
     images = VideoFrames(VideoReader(video.path, video.index), numbers)
     return Footage(images, None, (video.index.width, video.index.height))
 
 
-def _mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
-    """The user's mattes of the chosen frames, or else those that fourd made."""
-    for folder, made in ((path / "masks" / name, False), (path / MATTES / name, True)):
+def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
+    """The user's mattes of the chosen frames, else generated ones, else None."""
+    for folder, is_generated in ((path / "masks" / name, False), (path / MATTES / name, True)):
         files = find_pictures(folder)
         if files:
-            error = missing_frame(folder, files, chosen)
-            if error is not None and made:
+            error = missing_frame_error(folder, files, chosen)
+            if error is not None and is_generated:
                 count = sum(stem in files for stem in chosen)
                 raise UserError(
-                    f"{folder}: expected mattes of {len(chosen)} frames, got {count}; go on: fourd matte {path}"
+                    f"{folder}: expected mattes of {len(chosen)} frames, got {count}; make the others: "
+                    f"fourd matte {path}"
                 ) from error
             if error is not None:
                 raise error
-            return Mattes(PictureFrames([folder / files[stem] for stem in chosen], decode_matte), made)
+            return Mattes(PictureFrames([folder / files[stem] for stem in chosen], decode_matte), is_generated)
     return None
 
 
-def _usable_names(path: Path, calibrations: dict[str, Calibration], views: Sequence[str] | None) -> list[str]:
-    """The selected cameras; every one of them has a calibration and a folder of pictures."""
-    folders = camera_folders(path / "images")
-    place = "images"
-    if not folders and (path / VIDEOS).is_dir():
-        folders, place = list(find_videos(path / VIDEOS)), VIDEOS
-    everyone = list(calibrations) + [name for name in folders if name not in calibrations]
-    names = select_views(views, everyone)
+def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Sequence[str] | None) -> list[str]:
+    """Names of the selected cameras, after a check that each has a calibration and a folder of pictures or a video."""
+    found = camera_folders(path / "images")
+    folder = "images"
+    if not found and (path / VIDEOS).is_dir():
+        found, folder = list(find_videos(path / VIDEOS)), VIDEOS
+    all_names = list(calibrations) + [name for name in found if name not in calibrations]
+    names = select_views(views, all_names)
     for name in names:
         if name not in calibrations:
             raise UserError(
-                f"{path / 'intri.yml'}: expected camera '{name}', since {place}/{name} exists, got no such name; "
+                f"{path / 'intri.yml'}: expected camera '{name}', since {folder}/{name} exists, got no such name; "
                 "calibrate it or leave it out with --views"
             )
-        if name not in folders:
+        if name not in found:
             raise UserError(
-                f"{path / place / name}: expected the pictures of camera '{name}' of intri.yml, got none there; "
+                f"{path / folder / name}: expected the pictures of camera '{name}' of intri.yml, got none there; "
                 "restore them or leave the camera out with --views"
             )
     return names
 
 
-def _lens(path: Path, name: str, calibration: Calibration, size: tuple[int, int]) -> Camera:
-    """The camera with its distortion; ``size`` of its pictures stands in where the calibration says none."""
+def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int, int]) -> Camera:
+    """The camera with its distortion, of the pictures' ``size`` where the calibration has none."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = size
@@ -302,37 +310,33 @@ def _lens(path: Path, name: str, calibration: Calibration, size: tuple[int, int]
         raise UserError(f"{path / 'intri.yml'}: camera '{name}': {error}; calibrate that camera again") from error
 
 
-def _undistortion(lens: Camera) -> NDArray[np.float32]:
-    """(2, H, W) positions x and y in the distorted picture of an ideal pinhole's pixels, with the same K.
+def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
+    """(2, H, W) positions x and y in the distorted picture of a pinhole's pixels with the same K.
 
-    OpenCV counts pixels from their centres, this project from their corners: half a pixel apart.
+    OpenCV's pixel coordinates are 0 at pixel centres, fourd's at corners: half a pixel apart.
     """
-    k = lens.intrinsics.copy()
+    k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
-    size = (lens.width, lens.height)
-    return np.stack(cv2.initUndistortRectifyMap(k, lens.distortion, None, k, size, cv2.CV_32FC1)).astype(np.float32)
+    size = (camera.width, camera.height)
+    return np.stack(cv2.initUndistortRectifyMap(k, camera.distortion, None, k, size, cv2.CV_32FC1)).astype(np.float32)
 
 
-class _Cache:
-    """Arrays by key, the longest unused dropped first, within a budget of bytes (the newest always stays)."""
+class _ArrayCache:
+    """Arrays by key within a budget of bytes; the least recently used is evicted first."""
 
-    def __init__(self, budget: int) -> None:
-        self._budget = budget
-        self._used = 0
-        self._kept: OrderedDict[object, NDArray[Any]] = OrderedDict()
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self._arrays: LRUCache[object, NDArray[Any]] = LRUCache(max_bytes, getsizeof=lambda array: array.nbytes)
 
-    def __reduce__(self) -> tuple[type[_Cache], tuple[int]]:
-        """Another process fills its own."""
-        return _Cache, (self._budget,)
+    def __reduce__(self) -> tuple[type[_ArrayCache], tuple[int]]:
+        """Pickled without its content; another process fills its own."""
+        return _ArrayCache, (self._max_bytes,)
 
     def get(self, key: object, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
+        """The cached array, or a new one; an array larger than the budget is not cached."""
+        if key in self._arrays:
+            return self._arrays[key]
         array = make()
-        self._kept[key] = array
-        self._used += array.nbytes
-        while self._used > self._budget and len(self._kept) > 1:
-            _, dropped = self._kept.popitem(last=False)
-            self._used -= dropped.nbytes
+        if array.nbytes <= self._max_bytes:
+            self._arrays[key] = array
         return array

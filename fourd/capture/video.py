@@ -1,4 +1,4 @@
-"""One video's frames by number: found by seeking, decoded when asked for, never unpacked to disk."""
+"""Random access to a video's frames by number, by seeking; nothing is unpacked to disk."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from numpy.typing import NDArray
 from fourd.capture.matroska import missing_bytes
 from fourd.errors import UserError
 
-MOST_UNEVEN = 0.25
-"""Of a frame's time: how far a frame may lie from an even rhythm. A dropped frame moves others by a half at least."""
+MAX_JITTER = 0.25
+"""Largest deviation from a constant frame rate, in frame intervals. A dropped frame gives at least 0.5."""
 
 
 @dataclass(frozen=True)
 class VideoIndex:
-    """Where a video's frames lie in it.
+    """Times and keyframes of a video.
 
     Attributes:
         width, height: of the decoded frames, in pixels.
         frames: number of frames.
         start: presentation time of frame 0, seconds.
         fps: frames per second.
-        keyframes: numbers of the frames that can be decoded without those before, ascending.
+        keyframes: numbers of the frames that can be decoded without earlier ones, ascending.
     """
 
     width: int
@@ -42,17 +42,16 @@ class VideoIndex:
         return self.start + frame / self.fps
 
     def keyframe_before(self, frame: int) -> int:
-        """The last keyframe that is not after ``frame``; frame 0 where the first is no keyframe."""
-        place = int(np.searchsorted(self.keyframes, frame, side="right"))
-        return self.keyframes[place - 1] if place else 0
+        """The last keyframe at or before ``frame``; 0 where there is none."""
+        count = int(np.searchsorted(self.keyframes, frame, side="right"))
+        return self.keyframes[count - 1] if count else 0
 
 
 def index_video(path: Path) -> VideoIndex:
-    """Read a video's packets, and decode its first and last frame.
+    """Index a video from its packets; decodes its first and last frame as a check.
 
     Raises:
-        UserError: one line with the mend, when it is no video, ends early, is to be shown rotated, or its frames
-            are not evenly spaced in time.
+        UserError: when the file is no video, is truncated, has rotation metadata, or has a variable frame rate.
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy it again")
@@ -61,21 +60,21 @@ def index_video(path: Path) -> VideoIndex:
             if not container.streams.video:
                 raise UserError(f"{path}: expected a video, got a file without pictures; remove it")
             stream = container.streams.video[0]
-            promised = stream.frames
+            declared = stream.frames
             packets = [(packet.pts, packet.is_keyframe) for packet in container.demux(stream) if packet.pts is not None]
             base = stream.time_base
         if not packets or base is None:
             raise UserError(f"{path}: expected a video's frames, got none; copy it again")
-        if len(packets) < promised:
-            raise _ends_early(path, len(packets), promised)
-        lacking = missing_bytes(path)
-        if lacking:
-            whole = path.stat().st_size + lacking
+        if len(packets) < declared:
+            raise _truncated(path, len(packets), declared)
+        missing = missing_bytes(path)
+        if missing:
+            size = path.stat().st_size
             raise UserError(
-                f"{path}: expected {whole} bytes, as it says, got {whole - lacking}; copy or record it again"
+                f"{path}: expected {size + missing} bytes, as its header declares, got {size}; copy or record it again"
             )
         packets.sort()
-        fps = _even_rate(path, np.array([pts for pts, _ in packets], np.int64), base)
+        fps = _constant_rate(path, np.array([pts for pts, _ in packets], np.int64), base)
         width, height = _first_size(path)
         keyframes = tuple(number for number, (_, is_key) in enumerate(packets) if is_key)
         index = VideoIndex(width, height, len(packets), packets[0][0] * base, fps, keyframes)
@@ -87,9 +86,9 @@ def index_video(path: Path) -> VideoIndex:
 
 
 class VideoReader:
-    """An open video. Frames in rising order cost one decoding each; others a search from the keyframe before.
+    """Reads frames of a video. Frames in ascending order are decoded once; others from the keyframe before them.
 
-    Not for several threads at once. Close it, or use it as a context.
+    Not thread-safe. Close it, or use it as a context manager.
     """
 
     def __init__(self, path: Path, index: VideoIndex) -> None:
@@ -101,7 +100,7 @@ class VideoReader:
         self._last: tuple[int, NDArray[np.uint8]] | None = None
 
     def __reduce__(self) -> tuple[type[VideoReader], tuple[Path, VideoIndex]]:
-        """Another process opens the file itself."""
+        """Pickled without the open file; another process opens it again."""
         return VideoReader, (self.path, self.index)
 
     def __enter__(self) -> VideoReader:
@@ -122,34 +121,34 @@ class VideoReader:
 
         Raises:
             UserError: when the video is damaged there or ends before.
-            ValueError: when it has no frame of that number.
+            ValueError: when the number is out of range.
         """
         if not 0 <= frame < self.index.frames:
             raise ValueError(f"frame: expected 0 to {self.index.frames - 1}, got {frame}")
         if self._last is None or self._last[0] != frame:
             try:
-                picture = self._decoded(frame)
+                picture = self._decode(frame)
             except (av.FFmpegError, OSError) as error:
                 raise _damaged(self.path, error) from error
             picture.flags.writeable = False
             self._last = (frame, picture)
         return self._last[1]
 
-    def _decoded(self, wanted: int) -> NDArray[np.uint8]:
-        keyframe = self.index.keyframe_before(wanted)
-        if self._container is None or not keyframe <= self._next <= wanted:
+    def _decode(self, number: int) -> NDArray[np.uint8]:
+        keyframe = self.index.keyframe_before(number)
+        if self._container is None or not keyframe <= self._next <= number:
             self._seek(keyframe)
-        found = self._forward(wanted)
+        found = self._decode_until(number)
         if found is None:
-            # Frames before the keyframe in time may follow it in the file; some containers seek too far.
+            # Frames earlier than the keyframe may follow it in the file, and some containers seek too far.
             self._seek(0)
-            found = self._forward(wanted)
+            found = self._decode_until(number)
         if found is None:
-            raise _ends_early(self.path, self._next, self.index.frames)
+            raise _truncated(self.path, self._next, self.index.frames)
         return np.asarray(found.to_ndarray(format="rgb24"), np.uint8)
 
-    def _forward(self, wanted: int) -> av.VideoFrame | None:
-        """The frame ``wanted`` among those to come; None when a later one comes, or none."""
+    def _decode_until(self, wanted: int) -> av.VideoFrame | None:
+        """Decode up to the frame ``wanted``; None where it is missing."""
         for frame in self._frames:
             if frame.pts is None or frame.time_base is None:
                 continue
@@ -171,39 +170,41 @@ class VideoReader:
 
 
 def _first_size(path: Path) -> tuple[int, int]:
-    """(width, height) of the first frame, which must be stored as it is to be shown."""
+    """(width, height) of the first frame; raises UserError for rotation metadata."""
     with av.open(str(path)) as container:
         for frame in container.decode(video=0):
             if frame.rotation % 360:
                 raise UserError(
-                    f"{path}: expected pictures stored upright, got a video to be shown turned by "
-                    f"{frame.rotation % 360} degrees, as phones write them; write it upright: "
+                    f"{path}: expected frames stored upright, got rotation metadata of {frame.rotation % 360} degrees, "
+                    "as phones write it; rotate the frames: "
                     f"ffmpeg -i {path.name} -crf 12 upright-{path.name}"
                 )
             return frame.width, frame.height
     raise UserError(f"{path}: expected a video's frames, got none that can be decoded; copy it again")
 
 
-def _even_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> Fraction:
-    """Frames per second of frames that come evenly; container ticks may round their times."""
+def _constant_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> Fraction:
+    """The constant frame rate in 1/s; rounding of times to the container's ticks is tolerated."""
     if len(pts) == 1:
         return Fraction(1)
     step = Fraction(int(pts[-1] - pts[0]), len(pts) - 1)
     if step <= 0:
-        raise UserError(f"{path}: expected frames at rising times, got several at one time; write it again with ffmpeg")
-    aside = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step)) / float(step)
-    if aside.max() > MOST_UNEVEN and aside.max() * float(step) > 1:
+        raise UserError(
+            f"{path}: expected frames at increasing times, got several at one time; re-encode it with ffmpeg"
+        )
+    jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step)) / float(step)
+    if jitter.max() > MAX_JITTER and jitter.max() * float(step) > 1:
         steps = np.diff(pts) * float(base)
         raise UserError(
-            f"{path}: expected frames at an even rate, got steps of {1e3 * steps.min():.1f} to "
-            f"{1e3 * steps.max():.1f} ms (first uneven at frame {int(np.argmax(aside > MOST_UNEVEN))}); write it "
-            f"with a constant rate: ffmpeg -i {path.name} -fps_mode cfr -crf 12 even-{path.name}"
+            f"{path}: expected a constant frame rate, got intervals of {1e3 * steps.min():.1f} to "
+            f"{1e3 * steps.max():.1f} ms (first deviation at frame {int(np.argmax(jitter > MAX_JITTER))}); re-encode "
+            f"it: ffmpeg -i {path.name} -fps_mode cfr -crf 12 even-{path.name}"
         )
     return (1 / (step * base)).limit_denominator(1001)
 
 
-def _ends_early(path: Path, got: int, promised: int) -> UserError:
-    return UserError(f"{path}: expected {promised} frames, got {got} before its end; copy or record it again")
+def _truncated(path: Path, got: int, declared: int) -> UserError:
+    return UserError(f"{path}: expected {declared} frames, got {got} before its end; copy or record it again")
 
 
 def _damaged(path: Path, error: Exception) -> UserError:

@@ -1,4 +1,4 @@
-"""videos.json: a capture's videos, where their frames lie, and by how many frames each runs late."""
+"""videos.json: a capture's videos, the index of their frames, and their offsets in time."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fourd.errors import UserError
 from fourd.files import write_text_atomically
 
 NAME = "videos.json"
-KEPT = Path(".fourd") / NAME
-"""What was indexed beside it: a source's videos, and those of a capture that came without a list."""
+CACHE = Path(".fourd") / NAME
+"""Cached indices of an import's source, and of a capture that has no videos.json."""
 VERSION = 1
 
 Entry = dict[str, Any]
@@ -27,9 +27,9 @@ class Video:
     """A camera's video in a capture.
 
     Attributes:
-        path: of the file.
-        index: where its frames lie.
-        offset: number in the video of the capture's frame 0, at least 0.
+        path: the video file.
+        index: the index of its frames.
+        offset: the video's frame number of the capture's frame 0, at least 0.
     """
 
     path: Path
@@ -38,44 +38,46 @@ class Video:
 
     @property
     def frames_left(self) -> int:
-        """Frames from the offset on; none when it is past the end."""
+        """Number of frames from the offset on, at least 0."""
         return max(0, self.index.frames - self.offset)
 
 
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
-    """The videos of ``capture``/videos by camera, as videos.json or else .fourd/videos.json has them.
+    """The videos of ``capture``/videos by camera, indexed by videos.json or else by .fourd/videos.json.
 
-    Those that both lack are indexed now; :func:`fourd.capture.video_index.index_capture` keeps that.
+    Videos that both lack are indexed without being cached, unlike :func:`fourd.capture.video_index.index_capture`.
 
     Args:
         capture: the capture's folder.
-        names: cameras to list; None for all.
+        names: the cameras; None for all.
 
     Raises:
         UserError: when two videos have one name, videos.json is damaged, or a video cannot be used.
     """
     files = find_videos(capture / VIDEOS)
-    listing, kept = capture / NAME, capture / KEPT
-    known, spare = read_entries(listing), read_entries(kept)
-    wanted = files if names is None else [name for name in names if name in files]
-    return {
-        name: listed(listing, files[name], known[name]) if name in known else listed(kept, files[name], spare.get(name))
-        for name in wanted
-    }
+    path, cache = capture / NAME, capture / CACHE
+    listed, cached = read_entries(path), read_entries(cache)
+    videos = {}
+    for name in files if names is None else [name for name in names if name in files]:
+        if name in listed:
+            videos[name] = load_video(path, files[name], listed[name])
+        else:
+            videos[name] = load_video(cache, files[name], cached.get(name))
+    return videos
 
 
 def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
     """Write videos.json atomically."""
-    write_entries(capture / NAME, {name: entry_of(video) for name, video in videos.items()})
+    write_entries(capture / NAME, {name: make_entry(video) for name, video in videos.items()})
 
 
-def write_entries(listing: Path, entries: Mapping[str, Entry]) -> None:
-    """Write a list of videos atomically."""
-    write_text_atomically(listing, json.dumps({"version": VERSION, "cameras": entries}, indent=1) + "\n")
+def write_entries(path: Path, entries: Mapping[str, Entry]) -> None:
+    """Write a videos.json atomically."""
+    write_text_atomically(path, json.dumps({"version": VERSION, "cameras": entries}, indent=1) + "\n")
 
 
-def aligned(offsets: Mapping[str, int]) -> dict[str, int]:
-    """The same offsets between the cameras with the smallest at 0."""
+def align_offsets(offsets: Mapping[str, int]) -> dict[str, int]:
+    """The offsets shifted so that the smallest is 0."""
     least = min(offsets.values(), default=0)
     return {name: offset - least for name, offset in offsets.items()}
 
@@ -85,8 +87,8 @@ def common_frames(videos: Mapping[str, Video]) -> int:
     return min((video.frames_left for video in videos.values()), default=0)
 
 
-def entry_of(video: Video) -> Entry:
-    """What a list says of a video."""
+def make_entry(video: Video) -> Entry:
+    """A video's entry in videos.json."""
     status = video.path.stat()
     index = asdict(video.index) | {"start": str(video.index.start), "fps": str(video.index.fps)}
     return {
@@ -97,13 +99,17 @@ def entry_of(video: Video) -> Entry:
     }
 
 
-def is_of(entry: Entry | None, path: Path) -> bool:
-    """Whether an entry is of the file as it is now, by name and size."""
+def is_entry_current(entry: Entry | None, path: Path) -> bool:
+    """Whether an entry has the file's name and size."""
     return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
 
 
-def listed(listing: Path, path: Path, entry: Entry | None) -> Video:
-    """The video by its entry; indexed again where there is none or the file is another one. Raises UserError."""
+def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
+    """The video ``path`` by its entry in ``listing``; without an entry, or for a changed file, it is indexed again.
+
+    Raises:
+        UserError: when the entry is damaged or the video cannot be used.
+    """
     if entry is None:
         return Video(path, index_video(path), 0)
     try:
@@ -112,7 +118,7 @@ def listed(listing: Path, path: Path, entry: Entry | None) -> Video:
         index = VideoIndex(**values | {"keyframes": tuple(int(number) for number in values["keyframes"])})
         if offset < 0 or min(index.frames, index.width, index.height) < 1 or index.fps <= 0:
             raise ValueError
-        if not is_of(entry, path):
+        if not is_entry_current(entry, path):
             index = index_video(path)
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise _damaged(listing, f"the index of {path.name}") from error
@@ -120,7 +126,7 @@ def listed(listing: Path, path: Path, entry: Entry | None) -> Video:
 
 
 def read_entries(path: Path) -> dict[str, Entry]:
-    """What a list says of each video; nothing where there is no such file. Raises UserError where it is damaged."""
+    """The entries of a videos.json by camera; empty if it does not exist. Raises UserError where it is damaged."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != VERSION:
@@ -133,5 +139,5 @@ def read_entries(path: Path) -> dict[str, Entry]:
 
 
 def _damaged(listing: Path, expected: str) -> UserError:
-    mend = "delete it" if listing.parent.name == KEPT.parent.name else "import again"
-    return UserError(f"{listing}: expected {expected}, got something else; {mend}")
+    fix = "delete it" if listing.parent.name == CACHE.parent.name else "import again"
+    return UserError(f"{listing}: expected {expected}, got something else; {fix}")

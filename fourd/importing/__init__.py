@@ -1,1 +1,1 @@
-"""Other programs' captures, read into this project's conventions and written as a capture."""
+"""Import of other programs' captures: formats, alignment in time, calibration, and writing."""

@@ -1,4 +1,4 @@
-""".fourd/import.json: what was imported into a folder and how, so that no other capture is overwritten."""
+""".fourd/import.json: source and options of an import, so that no other capture is overwritten."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class ImportRecord:
 
     Attributes:
         source: the source's path.
-        format: name of its format.
-        calibration, files: digests of what it held; see :func:`digests`.
-        options: as the command had them.
-        offsets: by which videos run late, as they were applied.
-        unpacked: whether videos' frames were ever written as pictures there, of these files with these offsets.
-        done: whether the import came to its end.
-        warnings: what it warned of.
+        format: the name of its format.
+        calibration, files: digests of its content; see :func:`digests`.
+        options: the command's options.
+        offsets: applied delays of the videos in frames.
+        unpacked: whether frames of these videos with these offsets were written as pictures.
+        done: whether the import finished.
+        warnings: its warnings.
     """
 
     source: str
@@ -44,10 +44,10 @@ class ImportRecord:
 
 
 def read_record(out: Path) -> ImportRecord | None:
-    """The record in the folder ``out``; None where that is new or holds no file.
+    """The record in the folder ``out``; None where it is missing or empty.
 
     Raises:
-        UserError: when ``out`` is a file, or holds something that no import wrote.
+        UserError: when ``out`` is a file, or holds files without a valid record.
     """
     if is_unused(out):
         return None
@@ -64,8 +64,8 @@ def read_record(out: Path) -> ImportRecord | None:
         raise UserError(f"{path}: expected the record of an import, got something else; name another folder") from error
 
 
-def check_same(out: Path, before: ImportRecord, source: Path, name: str) -> None:
-    """Refuse a folder into which another source was imported. Raises UserError."""
+def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:
+    """Raise UserError when the folder holds an import of another source."""
     if (before.source, before.format) != (str(source.resolve()), name):
         raise UserError(
             f"{out}: expected a new folder or an import of {source} ({name}), got one of {before.source} "
@@ -74,42 +74,42 @@ def check_same(out: Path, before: ImportRecord, source: Path, name: str) -> None
 
 
 def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, int]) -> None:
-    """Refuse other videos or offsets than those of which frames were unpacked. Raises UserError."""
+    """Raise UserError when the folder holds unpacked frames of other videos or with other offsets."""
     if before.unpacked and before.files != files:
         raise UserError(
-            f"{out}: expected the videos of which its frames were unpacked, got others; import into another folder"
+            f"{out}: expected the videos whose frames were unpacked there, got others; import into another folder"
         )
     if before.unpacked and before.offsets != dict(offsets):
         raise UserError(
-            f"{out}: expected the offsets with which its frames were unpacked ({_said(before.offsets)}), got "
-            f"{_said(offsets)}; import into another folder"
+            f"{out}: expected the offsets of the frames unpacked there ({_format(before.offsets)}), got "
+            f"{_format(offsets)}; import into another folder"
         )
 
 
 def write_record(out: Path, record: ImportRecord) -> None:
-    """Write it atomically."""
+    """Write the record of the folder ``out`` atomically."""
     write_text_atomically(out / RECORD, json.dumps({"version": VERSION} | asdict(record), indent=1) + "\n")
 
 
 def digests(imported: Imported) -> tuple[str, str]:
-    """Of the calibration that an importer read, and of names and sizes of its files: others mean another source."""
-    lenses, files = hashlib.sha256(), hashlib.sha256()
+    """Hashes of a source's calibration, and of the names and sizes of its files."""
+    calibrations, files = hashlib.sha256(), hashlib.sha256()
     for camera in imported.cameras:
-        lens = camera.lens
-        if lens is not None:
-            arrays = (lens.intrinsics, lens.rotation, lens.translation, lens.distortion)
+        calibration = camera.calibration
+        if calibration is not None:
+            arrays = (calibration.intrinsics, calibration.rotation, calibration.translation, calibration.distortion)
             values = [None if array is None else array.tolist() for array in arrays]
-            lenses.update(repr((camera.name, lens.width, lens.height, values)).encode())
+            calibrations.update(repr((camera.name, calibration.width, calibration.height, values)).encode())
         for frames in (camera.frames, camera.masks):
             if isinstance(frames, PictureFiles):
-                what: object = [str(path) for path in frames.paths]
+                content: object = [str(path) for path in frames.paths]
             elif isinstance(frames, EncodedPictures):
-                what = (frames.count, frames.suffix)
+                content = (frames.count, frames.suffix)
             else:
-                what = None if frames is None else (str(frames.path), frames.path.stat().st_size)
-            files.update(repr((camera.name, what)).encode())
-    return lenses.hexdigest(), files.hexdigest()
+                content = None if frames is None else (str(frames.path), frames.path.stat().st_size)
+            files.update(repr((camera.name, content)).encode())
+    return calibrations.hexdigest(), files.hexdigest()
 
 
-def _said(offsets: Mapping[str, int]) -> str:
+def _format(offsets: Mapping[str, int]) -> str:
     return ", ".join(f"{name}={frames}" for name, frames in offsets.items() if frames) or "none"

@@ -1,4 +1,4 @@
-"""Time offsets of an import's cameras, estimated from small grey pictures of all their frames."""
+"""Time offsets between a source's cameras, estimated from reduced grey pictures of all frames."""
 
 from __future__ import annotations
 
@@ -12,55 +12,55 @@ from numpy.typing import NDArray
 from fourd.capture.video import VideoIndex
 from fourd.errors import UserError
 from fourd.importing.formats.imported import ImportedCamera
-from fourd.importing.sample_frames import Moments
+from fourd.importing.sample_frames import SynchronizedFrames
 from fourd.progress import Track
-from fourd.sync.motion import LEAST_OVERLAP, Offsets, estimate_offsets, motion_energy, plot_offsets
+from fourd.sync.motion import MIN_OVERLAP, Offsets, estimate_offsets, motion_energy, plot_offsets
 
-WIDTH = 200
-MOST = 300
-SURE = 0.5
-"""Confidence from which an offset is applied."""
-NO_PROOF = 3
-"""Frames up to which an offset may be the method's own error."""
+WIDTH_PX = 200
+MAX_OFFSET_FRAMES = 300
+MIN_CONFIDENCE = 0.5
+"""Minimum confidence of an applied offset."""
+UNRELIABLE_FRAMES = 3
+"""Offsets up to this many frames are within the method's error."""
 PLOT = Path(".fourd") / "sync.png"
 
 
 def find_offsets(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
 ) -> Offsets:
-    """Estimate by how many frames cameras run behind the first, and plot it as ``out``/.fourd/sync.png.
+    """Estimate each camera's delay relative to the first and plot it as ``out``/.fourd/sync.png.
 
-    Offsets up to a third of the shortest camera's frames are looked for, and 300 at most.
+    Searches offsets up to a third of the shortest camera's frames, and up to 300.
 
     Raises:
-        UserError: when there are too few frames, or one of them cannot be decoded.
+        UserError: when there are too few frames, or a frame cannot be decoded.
     """
-    with Moments(cameras, indices, {}) as moments:
-        most = min(moments.count // 3, moments.count - LEAST_OVERLAP, MOST)
-        if most < 1:
+    with SynchronizedFrames(cameras, indices, {}) as frames:
+        max_offset = min(frames.count // 3, frames.count - MIN_OVERLAP, MAX_OFFSET_FRAMES)
+        if max_offset < 1:
             raise UserError(
-                f"--sync: expected more than {LEAST_OVERLAP} frames of each camera, got {moments.count}; use --offset"
+                f"--sync: expected more than {MIN_OVERLAP} frames of each camera, got {frames.count}; use --offset"
             )
         energies = []
-        for index, name in enumerate(moments.names):
-            numbers = track(range(moments.counts[index]), moments.counts[index], f"motion of {name}")
-            energies.append(motion_energy(_small(moments, index, numbers)))
-    found = estimate_offsets(energies, most)
-    plot_offsets(out / PLOT, moments.names, energies, found)
+        for index, name in enumerate(frames.names):
+            numbers = track(range(frames.counts[index]), frames.counts[index], f"motion of {name}")
+            energies.append(motion_energy(_reduced_frames(frames, index, numbers)))
+    found = estimate_offsets(energies, max_offset)
+    plot_offsets(out / PLOT, frames.names, energies, found)
     return found
 
 
-def sure_offsets(names: Iterable[str], found: Offsets) -> dict[str, int]:
-    """The offsets to apply: those of more than 3 frames whose confidence is at least 0.5."""
+def confident_offsets(names: Iterable[str], found: Offsets) -> dict[str, int]:
+    """The offsets to apply by camera: those of more than 3 frames with a confidence of at least 0.5."""
     return {
         name: frames
-        for name, frames, sure in zip(names, found.frames, found.confidence, strict=True)
-        if sure >= SURE and abs(frames) > NO_PROOF
+        for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True)
+        if confidence >= MIN_CONFIDENCE and abs(frames) > UNRELIABLE_FRAMES
     }
 
 
-def _small(moments: Moments, index: int, numbers: Iterable[int]) -> Iterator[NDArray[np.uint8]]:
+def _reduced_frames(frames: SynchronizedFrames, index: int, numbers: Iterable[int]) -> Iterator[NDArray[np.uint8]]:
     for number in numbers:
-        grey = cv2.cvtColor(moments.picture(index, number), cv2.COLOR_RGB2GRAY)
-        height = max(1, round(grey.shape[0] * WIDTH / grey.shape[1]))
-        yield np.asarray(cv2.resize(grey, (WIDTH, height), interpolation=cv2.INTER_AREA), np.uint8)
+        grey = cv2.cvtColor(frames.picture(index, number), cv2.COLOR_RGB2GRAY)
+        height = max(1, round(grey.shape[0] * WIDTH_PX / grey.shape[1]))
+        yield np.asarray(cv2.resize(grey, (WIDTH_PX, height), interpolation=cv2.INTER_AREA), np.uint8)

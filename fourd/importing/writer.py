@@ -1,4 +1,4 @@
-"""Writes what an importer read as a capture: linked, not copied, unless asked."""
+"""Writing a source as a capture: files are linked, or copied on request."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fourd.cameras import Camera
 from fourd.capture.calibration import write_calibration
 from fourd.capture.layout import VIDEOS, frame_name
 from fourd.capture.video import VideoIndex, VideoReader
-from fourd.capture.video_list import Video, aligned, common_frames, write_video_list
+from fourd.capture.video_list import Video, align_offsets, common_frames, write_video_list
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_bytes_atomically
 from fourd.importing.formats.imported import (
@@ -32,8 +31,8 @@ from fourd.progress import Track
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 JPEG_QUALITY = 95
-LONG_GROUP = 250
-"""Frames between keyframes; a frame at the end of such a group waits for the decoding of all before it."""
+LONG_KEYFRAME_INTERVAL = 250
+"""In frames; reading a frame decodes all frames since the keyframe before it."""
 
 
 @dataclass(frozen=True)
@@ -41,9 +40,9 @@ class ImportSettings:
     """How a source becomes a capture.
 
     Attributes:
-        copy: files are copied in place of linked.
-        unpack: a video's frames are written as pictures.
-        offsets: frames by which a camera's video runs late, against the others.
+        copy: copy files instead of linking them.
+        unpack: write the frames of videos as pictures.
+        offsets: delay of each camera's video in frames, relative to the others.
     """
 
     copy: bool = False
@@ -54,28 +53,28 @@ class ImportSettings:
 def write_capture(
     imported: Imported, indices: Mapping[str, VideoIndex], out: Path, settings: ImportSettings, track: Track
 ) -> list[str]:
-    """Write ``imported`` into the folder ``out``, which a second call with the same source completes.
+    """Write ``imported`` into the folder ``out``; a second call with the same source completes it.
 
-    Cameras without a lens get no calibration; see :mod:`fourd.calibration.structure_from_motion`.
+    The calibration holds the cameras that have one.
 
     Args:
-        imported: as an importer read it.
-        indices: of the cameras that have videos.
+        imported: the source's content.
+        indices: indices of the videos by camera name.
         out: the capture's folder.
         settings: copy or link, unpack, offsets.
-        track: for progress.
+        track: wraps loops for progress.
 
     Returns:
-        notes on what was found: counts that differ, frames that were left out.
+        notes: different frame counts, skipped frames.
 
     Raises:
-        UserError: when names cannot be names of files, a video cannot be used, or offsets fit no camera.
+        UserError: when a camera's name is no valid file name, a video cannot be used, or an offset is of no camera.
     """
     check_import(imported, settings)
-    videos = _aligned(imported.cameras, indices, settings.offsets)
-    notes = _rates(videos)
+    videos = _align_videos(imported.cameras, indices, settings.offsets)
+    notes = _check_rates(videos)
     if videos and len(videos) < len(imported.cameras):
-        raise UserError(f"{out}: expected videos of all cameras or of none, got both; import with the pictures alone")
+        raise UserError(f"{out}: expected videos of all cameras or of none, got both; import the pictures alone")
     if videos and settings.unpack:
         count = common_frames(videos)
         for name, video in videos.items():
@@ -87,12 +86,14 @@ def write_capture(
             _place_pictures(camera.frames, out / "images" / camera.name, settings.copy, track)
         if camera.masks is not None:
             _place_pictures(camera.masks, out / "masks" / camera.name, settings.copy, track)
-    write_lenses(out, [(camera.name, camera.lens) for camera in imported.cameras if camera.lens is not None])
+    calibrations = {camera.name: camera.calibration for camera in imported.cameras if camera.calibration is not None}
+    if calibrations:
+        write_calibration(out, list(calibrations), list(calibrations.values()))
     return notes
 
 
 def check_import(imported: Imported, settings: ImportSettings) -> None:
-    """Whether names can be names of files, and offsets are those of videos. Raises UserError as write_capture."""
+    """Check that camera names are valid file names and offsets are of videos. Raises UserError as write_capture."""
     _check_names(imported.cameras)
     frames = {camera.name: camera.frames for camera in imported.cameras}
     for name in settings.offsets:
@@ -100,12 +101,6 @@ def check_import(imported: Imported, settings: ImportSettings) -> None:
             raise UserError(f"--offset: expected a camera among {', '.join(frames)}, got '{name}'; name one of them")
         if not isinstance(frames[name], VideoFile):
             raise UserError(f"--offset: expected a video of '{name}', got pictures; rename them so that frames agree")
-
-
-def write_lenses(out: Path, lenses: Sequence[tuple[str, Camera]]) -> None:
-    """Write the calibration of the cameras that have one."""
-    if lenses:
-        write_calibration(out, [name for name, _ in lenses], [lens for _, lens in lenses])
 
 
 def _check_names(cameras: Sequence[ImportedCamera]) -> None:
@@ -118,21 +113,21 @@ def _check_names(cameras: Sequence[ImportedCamera]) -> None:
         seen.add(camera.name)
 
 
-def _aligned(
+def _align_videos(
     cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
 ) -> dict[str, Video]:
-    """The videos with the offsets between them."""
+    """The videos by camera name, with the smallest offset at 0."""
     files = video_files(cameras)
-    late = aligned({name: offsets.get(name, 0) for name in files})
-    videos = {name: Video(path, indices[name], late[name]) for name, path in files.items()}
+    starts = align_offsets({name: offsets.get(name, 0) for name in files})
+    videos = {name: Video(path, indices[name], starts[name]) for name, path in files.items()}
     for name, video in videos.items():
         if not video.frames_left:
             raise UserError(f"--offset: expected less than {video.index.frames} frames of '{name}', got {video.offset}")
     return videos
 
 
-def _rates(videos: Mapping[str, Video]) -> list[str]:
-    """What to say of rates and counts; rates that differ are an error."""
+def _check_rates(videos: Mapping[str, Video]) -> list[str]:
+    """Notes on frame rates and counts; raises UserError for different rates."""
     if not videos:
         return []
     first, reference = next(iter(videos.items()))
@@ -146,12 +141,12 @@ def _rates(videos: Mapping[str, Video]) -> list[str]:
     count = common_frames(videos)
     for name, video in videos.items():
         if video.frames_left > count:
-            notes.append(f"{name}: the last {video.frames_left - count} frames are not used, others end before")
+            notes.append(f"{name}: the last {video.frames_left - count} frames are not used: other videos end earlier")
         if video.offset:
-            notes.append(f"{name}: its first {video.offset} frames are skipped, as the offsets say")
+            notes.append(f"{name}: its first {video.offset} frames are skipped because of the offsets")
         longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
-        if longest > LONG_GROUP:
-            notes.append(f"{name}: {longest} frames between keyframes; --unpack makes jumping about faster")
+        if longest > LONG_KEYFRAME_INTERVAL:
+            notes.append(f"{name}: {longest} frames between keyframes; --unpack makes random access faster")
     return notes
 
 
@@ -189,7 +184,7 @@ def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
 
 
 def _place(source: Path, target: Path, copy: bool) -> None:
-    """Link ``target`` to ``source``, or copy it there; what is there already as wanted stays."""
+    """Link ``target`` to ``source``, or copy it there; does nothing where that is done."""
     source = source.resolve()
     if target.is_symlink() or target.exists():
         is_link = target.resolve() == source
@@ -198,9 +193,7 @@ def _place(source: Path, target: Path, copy: bool) -> None:
         ):
             return
         if not is_link:
-            raise UserError(
-                f"{target}: expected nothing there or the same file, got another; import into another folder"
-            )
+            raise UserError(f"{target}: expected no file or the same file, got another one; import into another folder")
     target.parent.mkdir(parents=True, exist_ok=True)
     if copy:
         with atomic_path(target) as temporary:

@@ -1,4 +1,4 @@
-"""A textured room that cameras with any lens see exactly: planes only, every ray followed."""
+"""A textured room of planes, ray traced through cameras with lens distortion."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ TEXELS_PER_M = 220
 
 
 class Room:
-    """A box, 4 m x 4 m and 2.4 m high, z up, the floor at z = 0; every face has its own random texture."""
+    """A box of 4 m x 4 m x 2.4 m, z up, floor at z = 0; every face has its own random texture."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.faces = [
             (axis, side, _texture(rng)) for axis, sides in ((0, (-1, 1)), (1, (-1, 1)), (2, (0, 1))) for side in sides
         ]
 
-    def picture(self, camera: Camera, finer: int = 2) -> Picture:
-        """(H, W, 3) RGB of the room from inside; the camera's distortion is honoured. ``finer`` rays a pixel's side."""
+    def picture(self, camera: Camera, oversampling: int = 2) -> Picture:
+        """(H, W, 3) RGB of the room from inside, distorted; ``oversampling`` rays along each side of a pixel."""
         u, v = (
-            (np.arange(camera.width * finer) + 0.5) / finer,
-            (np.arange(camera.height * finer) + 0.5) / finer,
+            (np.arange(camera.width * oversampling) + 0.5) / oversampling,
+            (np.arange(camera.height * oversampling) + 0.5) / oversampling,
         )
         pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
         straight = pixels
@@ -36,20 +36,20 @@ class Room:
             straight = cv2.undistortPoints(points, k, camera.distortion, R=None, P=k)[:, 0]
         rays = np.column_stack([straight, np.ones(len(straight))]) @ np.linalg.inv(camera.intrinsics).T
         rays = rays @ camera.rotation
-        shape = (camera.height * finer, camera.width * finer)
+        shape = (camera.height * oversampling, camera.width * oversampling)
         nearest, colours = np.full(len(rays), np.inf), np.zeros((len(rays), 3), np.uint8)
         for axis, side, texture in self.faces:
             level = HEIGHT * side if axis == 2 else HALF_WIDTH * side
             with np.errstate(divide="ignore"):
                 distance = (level - camera.centre[axis]) / rays[:, axis]
             front = (distance > 0) & (distance < nearest)
-            place = camera.centre + rays * np.where(front, distance, 0)[:, None]
-            across, along = (place[:, other] for other in range(3) if other != axis)
-            where = [
+            hit = camera.centre + rays * np.where(front, distance, 0)[:, None]
+            across, along = (hit[:, other] for other in range(3) if other != axis)
+            texel = [
                 (TEXELS_PER_M * (offset + values)).astype(np.float32).reshape(shape)
                 for offset, values in ((HALF_WIDTH, across), (0 if axis < 2 else HALF_WIDTH, along))
             ]
-            seen = cv2.remap(texture, *where, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+            seen = cv2.remap(texture, *texel, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
             colours[front] = seen.reshape(-1, 3)[front]
             nearest[front] = distance[front]
         whole = colours.reshape(*shape, 3)
@@ -57,7 +57,7 @@ class Room:
 
 
 def room_depth(camera: Camera) -> Array:
-    """(H, W) depth of the room's faces at the pixels' middles, for a camera without distortion."""
+    """(H, W) depth of the room's faces at the pixel centres, for a camera without distortion."""
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     rays = np.stack([x, y, np.ones_like(x)], axis=-1) @ np.linalg.inv(camera.intrinsics).T @ camera.rotation
     low, high = (np.array([side * HALF_WIDTH, side * HALF_WIDTH, top]) for side, top in ((-1, 0.0), (1, HEIGHT)))
@@ -66,7 +66,7 @@ def room_depth(camera: Camera) -> Array:
 
 
 def _texture(rng: np.random.Generator) -> Picture:
-    """Blots of many sizes in random colours."""
+    """Ellipses of many sizes in random colours."""
     side = round(2 * HALF_WIDTH * TEXELS_PER_M)
     texture = np.full((side, side, 3), 128, np.uint8)
     for size, count in ((60, 150), (25, 700), (10, 3000)):
@@ -78,7 +78,7 @@ def _texture(rng: np.random.Generator) -> Picture:
 
 
 def room_cameras(count: int, width: int = 480, height: int = 360, distortion: Array | None = None) -> list[Camera]:
-    """Cameras on an arc of 70 degrees within the room, at two heights, that look at one corner."""
+    """Cameras on an arc of 70 degrees inside the room, at two heights, facing one corner."""
     intrinsics = np.array([[0.9 * width, 0, 0.5 * width], [0, 0.9 * width, 0.5 * height], [0, 0, 1]])
     cameras = []
     for index in range(count):

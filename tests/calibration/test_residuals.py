@@ -1,4 +1,4 @@
-"""Residuals of a calibration: a good one is never accused, a bad camera is named, chance is no match."""
+"""Epipolar residuals: small for a true calibration, large for a wrong camera, none without matches."""
 
 from __future__ import annotations
 
@@ -10,14 +10,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fourd.calibration.matching import Matches, distorted, features, match, supported, undistorted
+from fourd.calibration.matching import (
+    Matches,
+    distort_points,
+    extract_features,
+    inlier_mask,
+    match_features,
+    undistort_points,
+)
 from fourd.calibration.residuals import (
-    bad_cameras,
+    compute_residuals,
     epipolar_distances,
     epipolar_residuals,
-    likely_pairs,
-    matched_pairs,
-    residuals_of,
+    find_bad_cameras,
+    match_pairs,
+    select_pairs,
 )
 from fourd.cameras import Camera
 from fourd.capture import open_capture
@@ -29,21 +36,22 @@ Picture = NDArray[np.uint8]
 DISTORTION = np.array([-0.12, 0.05, 0.001, -0.001, 0.0])
 
 
-def _turned(camera: Camera, degrees: float) -> Camera:
+def _rotate(camera: Camera, degrees: float) -> Camera:
+    """A camera rotated about its centre."""
     turn = np.asarray(cv2.Rodrigues(np.radians([degrees, -degrees / 2, 0.0]))[0])
     return replace(camera, rotation=turn @ camera.rotation, translation=turn @ camera.translation)
 
 
 @pytest.fixture(scope="module")
 def room() -> tuple[list[Camera], list[Picture]]:
-    """Six cameras with distortion and what they see."""
+    """Six cameras with distortion, and their pictures."""
     cameras = room_cameras(6, distortion=DISTORTION)
     textured = Room(np.random.default_rng(5))
     return cameras, [textured.picture(camera) for camera in cameras]
 
 
-def test_a_true_calibration_agrees_to_a_fraction_of_a_pixel(room: tuple[list[Camera], list[Picture]]) -> None:
-    """Catches half-pixel shifts between OpenCV's features and our cameras, and distortion that is forgotten."""
+def test_true_calibration_has_subpixel_residuals(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches half-pixel shifts between OpenCV's features and the cameras, and ignored distortion."""
     cameras, pictures = room
     found = epipolar_residuals(pictures, cameras)
     assert len(found.pairs) >= 10
@@ -52,30 +60,30 @@ def test_a_true_calibration_agrees_to_a_fraction_of_a_pixel(room: tuple[list[Cam
     assert all(residual is not None and residual < 0.35 for residual in found.cameras)
 
 
-def test_a_bad_camera_is_named_and_no_other(room: tuple[list[Camera], list[Picture]]) -> None:
-    """Catches blame on the neighbours of a bad camera, and matches filtered by the calibration that they judge."""
+def test_only_the_bad_camera_is_named(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches residuals attributed to a bad camera's neighbours, and matches filtered by the calibration under test."""
     cameras, pictures = room
-    matches = matched_pairs(pictures, cameras)
+    matches = match_pairs(pictures, cameras)
     for bad in range(len(cameras)):
-        wrong = [_turned(camera, 2) if index == bad else camera for index, camera in enumerate(cameras)]
-        found = residuals_of(matches, wrong)
+        wrong = [_rotate(camera, 2) if index == bad else camera for index, camera in enumerate(cameras)]
+        found = compute_residuals(matches, wrong)
         assert found.bad == (bad,)
-        blame = [residual or 0 for residual in found.cameras]
-        assert int(np.argmax(blame)) == bad
-        assert blame[bad] > 3
-        assert max(value for index, value in enumerate(blame) if index != bad) < 1
+        residuals = [residual or 0 for residual in found.cameras]
+        assert int(np.argmax(residuals)) == bad
+        assert residuals[bad] > 3
+        assert max(value for index, value in enumerate(residuals) if index != bad) < 1
 
 
-def test_the_calibration_under_test_chooses_no_matches(room: tuple[list[Camera], list[Picture]]) -> None:
-    """Catches a filter that lets a wrong calibration pick the matches that suit it."""
+def test_matches_do_not_depend_on_the_poses(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches a filter that keeps the matches that suit a wrong calibration."""
     cameras, pictures = room
-    wrong = [_turned(camera, 2) if index == 2 else camera for index, camera in enumerate(cameras)]
-    true, other = matched_pairs(pictures, cameras), matched_pairs(pictures, wrong)
+    wrong = [_rotate(camera, 2) if index == 2 else camera for index, camera in enumerate(cameras)]
+    true, other = match_pairs(pictures, cameras), match_pairs(pictures, wrong)
     assert {pair: len(found) for pair, found in true.items()} == {pair: len(found) for pair, found in other.items()}
 
 
-def test_pictures_without_texture_are_judged_by_nobody() -> None:
-    """Catches numbers made up where there are too few matches."""
+def test_pictures_without_texture_have_no_residuals() -> None:
+    """Catches residuals from too few matches."""
     cameras = room_cameras(3)
     found = epipolar_residuals([np.full((360, 480, 3), 90, np.uint8)] * 3, cameras)
     assert found.pairs == {}
@@ -84,39 +92,39 @@ def test_pictures_without_texture_are_judged_by_nobody() -> None:
 
 
 def test_pictures_of_different_scenes_do_not_match(rng: np.random.Generator) -> None:
-    """Catches a fundamental matrix that chance matches support, which would accuse a good camera."""
+    """Catches a fundamental matrix fitted to random matches."""
     cameras = room_cameras(4)
-    pictures = [Room(rng).picture(camera, finer=1) for camera in cameras]
+    pictures = [Room(rng).picture(camera, oversampling=1) for camera in cameras]
     assert epipolar_residuals(pictures, cameras).pairs == {}
 
 
-def test_chance_matches_are_not_supported_and_true_ones_among_them_are(rng: np.random.Generator) -> None:
-    """Catches thresholds on the share or the number of inliers, which chance reaches."""
+def test_verification_separates_true_from_random_matches(rng: np.random.Generator) -> None:
+    """Catches thresholds on the share or number of inliers, which random matches reach."""
     cameras = room_cameras(2, 1000, 800)
     chance = Matches(rng.uniform(0, 800, (200, 2)), rng.uniform(0, 800, (200, 2)))
-    assert not supported(chance, 1000, 800).any()
+    assert not inlier_mask(chance, 1000, 800).any()
     xyz = rng.uniform((0.8, 0.8, 0.2), (1.6, 1.6, 1.2), (120, 3))
     first, second = (camera.project(xyz)[0] + rng.normal(0, 0.3, (120, 2)) for camera in cameras)
     mixed = Matches(np.vstack([first, chance.first_px]), np.vstack([second, chance.second_px]))
-    kept = supported(mixed, 1000, 800)
+    kept = inlier_mask(mixed, 1000, 800)
     assert kept[:120].mean() > 0.9
     assert kept[120:].mean() < 0.1
 
 
-def test_a_plane_alone_supports_its_own_matches_only(rng: np.random.Generator) -> None:
-    """Catches the degenerate fundamental matrix of a planar scene, which any two more matches join."""
+def test_planar_scene_keeps_the_matches_on_the_plane_alone(rng: np.random.Generator) -> None:
+    """Catches the degenerate fundamental matrix of a planar scene, which fits any two more matches."""
     cameras = room_cameras(2, 1000, 800)
     xyz = np.column_stack([rng.uniform((0.6, 0.6), (1.8, 1.8), (100, 2)), np.full(100, 0.4)])
     first, second = (camera.project(xyz)[0] + rng.normal(0, 0.2, (100, 2)) for camera in cameras)
     wrong = rng.uniform(0, 800, (30, 4))
     mixed = Matches(np.vstack([first, wrong[:, :2]]), np.vstack([second, wrong[:, 2:]]))
-    kept = supported(mixed, 1000, 800)
+    kept = inlier_mask(mixed, 1000, 800)
     assert kept[:100].mean() > 0.95
     assert kept[100:].sum() <= 1
 
 
-def test_distances_are_pixels_across_the_line(rng: np.random.Generator) -> None:
-    """Catches a wrong scale, and shifts along the line that count."""
+def test_distances_are_perpendicular_to_the_line(rng: np.random.Generator) -> None:
+    """Catches a wrong scale, and shifts along the epipolar line that count."""
     near = np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]])
     left = Camera(near, np.eye(3), np.zeros(3), 640, 480)
     right = Camera(near, np.eye(3), np.array([-0.5, 0, 0]), 640, 480)
@@ -128,57 +136,57 @@ def test_distances_are_pixels_across_the_line(rng: np.random.Generator) -> None:
     assert not epipolar_distances(up, left, left).any()
 
 
-def test_distortion_goes_there_and_back(rng: np.random.Generator) -> None:
-    """Catches a step too few, and OpenCV's half pixel."""
+def test_distortion_round_trip(rng: np.random.Generator) -> None:
+    """Catches too few iterations, and OpenCV's half pixel."""
     camera = room_cameras(1, distortion=DISTORTION)[0]
     xy = rng.uniform((0, 0), (480, 360), (200, 2))
-    np.testing.assert_allclose(distorted(camera, undistorted(camera, xy)), xy, atol=1e-6)
-    np.testing.assert_allclose(undistorted(camera, camera.intrinsics[:2, 2][None]), camera.intrinsics[None, :2, 2])
+    np.testing.assert_allclose(distort_points(camera, undistort_points(camera, xy)), xy, atol=1e-6)
+    np.testing.assert_allclose(undistort_points(camera, camera.intrinsics[:2, 2][None]), camera.intrinsics[None, :2, 2])
 
 
-def test_two_cameras_are_never_accused_and_neither_is_any_when_all_disagree() -> None:
-    """Catches false alarms where nobody can tell who is wrong."""
-    assert bad_cameras({(0, 1): 50.0}) == ()
-    assert bad_cameras({(0, 1): 50.0, (0, 2): 60.0, (1, 2): 40.0}) == ()
-    assert bad_cameras({(0, 1): 0.5, (0, 2): 60.0}) == ()
-    assert bad_cameras({(0, 1): 0.5, (0, 2): 2.9, (1, 2): 2.9}) == ()
-    assert bad_cameras({(0, 1): 0.5, (0, 2): 60.0, (1, 2): 40.0, (0, 3): 0.4, (1, 3): 0.6, (2, 3): 30.0}) == (2,)
+def test_no_camera_is_bad_without_enough_evidence() -> None:
+    """Catches a bad camera among two, or where all disagree."""
+    assert find_bad_cameras({(0, 1): 50.0}) == ()
+    assert find_bad_cameras({(0, 1): 50.0, (0, 2): 60.0, (1, 2): 40.0}) == ()
+    assert find_bad_cameras({(0, 1): 0.5, (0, 2): 60.0}) == ()
+    assert find_bad_cameras({(0, 1): 0.5, (0, 2): 2.9, (1, 2): 2.9}) == ()
+    assert find_bad_cameras({(0, 1): 0.5, (0, 2): 60.0, (1, 2): 40.0, (0, 3): 0.4, (1, 3): 0.6, (2, 3): 30.0}) == (2,)
 
 
 def test_neighbours_in_a_ring_are_paired() -> None:
-    """Catches pairs from opposite sides, which share nothing, and a loop that is not closed."""
-    pairs = likely_pairs(ring_cameras(20, 64))
+    """Catches pairs from opposite sides, which see nothing in common, and a ring that is not closed."""
+    pairs = select_pairs(ring_cameras(20, 64))
     assert all(min((j - i) % 20, (i - j) % 20) <= 4 for i, j in pairs)
     assert (0, 19) in pairs
-    assert len(likely_pairs(ring_cameras(8, 64))) == 28
+    assert len(select_pairs(ring_cameras(8, 64))) == 28
 
 
-def test_a_picture_of_another_size_is_refused() -> None:
+def test_pictures_of_another_size_are_refused() -> None:
     """Catches residuals of the wrong pixels."""
     cameras = room_cameras(2)
     with pytest.raises(ValueError, match=r"pictures\[1\]: expected 360 x 480 x 3"):
-        matched_pairs([np.zeros((360, 480, 3), np.uint8), np.zeros((360, 470, 3), np.uint8)], cameras)
+        match_pairs([np.zeros((360, 480, 3), np.uint8), np.zeros((360, 470, 3), np.uint8)], cameras)
 
 
-def test_a_feature_counts_once(room: tuple[list[Camera], list[Picture]]) -> None:
-    """Catches places with two orientations that are two pieces of evidence."""
+def test_features_with_several_orientations_match_once(room: tuple[list[Camera], list[Picture]]) -> None:
+    """Catches duplicate matches at one position that count as evidence."""
     _, pictures = room
-    found = features(pictures[0])
-    both = match(found, found)
+    found = extract_features(pictures[0])
+    both = match_features(found, found)
     assert len(np.unique(np.round(both.first_px), axis=0)) == len(both) > 100
 
 
 @pytest.mark.slow
-def test_the_real_ring_of_twenty_is_not_accused_and_a_turned_camera_is() -> None:
-    """Catches false alarms on tiles and bare walls, and a bad camera that hides there."""
+def test_real_ring_has_no_bad_camera_until_one_is_rotated() -> None:
+    """Catches false alarms on tiles and bare walls, and a bad camera that is missed there."""
     if not (CAPTURES / "fox_run").is_dir():
         pytest.skip(f"no real capture at {CAPTURES / 'fox_run'}")
     capture = open_capture(CAPTURES / "fox_run")
     pictures = [capture.image(camera, 0) for camera in range(len(capture.names))]
-    matches = matched_pairs(pictures, capture.cameras)
-    found = residuals_of(matches, capture.cameras)
+    matches = match_pairs(pictures, capture.cameras)
+    found = compute_residuals(matches, capture.cameras)
     assert found.bad == ()
     assert len(found.pairs) >= 12
     assert np.median(list(found.pairs.values())) < 0.6
-    wrong = [_turned(camera, 0.6) if index == 13 else camera for index, camera in enumerate(capture.cameras)]
-    assert residuals_of(matches, wrong).bad == (13,)
+    wrong = [_rotate(camera, 0.6) if index == 13 else camera for index, camera in enumerate(capture.cameras)]
+    assert compute_residuals(matches, wrong).bad == (13,)

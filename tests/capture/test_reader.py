@@ -1,4 +1,4 @@
-"""Opening captures: what is read, what it costs, and every way in which a capture can be broken."""
+"""Opening and checking captures: content, cost, and every way in which a capture can be broken."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def edit(path: Path, pattern: str, replacement: str) -> None:
 
 
 def test_selection_of_views_and_frames(ball_capture: Path) -> None:
-    """Catches frames renumbered by a selection: their time would change."""
+    """Catches frames renumbered by a selection, which changes their time."""
     capture = open_capture(ball_capture, views=["05", "01"], frames="1:3")
     assert capture.names == ("01", "05")
     assert capture.frame_numbers == (1, 2)
@@ -46,7 +46,7 @@ def test_selection_of_views_and_frames(ball_capture: Path) -> None:
 
 
 def test_pictures_are_rgb_and_mattes_grey(ball_capture: Path) -> None:
-    """Catches OpenCV's BGR order leaking out."""
+    """Catches OpenCV's BGR order."""
     capture = open_capture(ball_capture)
     stored = cv2.imread(str(ball_capture / "images" / "02" / "000001.png"))
     assert stored is not None
@@ -64,40 +64,40 @@ def test_scaled_pictures_fit_their_cameras(ball_capture: Path) -> None:
 
 
 def test_memory_is_bounded(ball_capture: Path) -> None:
-    """Catches a cache that keeps every frame: captures have thousands."""
+    """Catches a cache that keeps every frame of thousands."""
     capture = open_capture(ball_capture, cache_mb=0)
     for camera in range(8):
         for frame in range(3):
             capture.image(camera, frame)
             capture.mask(camera, frame)
-    assert len(capture._cache._kept) == 1
+    assert not capture._cache._arrays
     capture = open_capture(ball_capture)
     assert capture.image(0, 0) is capture.image(0, 0)
 
 
-def write_dots(folder: Path, lens: Camera, xyz: np.ndarray) -> None:
-    """A picture of ``xyz`` through a distorting lens: one soft dot a point; the matte is the same."""
-    assert lens.distortion is not None
-    rotation = cv2.Rodrigues(lens.rotation)[0]
-    pixels, _ = cv2.projectPoints(xyz, rotation, lens.translation, lens.intrinsics, lens.distortion)
-    columns, rows = np.meshgrid(np.arange(lens.width) + 0.5, np.arange(lens.height) + 0.5)
-    picture = np.zeros((lens.height, lens.width))
+def write_dots(folder: Path, camera: Camera, xyz: np.ndarray) -> None:
+    """A picture of ``xyz`` with distortion, one soft dot per point; the matte is the same."""
+    assert camera.distortion is not None
+    rotation = cv2.Rodrigues(camera.rotation)[0]
+    pixels, _ = cv2.projectPoints(xyz, rotation, camera.translation, camera.intrinsics, camera.distortion)
+    columns, rows = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    picture = np.zeros((camera.height, camera.width))
     for x, y in pixels[:, 0]:
         picture += np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 2.0**2))
     content = (255 * picture.clip(0, 1)).astype(np.uint8)
     for kind in ("images", "masks"):
         (folder / kind / "00").mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(folder / kind / "00" / "000000.png"), content)
-    write_calibration(folder, ["00"], [lens])
+    write_calibration(folder, ["00"], [camera])
 
 
 def test_undistortion_agrees_with_the_pinhole(tmp_path: Path) -> None:
-    """Catches pictures undistorted by other intrinsics than the cameras say, and half-pixel shifts."""
+    """Catches undistortion with other intrinsics than the cameras', and half-pixel shifts."""
     pinhole = ring_cameras(1, 200)[0]
-    lens = Camera(pinhole.intrinsics, pinhole.rotation, pinhole.translation, 200, 160, BARREL)
+    camera = Camera(pinhole.intrinsics, pinhole.rotation, pinhole.translation, 200, 160, BARREL)
     grid = np.stack(np.meshgrid([-0.5, 0, 0.5], [-0.6, 0.05, 0.6], [-0.4, 0.3]), axis=-1).reshape(-1, 3)
     for point in grid:
-        write_dots(tmp_path, lens, point[None])
+        write_dots(tmp_path, camera, point[None])
         capture = open_capture(tmp_path)
         assert capture.cameras[0].distortion is None
         expected, _ = capture.cameras[0].project(point[None])
@@ -122,8 +122,8 @@ def test_calibration_round_trip(tmp_path: Path) -> None:
     assert (read["b"].width, read["b"].height) == (80, 60)
 
 
-def test_sizes_may_be_missing_and_rotations_be_vectors(capture: Path) -> None:
-    """Catches EasyMocap's own files being refused: they often lack H, W and Rot."""
+def test_sizes_are_optional_and_rotations_may_be_vectors(capture: Path) -> None:
+    """Catches EasyMocap's own files refused: they often lack H, W and Rot."""
     intri, extri = capture / "intri.yml", capture / "extri.yml"
     intri.write_text(re.sub(r"(?m)^[HW]_\d\d: .*\n", "", intri.read_text()))
     rotations = r"(?m)^Rot_\d\d: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: \[[^\]]*\]\n"
@@ -136,11 +136,11 @@ def test_sizes_may_be_missing_and_rotations_be_vectors(capture: Path) -> None:
     assert all(np.allclose(a.rotation, b.rotation, atol=1e-9) for a, b in zip(before, after, strict=True))
 
 
-def test_distortion_may_have_easymocap_s_own_name(capture: Path) -> None:
-    """Catches a lens that is taken for a pinhole, since EasyMocap's tools write dist_c for D_c."""
+def test_distortion_under_easymocaps_key(capture: Path) -> None:
+    """Catches ignored distortion: EasyMocap's tools write dist_c instead of D_c."""
     intri = capture / "intri.yml"
-    lens = replace(read_calibration(capture)["01"].camera(64, 64), distortion=BARREL)
-    write_calibration(capture, ["01"], [lens])
+    camera = replace(read_calibration(capture)["01"].camera(64, 64), distortion=BARREL)
+    write_calibration(capture, ["01"], [camera])
     text, count = re.subn("D_01", "dist_01", intri.read_text())
     assert count == 1
     intri.write_text(text)
@@ -166,7 +166,7 @@ def _small_mask(capture: Path) -> None:
     cv2.imwrite(str(capture / "masks" / "04" / "000002.png"), np.full((32, 64), 255, np.uint8))
 
 
-BREAKS: list[tuple[str, Callable[[Path], object], str]] = [
+DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a missing picture in the middle",
         lambda c: (c / "images" / "02" / "000001.png").unlink(),
@@ -180,13 +180,13 @@ BREAKS: list[tuple[str, Callable[[Path], object], str]] = [
     ("a truncated PNG", _truncate_png, r"images/03/000001.png: expected a whole JPEG or PNG picture, got"),
     ("a truncated JPEG", _truncate_jpeg, r"images/03/000001.jpg: expected a whole JPEG or PNG picture, got"),
     (
-        "text in place of a picture",
+        "text instead of a picture",
         lambda c: (c / "images" / "03" / "000001.png").write_text("hello"),
         r"000001.png: expected a whole JPEG or PNG picture, got something else; copy the file again",
     ),
     ("a mask of another size", _small_mask, r"masks/04/000002.png: expected 64 x 64 pixels.*got 64 x 32"),
     (
-        "a rotation that is none",
+        "an invalid rotation",
         lambda c: edit(c / "extri.yml", r"(Rot_01: (?:.*\n){4}\s+data: \[ )[^,]*,", r"\g<1>9.0,"),
         r"extri.yml: camera '01': rotation: expected an orthonormal matrix",
     ),
@@ -196,9 +196,9 @@ BREAKS: list[tuple[str, Callable[[Path], object], str]] = [
         r"intri.yml: K_03: expected finite numbers, got \[nan",
     ),
     (
-        "a matrix that lacks numbers",
+        "a truncated matrix",
         lambda c: edit(c / "intri.yml", r"(K_03: (?:.*\n){4}\s+data: \[ )[^,]*,", r"\g<1>"),
-        r"intri.yml: K_03: expected a whole matrix, got a part of one; copy it again",
+        r"intri.yml: K_03: expected a whole matrix, got a truncated one; copy",
     ),
     (
         "a camera in intri.yml without pictures",
@@ -223,17 +223,17 @@ BREAKS: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "two pictures of one frame",
         lambda c: shutil.copy(c / "images" / "01" / "000000.png", c / "images" / "01" / "000000.jpg"),
-        r"images/01/000000.png: expected one picture a frame",
+        r"images/01/000000.png: expected one picture per frame",
     ),
 ]
 
 
-@pytest.mark.parametrize(("spoil", "message"), [case[1:] for case in BREAKS], ids=[case[0] for case in BREAKS])
-def test_broken_captures_are_told_in_one_line(
-    spoil: Callable[[Path], object], message: str, capture: Path, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("damage", "message"), [case[1:] for case in DAMAGES], ids=[case[0] for case in DAMAGES])
+def test_broken_captures_raise_one_line(
+    damage: Callable[[Path], object], message: str, capture: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a traceback, a silent half-grey picture, or a message that does not name the file."""
-    spoil(capture)
+    """Catches a traceback, a half-grey picture, or a message that does not name the file."""
+    damage(capture)
     with pytest.raises(UserError, match=message) as caught:
         opened = open_capture(capture)
         for camera in range(len(opened.names)):
@@ -242,7 +242,7 @@ def test_broken_captures_are_told_in_one_line(
                 opened.mask(camera, frame)
     assert "\n" not in str(caught.value)
     problems = check_capture(capture, deep=True).problems
-    assert capfd.readouterr().err == "", "a library wrote beside our one line"
+    assert capfd.readouterr().err == "", "a library wrote to stderr"
     assert any(re.search(message, problem) for problem in problems), problems
     assert not any("\n" in problem for problem in problems)
 
@@ -257,14 +257,14 @@ def test_broken_captures_are_told_in_one_line(
         ({"scale": 0.0}, r"--scale: expected a factor above 0"),
     ],
 )
-def test_wrong_selections_are_told(ball_capture: Path, arguments: dict[str, object], message: str) -> None:
+def test_invalid_selections_are_refused(ball_capture: Path, arguments: dict[str, object], message: str) -> None:
     """Catches an empty or a silently clipped selection."""
     with pytest.raises(UserError, match=message):
         open_capture(ball_capture, **arguments)  # type: ignore[arg-type]
 
 
-def test_the_check_lists_every_fault(capture: Path) -> None:
-    """Catches a check that stops at the first fault."""
+def test_check_reports_all_errors(capture: Path) -> None:
+    """Catches a check that stops at the first error."""
     (capture / "images" / "02" / "000001.png").unlink()
     _truncate_png(capture)
     _small_mask(capture)
@@ -274,8 +274,8 @@ def test_the_check_lists_every_fault(capture: Path) -> None:
     assert report.has_masks
 
 
-def test_the_check_goes_on_after_a_bad_calibration(capture: Path) -> None:
-    """Catches a check that tells the first camera at fault and hides the second, and the pictures at fault."""
+def test_check_continues_after_an_invalid_calibration(capture: Path) -> None:
+    """Catches a check that reports the first invalid camera alone, and no invalid pictures."""
     text = (capture / "extri.yml").read_text()
     for name in ("02", "05"):
         text = re.sub(rf"(T_{name}:.*?data: \[)[^,]*", r"\1.Nan", text, flags=re.DOTALL)
@@ -287,16 +287,16 @@ def test_the_check_goes_on_after_a_bad_calibration(capture: Path) -> None:
     assert any("000001" in problem for problem in problems)
 
 
-def test_parallel_cameras_meet_nowhere(capture: Path) -> None:
-    """Catches a focus at infinity, from which every camera looks away."""
+def test_parallel_cameras_have_no_focus(capture: Path) -> None:
+    """Catches a focus at infinity, which every camera faces away from."""
     cameras = list(open_capture(capture).cameras)
     assert find_focus(cameras) is not None
     same = [replace(camera, rotation=cameras[0].rotation) for camera in cameras]
     assert find_focus(same) is None
 
 
-def test_the_check_warns_of_what_looks_wrong(capture: Path) -> None:
-    """Catches mattes with black objects, which carve nothing."""
+def test_check_warns_of_inverted_mattes(capture: Path) -> None:
+    """Catches mattes with black objects, from which nothing is carved."""
     for path in (capture / "masks").glob("*/*.png"):
         matte = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         assert matte is not None
@@ -305,7 +305,7 @@ def test_the_check_warns_of_what_looks_wrong(capture: Path) -> None:
     assert any("inverted" in warning for warning in warnings)
 
 
-def test_places_that_hold_no_capture(tmp_path: Path) -> None:
+def test_other_folders_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="expected a capture's folder, got nothing there"):
         open_capture(tmp_path / "none")
     with pytest.raises(UserError, match=r"intri.yml: expected the cameras' calibration, got no such file"):

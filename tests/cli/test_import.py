@@ -1,4 +1,4 @@
-"""``fourd import`` from outside: what is refused in one line with exit code 2, and what is said."""
+"""``fourd import`` from outside: errors in one line with exit code 2, and its log."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from tests.importing.test_importer import write_source
 BALANCE = Path(__file__).parents[2].parent / "shared" / "captures" / "balance"
 
 
-def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line that an import ends with."""
+def refused_line(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line of an import's error."""
     assert main(["import", *map(str, words)]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fourd import: ")]
     assert len(lines) == 1
     return lines[0]
 
 
-def done(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """All that a good import says."""
+def imported_log(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """All log lines of a successful import."""
     assert main(["import", *map(str, words)]) == 0
-    told = capsys.readouterr()
-    assert "next: fourd check" in told.out
-    return told.err
+    output = capsys.readouterr()
+    assert "next: fourd check" in output.out
+    return output.err
 
 
-def test_the_words_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a mistyped format that is taken for a path, and a source that is not there."""
+def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a mistyped format taken for a path, and a missing source."""
     out = tmp_path / "out"
-    assert "got 'easymocab'; did you mean 'easymocap'?" in refused(capsys, "easymocab", ball_capture, out)
-    assert "got nothing there; check the path" in refused(capsys, tmp_path / "gone", out)
-    assert "expected [FORMAT] SRC OUT, got 1 words" in refused(capsys, ball_capture)
+    assert "got 'easymocab'; did you mean 'easymocap'?" in refused_line(capsys, "easymocab", ball_capture, out)
+    assert "got nothing there; check the path" in refused_line(capsys, tmp_path / "gone", out)
+    assert "expected [FORMAT] SRC OUT, got 1 words" in refused_line(capsys, ball_capture)
     (tmp_path / "empty").mkdir()
-    line = refused(capsys, tmp_path / "empty", out)
+    line = refused_line(capsys, tmp_path / "empty", out)
     assert "got none of these" in line
     assert "(qualisys)" in line
     assert not out.exists()
@@ -70,36 +70,36 @@ def test_the_words_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytes
 def test_options_are_checked(
     words: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches an option that is read as something else, or after minutes of work."""
+    """Catches an option that is misread, or checked after minutes of work."""
     source = write_source(tmp_path / "source")
-    assert message in refused(capsys, source, tmp_path / "out", *words)
+    assert message in refused_line(capsys, source, tmp_path / "out", *words)
     assert not (tmp_path / "out").exists()
 
 
 def test_offsets_of_pictures_are_refused(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches an offset that is silently not applied."""
-    assert "got pictures" in refused(capsys, ball_capture, tmp_path / "out", "--offset", "02=1")
+    """Catches an offset that is silently ignored."""
+    assert "got pictures" in refused_line(capsys, ball_capture, tmp_path / "out", "--offset", "02=1")
 
 
-def test_another_capture_is_not_overwritten(
+def test_other_captures_are_not_overwritten(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Catches a calibration lost to a mistyped folder."""
     source = write_source(tmp_path / "source")
     before = (ball_capture / "intri.yml").read_bytes()
-    assert "got one with other files; name another" in refused(capsys, source, ball_capture)
-    assert "got one with other files; name another" in refused(capsys, source, source)
+    assert "got one with other files; name another" in refused_line(capsys, source, ball_capture)
+    assert "got one with other files; name another" in refused_line(capsys, source, source)
     assert (ball_capture / "intri.yml").read_bytes() == before
 
 
-def test_cameras_without_calibration_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a capture that half of its cameras cannot be used of."""
+def test_uncalibrated_cameras_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a capture with some unusable cameras."""
     source = write_source(tmp_path / "source")
     calibrations = read_calibration(source)
     write_calibration(source, ["a", "b"], [calibrations[name].camera(32, 48) for name in ("a", "b")])
-    line = refused(capsys, source, tmp_path / "out")
+    line = refused_line(capsys, source, tmp_path / "out")
     assert "expected a calibration of every camera, got none of c; add it" in line
     assert "--calibrate" in line
 
@@ -114,72 +114,73 @@ def write_room(folder: Path, names: list[str], true: list, calibration: list) ->
     return folder
 
 
-def test_sizes_that_tell_nothing_ask_for_a_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a guess at how pictures were resized."""
+def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a guess of how pictures were resized."""
     source = write_source(tmp_path / "source")
-    lenses = [replace(of.camera(32, 48), width=36) for of in read_calibration(source).values()]
-    write_calibration(source, ["a", "b", "c"], lenses)
-    line = refused(capsys, source, tmp_path / "out")
-    assert (
-        "a, b, c: expected pictures of the calibration's size or a clear way to theirs, got 36 x 48 -> 32 x 48" in line
-    )
+    cameras = [replace(of.camera(32, 48), width=36) for of in read_calibration(source).values()]
+    write_calibration(source, ["a", "b", "c"], cameras)
+    line = refused_line(capsys, source, tmp_path / "out")
+    assert "a, b, c: expected pictures of the calibration's size, or resized in a way" in line
+    assert "got 36 x 48 -> 32 x 48 (" in line
     assert "stretched: no matches" in line
-    assert "say --resize NAME" in line
+    assert "give --resize NAME" in line
     assert not (tmp_path / "out" / "intri.yml").exists()
-    assert "expected one of" in refused(capsys, source, tmp_path / "out", "--resize", "squeezed")
-    assert "cropped left (as --resize says)" in done(capsys, source, tmp_path / "out", "--resize", "cropped left")
-    assert np.allclose(open_capture(tmp_path / "out").cameras[0].intrinsics[0, 2], lenses[0].intrinsics[0, 2] - 4)
+    assert "expected one of" in refused_line(capsys, source, tmp_path / "out", "--resize", "squeezed")
+    assert "cropped left (given by --resize)" in imported_log(
+        capsys, source, tmp_path / "out", "--resize", "cropped left"
+    )
+    assert np.allclose(open_capture(tmp_path / "out").cameras[0].intrinsics[0, 2], cameras[0].intrinsics[0, 2] - 4)
 
 
-def test_a_stretch_and_mirrored_centres_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches sizes and centres that are judged apart, a change that nobody asked for, and one that is not made."""
+def test_stretched_pictures_and_mirrored_centres_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches sizes and centres tested separately, an unrequested change, and a requested one that is not made."""
     names = ["a", "b", "c", "d"]
     shift = np.array([[0, 0, 14.0], [0, 0, -9.0], [0, 0, 0]])
-    given = [replace(lens, intrinsics=lens.intrinsics + shift) for lens in room_cameras(4, 256, 192)]
-    true = [size_hypotheses(lens, 256, 160)["stretched"] if i < 2 else lens for i, lens in enumerate(given)]
+    given = [replace(camera, intrinsics=camera.intrinsics + shift) for camera in room_cameras(4, 256, 192)]
+    true = [size_hypotheses(camera, 256, 160)["stretched"] if i < 2 else camera for i, camera in enumerate(given)]
     mirrored = [
-        principal_point_hypotheses(lens)[what]
-        for lens, what in zip(given, ("mirrored x", "mirrored both", "mirrored y", "mirrored x"), strict=True)
+        principal_point_hypotheses(camera)[what]
+        for camera, what in zip(given, ("mirrored x", "mirrored both", "mirrored y", "mirrored x"), strict=True)
     ]
     source = write_room(tmp_path / "source", names, true, mirrored)
-    told = done(capsys, source, tmp_path / "out")
-    assert "a, b: 256 x 192 -> 256 x 160: stretched" in told
-    assert "warning: principal points look mirrored: a x, b both, c y, d x" in told
-    assert "--centres mirrored" in told
+    output = imported_log(capsys, source, tmp_path / "out")
+    assert "a, b: 256 x 192 -> 256 x 160: stretched" in output
+    assert "warning: principal points look mirrored: a x, b both, c y, d x" in output
+    assert "--centres mirrored" in output
     before = open_capture(tmp_path / "out").cameras
     assert np.allclose(before[2].intrinsics, mirrored[2].intrinsics)
-    assert "principal points mirrored: a x, b both, c y, d x" in done(
+    assert "principal points mirrored: a x, b both, c y, d x" in imported_log(
         capsys, source, tmp_path / "out", "--centres", "mirrored"
     )
-    for camera, lens in zip(open_capture(tmp_path / "out").cameras, true, strict=True):
-        assert np.allclose(camera.intrinsics, lens.intrinsics, atol=1e-6)
+    for written, camera in zip(open_capture(tmp_path / "out").cameras, true, strict=True):
+        assert np.allclose(written.intrinsics, camera.intrinsics, atol=1e-6)
 
 
-def test_a_good_calibration_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a good calibration that is called mirrored, and a unit that is not applied to it when asked for."""
+def test_good_calibration_is_unchanged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a good calibration reported as mirrored, and a scale that is not applied to it."""
     cameras = room_cameras(4, 256, 192)
     source = write_room(tmp_path / "source", ["a", "b", "c", "d"], cameras, cameras)
-    told = done(capsys, "easymocap", source, tmp_path / "out", "--scale", "a,b=3")
-    assert "easymocap: " in told
-    assert "warning" not in told
-    assert "px in the mean" in told
+    output = imported_log(capsys, "easymocap", source, tmp_path / "out", "--scale", "a,b=3")
+    assert "easymocap: " in output
+    assert "warning" not in output
+    assert "px mean over" in output
     centres = [camera.centre for camera in open_capture(tmp_path / "out").cameras]
     assert np.isclose(np.linalg.norm(centres[0] - centres[1]), 3)
 
 
-def test_check_tells_residuals_and_names_the_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a camera that was knocked and a check that accuses the good ones, or takes its time when told not to."""
+def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a displaced camera that is missed, good ones reported instead, and slow checks with --quick."""
     true = room_cameras(5, 320, 240)
     angle = np.deg2rad(2.5)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    knocked = [replace(c, rotation=turn @ c.rotation, translation=turn @ c.translation) if i == 3 else c
+    displaced = [replace(c, rotation=turn @ c.rotation, translation=turn @ c.translation) if i == 3 else c
                for i, c in enumerate(true)]  # fmt: skip
-    source = write_room(tmp_path / "source", list("abcde"), true, knocked)
+    source = write_room(tmp_path / "source", list("abcde"), true, displaced)
     assert main(["check", str(source)]) == 0
-    told = capsys.readouterr().out
-    assert "px from epipolar lines in the mean of" in told
-    assert "extri.yml: camera 'd' disagrees with the others by" in told
-    assert told.count("disagrees with the others") == 1
+    output = capsys.readouterr().out
+    assert "px from epipolar lines in the mean of" in output
+    assert "extri.yml: camera 'd' disagrees with the others by" in output
+    assert output.count("disagrees with the others") == 1
     write_calibration(source, list("abcde"), true)
     assert main(["check", str(source)]) == 0
     assert "disagree" not in capsys.readouterr().out
@@ -188,24 +189,24 @@ def test_check_tells_residuals_and_names_the_camera(tmp_path: Path, capsys: pyte
 
 
 @pytest.mark.slow
-def test_the_real_recording_is_mended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The finding about balance, from outside: letterboxed pictures, and principal points mirrored in the file."""
+def test_real_recording_is_corrected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a wrong choice on the real capture: letterboxed pictures, mirrored principal points."""
     if not BALANCE.is_dir():
         pytest.skip(f"no real capture at {BALANCE}")
-    told = done(capsys, BALANCE, tmp_path / "out")
-    assert "qualisys: NAME.qca.txt and a video of each camera" in told
-    assert "cam01, cam02: 1088 x 1920 -> 1080 x 1920: letterboxed (black bars of 7.0" in told
-    assert "warning: principal points look mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in told
-    told = done(capsys, BALANCE, tmp_path / "out", "--centres", "mirrored")
-    assert "principal points mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in told
+    output = imported_log(capsys, BALANCE, tmp_path / "out")
+    assert "qualisys: NAME.qca.txt and a video of each camera" in output
+    assert "cam01, cam02: 1088 x 1920 -> 1080 x 1920: letterboxed (black bars of 7.0" in output
+    assert "warning: principal points look mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in output
+    output = imported_log(capsys, BALANCE, tmp_path / "out", "--centres", "mirrored")
+    assert "principal points mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in output
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "when", [".fourd/import.json", ".fourd/videos.json", "images/a/000003.jpg", "images/c/000020.jpg"]
 )
-def test_a_killed_import_goes_on_to_the_same_capture(when: str, tmp_path: Path) -> None:
-    """Catches pictures cut in half or written again, and a folder that no import is let into any more."""
+def test_killed_import_resumes_to_the_same_capture(when: str, tmp_path: Path) -> None:
+    """Catches truncated or rewritten pictures, and a folder that later imports refuse."""
     source = write_source(tmp_path / "source")
     command = [sys.executable, "-m", "fourd.cli.main", "import", "--unpack", str(source)]
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"
@@ -213,7 +214,7 @@ def test_a_killed_import_goes_on_to_the_same_capture(when: str, tmp_path: Path) 
     process = subprocess.Popen([*command, str(stopped)])
     deadline = time.monotonic() + 100
     while not (stopped / when).exists():
-        assert process.poll() is None, "ended before it could be stopped"
+        assert process.poll() is None, "the import ended too early"
         assert time.monotonic() < deadline
         time.sleep(0.001)
     process.kill()
@@ -222,7 +223,7 @@ def test_a_killed_import_goes_on_to_the_same_capture(when: str, tmp_path: Path) 
     assert len(before) < 3 * 40
     subprocess.run([*command, str(stopped)], check=True, timeout=100)
     assert contents(stopped) == contents(whole)
-    assert {path: path.stat().st_mtime_ns for path in before} == before, "what was finished is written again"
+    assert {path: path.stat().st_mtime_ns for path in before} == before, "finished files are written again"
 
 
 def contents(capture: Path) -> dict[str, bytes]:

@@ -55,7 +55,7 @@ def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) 
     before = contents(made)
     lost = made / MATTES / "03" / "000004.png"
     lost.unlink()
-    with pytest.raises(UserError, match=r"mattes/03: expected mattes of 6 frames, got 5; go on: fourd matte"):
+    with pytest.raises(UserError, match=r"mattes/03: expected mattes of 6 frames, got 5; make the others: fourd matte"):
         open_capture(made)
     half = made / MATTES / "03" / ".unfinished-000005-killed.png"
     half.write_bytes(b"half")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -35,7 +34,7 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Check and print; raises UserError, which tells the first problem, when there are any."""
     console = Console()
-    report = check_capture(arguments.capture, deep=arguments.deep, track=_tracked)
+    report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Console(stderr=True)).track)
     agreement = None
     if not (arguments.quick or report.problems):
         try:
@@ -53,10 +52,6 @@ def run(arguments: Arguments) -> None:
         raise UserError(report.problems[0] + (f" (and {more} more, listed above)" if more else ""))
     next_command = f"next: fourd make {arguments.capture} -o scene.4dv"
     console.print(Text("Good to use", "green"), next_command, sep="; ", soft_wrap=True)
-
-
-def _tracked(files: Sequence[Path]) -> Iterable[Path]:
-    return Tracker(Console(stderr=True)).track(files, len(files), "files")
 
 
 def _agreement(path: Path) -> Agreement:

@@ -12,20 +12,24 @@ import tyro
 from rich.console import Console
 from rich.text import Text
 
-from fourd.calibration.ambiguities import Centres
-from fourd.calibration.scale import Board, Distance
+from fourd.calibration.ambiguities import PrincipalPointMode
+from fourd.calibration.chessboard import Board
+from fourd.calibration.scale import Distance
 from fourd.errors import UserError
-from fourd.importing.importer import ImportOptions, import_source, pick_format
+from fourd.importing.formats.detection import FORMATS, pick_format
+from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import Tracker
+
+WORDS_HELP = (
+    f"Format ({', '.join(each.name for each in FORMATS)}; detected when omitted), the source, and the capture's folder."
+)
 
 
 @dataclass(frozen=True)
 class Arguments:
     """The same call again completes what is missing. Files are linked unless --copy is given."""
 
-    words: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[FORMAT] SRC OUT")]]
-    """Format (found out when not given), the source, and the capture's folder: qualisys, anipose, neural3dv, actorshq,
-    dna-rendering, transforms, colmap, easymocap or videos."""
+    words: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[FORMAT] SRC OUT", help=WORDS_HELP)]]
     copy: bool = False
     """Copy files in place of linking them."""
     unpack: bool = False
@@ -39,7 +43,7 @@ class Arguments:
     resize: str = "auto"
     """How pictures became another size than their calibration's: auto, scaled, stretched, letterboxed, filled, or
     "cropped left" (right, top, bottom, centre)."""
-    centres: Centres = "auto"
+    centres: PrincipalPointMode = "auto"
     """Principal points: auto warns where they look mirrored; mirrored mends them."""
     calibrate: bool = False
     """Find the cameras from the pictures, also where the source has a calibration."""

@@ -1,6 +1,6 @@
-"""COLMAP: a sparse model, text or binary, of cameras that stand still, beside each one's video or pictures.
+"""COLMAP: a sparse model of static cameras, text or binary, beside each camera's video or pictures.
 
-The model's images are named CAM/FRAME.jpg, or CAM.jpg. COLMAP counts pixels from the first one's corner, as here.
+The model's images are named CAM/FRAME.jpg or CAM.jpg. COLMAP's origin is the first pixel's corner, as in fourd.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import entries, frames_in, lens, with_lenses
+from fourd.importing.formats.folders import find_frames, join_calibrations, list_entries, make_camera
 from fourd.importing.formats.imported import Imported
 
-MODELS = (".", "sparse", "sparse/0")
+MODEL_FOLDERS = (".", "sparse", "sparse/0")
 LENS_MODELS = {
     "SIMPLE_PINHOLE": (1, 0),
     "PINHOLE": (2, 0),
@@ -26,37 +26,39 @@ LENS_MODELS = {
     "OPENCV": (2, 4),
     "FULL_OPENCV": (2, 8),
 }
-"""Numbers of focal lengths and of coefficients, which stand before and after the centre, in OpenCV's order."""
-PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
-"""How many a lens model of that id has in cameras.bin."""
-MOST_TURN = 1e-3
-"""Radians by which images of a camera that stands still may differ, and the same of the rig's size for places."""
+"""Numbers of focal lengths, before the principal point, and of distortion coefficients after it, in OpenCV's order."""
+PARAMETER_COUNTS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
+"""Number of parameters by lens model id in cameras.bin."""
+MAX_MOTION = 1e-3
+"""Largest difference between a static camera's images: rotation in radians, position as a share of the rig's size."""
 
 
 def looks_like(source: Path) -> bool:
     """Whether ``source``, its sparse/ or its sparse/0/ holds a model."""
-    return _model(source) is not None
+    return _find_model(source) is not None
 
 
 def read(source: Path) -> Imported:
     """Cameras of ``source``, a folder with the model and the videos or pictures, in the model's unit of length.
 
     Raises:
-        UserError: when the model is damaged, a lens model is none of OpenCV's, a camera moves or changes its lens,
-            or cameras do not match.
+        UserError: when the model is damaged, a lens model is not OpenCV's, a camera moves or changes its intrinsics, or
+            cameras do not match.
     """
-    path = _model(source)
+    path = _find_model(source)
     if path is None:
-        raise UserError(f"{source}: expected cameras.bin and images.bin (or .txt) there or in sparse/0, got none; add")
-    lenses = read_lenses(path)
-    cameras, notes = with_lenses(frames_in(source), lenses, path)
-    unit = "lengths are in the model's own unit, which is arbitrary: COLMAP does not know metres"
+        raise UserError(
+            f"{source}: expected cameras.bin and images.bin (or .txt) there or in sparse/0, got none; add them"
+        )
+    calibrations = read_cameras(path)
+    cameras, notes = join_calibrations(find_frames(source), calibrations, path)
+    unit = "lengths are in COLMAP's arbitrary unit"
     return Imported(cameras, (unit, *notes))
 
 
-def read_lenses(path: Path) -> dict[str, Camera]:
+def read_cameras(path: Path) -> dict[str, Camera]:
     """The cameras of a model's folder by name. Raises UserError as read."""
-    model = _loaded(path)
+    model = _load_model(path)
     images: dict[str, list[Any]] = defaultdict(list)
     for image in sorted((model.images[number] for number in model.reg_image_ids()), key=lambda image: image.name):
         file = PurePosixPath(image.name.replace("\\", "/"))
@@ -66,38 +68,39 @@ def read_lenses(path: Path) -> dict[str, Camera]:
     poses = {camera: [_pose(image) for image in of_camera] for camera, of_camera in images.items()}
     centres = np.array([-pose[:, :3].T @ pose[:, 3] for of_camera in poses.values() for pose in of_camera])
     size = float(np.linalg.norm(np.ptp(centres, axis=0)))
-    lenses: dict[str, Camera] = {}
-    for place, of_camera in images.items():
-        name = PurePosixPath(place).name
+    cameras: dict[str, Camera] = {}
+    for folder, of_camera in images.items():
+        name = PurePosixPath(folder).name
         where = f"{path}: camera '{name}'"
-        if name in lenses:
+        if name in cameras:
             raise UserError(f"{where}: expected each camera once, got two folders of that name; rename one")
-        lenses[name] = _lens(where, model, of_camera, poses[place], size)
-    return lenses
+        cameras[name] = _make_camera(where, model, of_camera, poses[folder], size)
+    return cameras
 
 
-def _lens(where: str, model: Any, images: list[Any], poses: list[np.ndarray], rig_size: float) -> Camera:
-    """The lens of a camera's first image, with which its others must agree."""
+def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarray], rig_size: float) -> Camera:
+    """The camera of the first image, after a check that the other images agree with it."""
     camera, pose = model.cameras[images[0].camera_id], poses[0]
     for image, other in zip(images[1:], poses[1:], strict=True):
-        turn = float(np.linalg.norm(other[:, :3] - pose[:, :3])) / np.sqrt(2)
-        way = float(np.linalg.norm(other[:, :3].T @ other[:, 3] - pose[:, :3].T @ pose[:, 3]))
-        if not (turn <= MOST_TURN and way <= MOST_TURN * rig_size):
+        angle = float(np.linalg.norm(other[:, :3] - pose[:, :3])) / np.sqrt(2)
+        distance = float(np.linalg.norm(other[:, :3].T @ other[:, 3] - pose[:, :3].T @ pose[:, 3]))
+        if not (angle <= MAX_MOTION and distance <= MAX_MOTION * rig_size):
             raise UserError(
-                f"{where}: expected a camera that stands still, got {images[0].name} and {image.name} "
-                f"{turn:.2g} rad and {way:.2g} units apart; leave the moving camera out"
+                f"{where}: expected a static camera, got {images[0].name} and {image.name} "
+                f"{angle:.2g} rad and {distance:.2g} units apart; leave the moving camera out"
             )
-        again = model.cameras[image.camera_id]
-        if again.model != camera.model or not np.allclose(again.params, camera.params, rtol=1e-3, atol=1e-3):
+        intrinsics_of_image = model.cameras[image.camera_id]
+        is_same_model = intrinsics_of_image.model == camera.model
+        if not is_same_model or not np.allclose(intrinsics_of_image.params, camera.params, rtol=1e-3, atol=1e-3):
             raise UserError(
-                f"{where}: expected one lens, got others for {images[0].name} and {image.name}; "
-                "reconstruct with one camera per folder"
+                f"{where}: expected the same intrinsics for all images, got different ones for {images[0].name} and "
+                f"{image.name}; reconstruct with one camera per folder"
             )
     kind = camera.model.name
     if kind not in LENS_MODELS:
         raise UserError(
             f"{where}: expected a lens model among {', '.join(LENS_MODELS)}, got {kind}; "
-            "undistort the pictures by COLMAP, or reconstruct with OPENCV"
+            "undistort the pictures with COLMAP, or reconstruct with OPENCV"
         )
     focals, coefficients = LENS_MODELS[kind]
     values = np.asarray(camera.params, np.float64)
@@ -105,17 +108,17 @@ def _lens(where: str, model: Any, images: list[Any], poses: list[np.ndarray], ri
     intrinsics = np.array([[values[0], 0, centre_x], [0, values[focals - 1], centre_y], [0, 0, 1]])
     distortion = np.zeros(max(coefficients, 4))
     distortion[:coefficients] = values[focals + 2 :]
-    return lens(where, intrinsics, pose[:, :3], pose[:, 3], (camera.width, camera.height), distortion)
+    return make_camera(where, intrinsics, pose[:, :3], pose[:, 3], (camera.width, camera.height), distortion)
 
 
 def _pose(image: Any) -> np.ndarray:
-    """(3, 4) world-to-camera; a method since pycolmap 3.12."""
+    """(3, 4) world-to-camera; ``cam_from_world`` is a method from pycolmap 3.12 on."""
     pose = image.cam_from_world
     return np.asarray((pose() if callable(pose) else pose).matrix(), np.float64)
 
 
-def _loaded(path: Path) -> Any:
-    # Only here: pycolmap takes over the process's handling of signals when it is imported.
+def _load_model(path: Path) -> Any:
+    # Imported here because pycolmap replaces the process's signal handlers.
     import pycolmap
 
     if (path / "cameras.bin").is_file():
@@ -128,10 +131,7 @@ def _loaded(path: Path) -> Any:
 
 
 def _check_whole(path: Path) -> None:
-    """Refuse files that end early, of which pycolmap reads what is not there, or never comes back.
-
-    Raises UserError.
-    """
+    """Raise UserError for truncated files: pycolmap reads beyond their end, or hangs."""
     for name in ("rigs.bin", "cameras.bin", "frames.bin", "images.bin", "points3D.bin"):
         file = path / name
         if not file.is_file():
@@ -143,30 +143,30 @@ def _check_whole(path: Path) -> None:
             if 8 + 8 * count > file.stat().st_size:
                 raise ValueError
             if content:
-                place = 8
+                offset = 8
                 for _ in range(count):
-                    place = _after_camera(content, place) if name == "cameras.bin" else _after_image(content, place)
-                if place > len(content):
+                    offset = (_after_camera if name == "cameras.bin" else _after_image)(content, offset)
+                if offset > len(content):
                     raise ValueError
         except (struct.error, ValueError, OSError) as error:
             raise UserError(f"{file}: expected a whole file, got one that ends early; copy it again") from error
 
 
-def _after_camera(content: bytes, place: int) -> int:
-    _, kind, _, _ = struct.unpack_from("<IiQQ", content, place)
-    return place + 24 + 8 * PARAMETERS.get(kind, 3)
+def _after_camera(content: bytes, offset: int) -> int:
+    _, kind, _, _ = struct.unpack_from("<IiQQ", content, offset)
+    return offset + 24 + 8 * PARAMETER_COUNTS.get(kind, 3)
 
 
-def _after_image(content: bytes, place: int) -> int:
-    name = place + 4 + 56 + 4
+def _after_image(content: bytes, offset: int) -> int:
+    name = offset + 4 + 56 + 4
     end = content.index(b"\0", name) + 1
     (points,) = struct.unpack_from("<Q", content, end)
     return end + 8 + 24 * int(points)
 
 
-def _model(source: Path) -> Path | None:
-    for place in MODELS:
-        found = set(entries(source / place))
+def _find_model(source: Path) -> Path | None:
+    for folder in MODEL_FOLDERS:
+        found = set(list_entries(source / folder))
         if {"cameras.bin", "images.bin"} <= found or {"cameras.txt", "images.txt"} <= found:
-            return source / place
+            return source / folder
     return None

@@ -1,11 +1,13 @@
-"""The formats there are, and which one a source is."""
+"""The supported formats, and detection of a source's format."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
+from fourd.errors import UserError
 from fourd.importing.formats import (
     actorshq,
     anipose,
@@ -25,10 +27,10 @@ class Format:
     """One importer.
 
     Attributes:
-        name: as the command line has it.
-        summary: what a source holds, for help texts.
-        looks_like: whether a path is such a source, told from names and first bytes alone.
-        read: the cameras of a source; raises UserError.
+        name: its name on the command line.
+        summary: what a source contains, for help texts.
+        looks_like: whether a path is such a source, judged by names and first bytes alone.
+        read: reads the cameras of a source; raises UserError.
     """
 
     name: str
@@ -48,4 +50,26 @@ FORMATS = (
     Format("easymocap", "intri.yml, extri.yml, images/CAM/ or videos/", easymocap.looks_like, easymocap.read),
     Format("videos", "videos or folders of pictures, no calibration", videos.looks_like, videos.read),
 )
-"""In the order in which a source is tried: the most specific first."""
+"""In the order of detection: the most specific first."""
+
+
+def pick_format(name: str | None, source: Path) -> Format:
+    """The format with that name, or for None the first that the source looks like.
+
+    Raises:
+        UserError: when the source is missing, the name is unknown, or no format fits.
+    """
+    if not source.exists():
+        raise UserError(f"{source}: expected files to import, got nothing there; check the path")
+    by_name = {each.name: each for each in FORMATS}
+    if name is not None and name not in by_name:
+        near = get_close_matches(name, by_name, 1)
+        hint = f"did you mean '{near[0]}'?" if near else "omit it for automatic detection"
+        raise UserError(f"FORMAT: expected one of {', '.join(by_name)}, got '{name}'; {hint}")
+    found = by_name[name] if name is not None else next((each for each in FORMATS if each.looks_like(source)), None)
+    if found is None:
+        raise UserError(
+            f"{source}: expected {', or '.join(f'{each.summary} ({each.name})' for each in FORMATS)}, "
+            "got none of these; name the folder that holds them"
+        )
+    return found

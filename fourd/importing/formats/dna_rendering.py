@@ -1,7 +1,7 @@
 """DNA-Rendering: NAME.smc (HDF5) with encoded pictures, NAME_annots.smc with calibration and mattes.
 
-Later parts of the data set hold the calibration in NAME.smc. RT is camera-to-world, in metres. Pixels count from
-the first one's centre, as OpenCV, by which the set's own tools undistort, has it: half a pixel is added.
+Later parts of the data set hold the calibration in NAME.smc. RT is camera-to-world, in metres. The origin of pixels is
+the first one's centre, as in OpenCV, which the data set's tools use: half a pixel is added to the principal points.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from PIL import Image
 from fourd.cameras import Camera
 from fourd.capture.decoding import PICTURE_FORMATS
 from fourd.errors import UserError
-from fourd.importing.formats.folders import entries, first_bytes, lens, numbers
+from fourd.importing.formats.folders import list_entries, make_camera, parse_numbers, read_head
 from fourd.importing.formats.imported import EncodedPictures, Imported, ImportedCamera
 
 SUFFIX = ".smc"
@@ -27,44 +27,44 @@ ANNOTATIONS = "_annots.smc"
 MAGIC = b"\x89HDF\r\n\x1a\n"
 GROUPS = ("Camera_5mp", "Camera_12mp")
 MAX_SOFT_LINKS = 16
-HEADER = 1 << 16
-"""Bytes of a picture within which its size stands."""
+HEADER_BYTES = 1 << 16
+"""Bytes of an encoded picture that contain its size."""
 
 
 def looks_like(source: Path) -> bool:
     """Whether ``source`` is a NAME.smc, or a folder with one."""
-    return any(first_bytes(path, len(MAGIC)) == MAGIC for path in _files(source))
+    return any(read_head(path, len(MAGIC)) == MAGIC for path in _find_files(source))
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, in metres, named by their numbers (two digits); pictures are read one at a time.
+    """Cameras of ``source``, in metres, named by their two-digit numbers; pictures are read one at a time.
 
     Raises:
-        UserError: when there is no NAME.smc or several, it is no HDF5, a group or a number is missing, or mattes
-            are fewer than pictures.
+        UserError: when there is no NAME.smc or several, it is no HDF5, refers to other files, lacks a group or a value,
+            or has another number of mattes than pictures.
     """
-    files = _files(source)
+    files = _find_files(source)
     if len(files) != 1:
         got = " and ".join(path.name for path in files) or "none"
         raise UserError(f"{source}: expected one NAME{SUFFIX}, got {got}; name the file itself")
-    path, annotations = files[0], _annotations(files[0])
+    path, annotations = files[0], _find_annotations(files[0])
     pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]] = {}
     with _Smc(path) as main:
         for group in GROUPS:
-            for number, place in main.numbered(group, required=False).items():
-                pictures[number] = main.encoded(f"{place}/color")
+            for number, group_path in main.numbered(group, required=False).items():
+                pictures[number] = main.encoded(f"{group_path}/color")
         if not pictures:
             raise UserError(f"{path}: expected the group {' or '.join(GROUPS)}, got neither; download it again")
-        has_lenses = main.has("Camera_Parameter")
-        lenses = _lenses(main, pictures) if has_lenses else {}
+        has_calibration = main.has("Camera_Parameter")
+        calibrations = _read_cameras(main, pictures) if has_calibration else {}
     masks: dict[int, EncodedPictures] = {}
     if annotations is not None:
         with _Smc(annotations) as annotated:
-            if not has_lenses:
-                lenses = _lenses(annotated, pictures)
-            for number, place in annotated.numbered("Mask", required=False).items():
-                masks[number] = annotated.encoded(f"{place}/mask")[0]
-    elif not has_lenses:
+            if not has_calibration:
+                calibrations = _read_cameras(annotated, pictures)
+            for number, group_path in annotated.numbered("Mask", required=False).items():
+                masks[number] = annotated.encoded(f"{group_path}/mask")[0]
+    elif not has_calibration:
         raise UserError(
             f"{path}: expected the group Camera_Parameter there or in {path.stem}{ANNOTATIONS}, got neither; "
             "put the annotations beside it"
@@ -77,21 +77,22 @@ def read(source: Path) -> Imported:
                 f"{annotations}: Mask/{number}: expected {frames.count} mattes, one for each picture, "
                 f"got {mattes.count}; download it again"
             )
-        cameras.append(ImportedCamera(f"{number:02d}", lenses.get(number), frames, mattes))
+        cameras.append(ImportedCamera(f"{number:02d}", calibrations.get(number), frames, mattes))
     notes = [
-        "metres; poses turned from camera-to-world to world-to-camera",
-        "pixel centres at whole numbers -> half a pixel added to the centres",
-        "colours as the cameras recorded them: Color_Calibration is not applied",
+        "metres kept; poses inverted from camera-to-world to world-to-camera",
+        "pixel centres at integers -> half a pixel added to the principal points",
+        "colours kept: Color_Calibration is not applied",
     ]
-    bare = [camera.name for camera in cameras if camera.lens is None]
-    return Imported(tuple(cameras), (*notes, *([f"without calibration: {', '.join(bare)}"] if bare else [])))
+    uncalibrated = [camera.name for camera in cameras if camera.calibration is None]
+    notes += [f"without calibration: {', '.join(uncalibrated)}"] if uncalibrated else []
+    return Imported(tuple(cameras), tuple(notes))
 
 
 class _Smc:
-    """An HDF5 file that was opened for reading, with errors that name file and group."""
+    """An open HDF5 file; errors name the file and the group."""
 
     def __init__(self, path: Path) -> None:
-        import h5py  # Only here: no other format needs it.
+        import h5py  # Imported here, since no other format needs it.
 
         self.path = path
         self.h5py = h5py
@@ -108,12 +109,12 @@ class _Smc:
         self.file.close()
 
     def has(self, name: str) -> bool:
-        with self._told(name):
+        with self._report_errors(name):
             return self._resolve(name) is not None
 
     def numbered(self, name: str, required: bool = True) -> dict[int, str]:
-        """Paths of a group's members by their numbers, ascending; none where there is no such group."""
-        with self._told(name):
+        """Paths of a group's members by number, ascending; empty for an optional group that is missing."""
+        with self._report_errors(name):
             group = self._get(name)
             if group is None and not required:
                 return {}
@@ -121,35 +122,41 @@ class _Smc:
                 raise UserError(f"{self.path}: expected the group {name}, got none; download it again")
             members = [str(member) for member in group]
         if not all(member.isdecimal() for member in members) or len({int(member) for member in members}) < len(members):
-            raise UserError(f"{self.path}: {name}: expected numbers as names, got {', '.join(members)}; mend it")
+            raise UserError(
+                f"{self.path}: {name}: expected numbers as names, got {', '.join(members)}; download it again"
+            )
         return {int(member): f"{name}/{member}" for member in sorted(members, key=int)}
 
     def encoded(self, name: str) -> tuple[EncodedPictures, tuple[int, int]]:
-        """A group's pictures in the order of their numbers, and (width, height) of the first."""
-        places = list(self.numbered(name).values())
-        if not places:
+        """A group's pictures ordered by number, and (width, height) of the first."""
+        paths = list(self.numbered(name).values())
+        if not paths:
             raise UserError(f"{self.path}: {name}: expected pictures, got none; download it again")
-        head = self.content(places[0], HEADER)
+        head = self.content(paths[0], HEADER_BYTES)
         try:
             with Image.open(io.BytesIO(head), formats=PICTURE_FORMATS) as image:
                 size, suffix = image.size, {"JPEG": ".jpg", "PNG": ".png"}[image.format or ""]
         except (OSError, ValueError, SyntaxError, KeyError, Image.DecompressionBombError) as error:
-            raise UserError(f"{self.path}: {places[0]}: expected a JPEG or PNG, got something else; mend it") from error
-        return EncodedPictures(len(places), suffix, partial(_picture, self.path, tuple(places))), size
+            raise UserError(
+                f"{self.path}: {paths[0]}: expected a JPEG or PNG, got something else; download it again"
+            ) from error
+        return EncodedPictures(len(paths), suffix, partial(_read_picture, self.path, tuple(paths))), size
 
     def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """A dataset's finite numbers of that shape; of shape (-1,) flat."""
-        with self._told(name):
+        """A dataset's finite numbers of that shape; flattened for (-1,)."""
+        with self._report_errors(name):
             value = self._dataset(name)[()]
-        return numbers(f"{self.path}: {name}", np.ravel(value) if shape == (-1,) else value, shape)
+        return parse_numbers(f"{self.path}: {name}", np.ravel(value) if shape == (-1,) else value, shape)
 
-    def content(self, name: str, most: int | None = None) -> bytes:
-        """The bytes of a picture, or the first ``most`` of them."""
-        with self._told(name):
+    def content(self, name: str, max_bytes: int | None = None) -> bytes:
+        """The bytes of an encoded picture, or the first ``max_bytes`` of them."""
+        with self._report_errors(name):
             dataset = self._dataset(name)
             if dataset.dtype != np.uint8 or dataset.ndim != 1:
-                raise UserError(f"{self.path}: {name}: expected the bytes of a picture, got {dataset.dtype}; mend it")
-            return bytes(dataset[:most].tobytes())
+                raise UserError(
+                    f"{self.path}: {name}: expected the bytes of a picture, got {dataset.dtype}; download it again"
+                )
+            return bytes(dataset[:max_bytes].tobytes())
 
     def _dataset(self, name: str) -> Any:
         dataset = self._get(name)
@@ -166,9 +173,9 @@ class _Smc:
         return None if path is None else self.file[path]
 
     def _resolve(self, name: str) -> str | None:
-        """The path of an object by hard links alone; None where there is none.
+        """An object's path through hard links alone; None where it is missing.
 
-        Links to other files are refused before anything is opened there: an import would copy what they hold.
+        External links are refused before their file is opened: an import would copy its content into the capture.
         """
         path, parts, soft_links = "/", name.split("/"), 0
         while parts:
@@ -195,8 +202,8 @@ class _Smc:
         return UserError(f"{self.path}: {name}: expected data within this file, got {got}; download it again")
 
     @contextmanager
-    def _told(self, name: str) -> Iterator[None]:
-        """Tells what h5py raises of a damaged file."""
+    def _report_errors(self, name: str) -> Iterator[None]:
+        """Turn the exceptions that h5py raises for damaged files into UserErrors."""
         try:
             yield
         except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
@@ -204,35 +211,35 @@ class _Smc:
             raise UserError(f"{self.path}: {name}: expected whole HDF5, got '{reason}'; download it again") from error
 
 
-def _picture(path: Path, places: tuple[str, ...], index: int) -> bytes:
+def _read_picture(path: Path, datasets: tuple[str, ...], index: int) -> bytes:
     with _Smc(path) as smc:
-        return smc.content(places[index])
+        return smc.content(datasets[index])
 
 
-def _lenses(smc: _Smc, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
-    """The cameras of Camera_Parameter that have pictures, whose sizes are theirs."""
-    lenses = {}
-    for number, place in smc.numbered("Camera_Parameter").items():
+def _read_cameras(smc: _Smc, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
+    """The cameras of Camera_Parameter that have pictures, by number; sizes are those of the pictures."""
+    cameras = {}
+    for number, group_path in smc.numbered("Camera_Parameter").items():
         if number not in pictures:
             continue
-        intrinsics = smc.array(f"{place}/K", (3, 3))
+        intrinsics = smc.array(f"{group_path}/K", (3, 3))
         intrinsics[:2, 2] += 0.5
-        pose_world_camera = smc.array(f"{place}/RT", (4, 4))
+        pose_world_camera = smc.array(f"{group_path}/RT", (4, 4))
         R_camera_world = pose_world_camera[:3, :3].T
         translation = -R_camera_world @ pose_world_camera[:3, 3]
-        distortion = smc.array(f"{place}/D", (-1,))
-        where = f"{smc.path}: {place}"
-        lenses[number] = lens(where, intrinsics, R_camera_world, translation, pictures[number][1], distortion)
-    return lenses
+        distortion = smc.array(f"{group_path}/D", (-1,))
+        where = f"{smc.path}: {group_path}"
+        cameras[number] = make_camera(where, intrinsics, R_camera_world, translation, pictures[number][1], distortion)
+    return cameras
 
 
-def _files(source: Path) -> list[Path]:
-    named = [source / name for name in entries(source)] or [source]
-    return [path for path in named if path.name.endswith(SUFFIX) and not path.name.endswith(ANNOTATIONS)]
+def _find_files(source: Path) -> list[Path]:
+    candidates = [source / name for name in list_entries(source)] or [source]
+    return [path for path in candidates if path.name.endswith(SUFFIX) and not path.name.endswith(ANNOTATIONS)]
 
 
-def _annotations(path: Path) -> Path | None:
-    """NAME_annots.smc beside NAME.smc, or in annotations/ where that lies in main/, as the set is handed out."""
+def _find_annotations(path: Path) -> Path | None:
+    """NAME_annots.smc beside NAME.smc, or in ../annotations/, where the data set has it beside main/."""
     name = f"{path.stem}{ANNOTATIONS}"
-    beside = [path.with_name(name), path.parent.parent / "annotations" / name]
-    return next((found for found in beside if found.is_file()), None)
+    paths = [path.with_name(name), path.parent.parent / "annotations" / name]
+    return next((found for found in paths if found.is_file()), None)

@@ -1,6 +1,6 @@
-"""EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext, perhaps masks/CAM/.
+"""EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext, optionally masks/CAM/.
 
-Pixels are taken as they are: this project's own captures have this layout, and EasyVolcap writes COLMAP's there.
+Pixel coordinates are kept: fourd's own captures have this layout, and EasyVolcap writes COLMAP's convention there.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, read_calibration
 from fourd.capture.decoding import picture_size
 from fourd.errors import UserError
-from fourd.importing.formats.folders import entries, frames_in, matched, with_lenses
+from fourd.importing.formats.folders import find_frames, join_calibrations, list_entries, match_names
 from fourd.importing.formats.imported import Frames, Imported, PictureFiles, VideoFile
 
-PLACES = ("images", "videos", ".")
-MASKS = ("masks", "mask")
+FRAME_FOLDERS = ("images", "videos", ".")
+MASK_FOLDERS = ("masks", "mask")
 
 
 def looks_like(source: Path) -> bool:
     """Whether ``source`` is a folder with intri.yml and extri.yml."""
-    return {INTRINSICS_NAME, EXTRINSICS_NAME} <= set(entries(source))
+    return {INTRINSICS_NAME, EXTRINSICS_NAME} <= set(list_entries(source))
 
 
 def read(source: Path) -> Imported:
@@ -33,17 +33,17 @@ def read(source: Path) -> Imported:
     """
     path = source / INTRINSICS_NAME
     calibrations = read_calibration(source)
-    frames = frames_in(source, PLACES)
-    found = {name: frames[camera] for camera, name in matched(list(calibrations), frames, path).items()}
-    lenses = {}
+    frames = find_frames(source, FRAME_FOLDERS)
+    found = {name: frames[camera] for camera, name in match_names(list(calibrations), frames, path).items()}
+    cameras_by_name = {}
     for name, calibration in calibrations.items():
-        lenses[name] = _lens(path, name, calibration, found.get(name))
-    cameras, notes = with_lenses(frames, lenses, path, [source / folder for folder in MASKS])
-    return Imported(cameras, ("lengths and pixels as the calibration has them", *notes))
+        cameras_by_name[name] = _make_camera(path, name, calibration, found.get(name))
+    cameras, notes = join_calibrations(frames, cameras_by_name, path, [source / folder for folder in MASK_FOLDERS])
+    return Imported(cameras, ("lengths and pixels kept as in the calibration", *notes))
 
 
-def _lens(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
-    """The camera; a size that the files lack is that of its first picture, or of nothing where it has none."""
+def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
+    """The camera; a missing size is that of its first picture, or 1 x 1 without pictures."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = (1, 1) if frames is None else _size(frames)

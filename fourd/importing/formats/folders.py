@@ -1,4 +1,4 @@
-"""What importers do alike: finding each camera's frames and mattes, and checking what a file says of a lens."""
+"""Helpers of the importers: each camera's frames and mattes, and checked values of calibration files."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
-from fourd.capture.layout import camera_folders, find_pictures, find_videos, frame_order
+from fourd.capture.layout import camera_folders, find_pictures, find_videos, sort_frames
 from fourd.errors import UserError
 from fourd.importing.formats.imported import Frames, ImportedCamera, PictureFiles, VideoFile
 
 Array = NDArray[np.float64]
 
-TOO_LARGE = 1e100
-"""Numbers whose products may not be finite are told as if they were not finite themselves."""
-PLACES = (".", "videos", "images", "raw-2d", "videos-raw")
-"""Folders of a source in which cameras are looked for, in this order; the last two are anipose's."""
+MAX_VALUE = 1e100
+"""Larger numbers count as not finite, since their products may not be finite."""
+FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw")
+"""Folders of a source that may hold the cameras' frames, in this order; the last two are anipose's."""
 
 
-def entries(folder: Path) -> list[str]:
-    """Names in ``folder``, sorted; none where it cannot be listed."""
+def list_entries(folder: Path) -> list[str]:
+    """Names in ``folder``, sorted; empty where it cannot be listed."""
     try:
         return sorted(os.listdir(folder))
     except (OSError, ValueError):
         return []
 
 
-def first_bytes(path: Path, count: int) -> bytes:
-    """The first ``count`` bytes of a file, or as many as it has; none where it cannot be read."""
+def read_head(path: Path, count: int) -> bytes:
+    """The first ``count`` bytes of a file or fewer; empty where it cannot be read."""
     try:
         with open(path, "rb") as file:
             return file.read(count)
@@ -40,22 +40,22 @@ def first_bytes(path: Path, count: int) -> bytes:
         return b""
 
 
-def whole_file(path: Path) -> bytes:
-    """All of a file. Raises UserError where it cannot be read."""
+def read_file(path: Path) -> bytes:
+    """A file's content. Raises UserError where it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
         raise UserError(f"{path}: expected a file, got '{error.strerror}'; copy it again") from error
 
 
-def frames_in(source: Path, places: Sequence[str] = PLACES) -> dict[str, Frames]:
-    """Each camera's frames by its name: the videos, or the folders of pictures, of the first place that has any.
+def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[str, Frames]:
+    """Each camera's frames by its name: the videos or folders of pictures in the first of ``folders`` that has any.
 
     Raises:
-        UserError: when two cameras have one name, or no place has any.
+        UserError: when two cameras have one name, or no folder has any.
     """
-    for place in places:
-        folder = source / place
+    for folder_name in folders:
+        folder = source / folder_name
         videos = find_videos(folder)
         if videos:
             return {name: VideoFile(path) for name, path in videos.items()}
@@ -64,26 +64,26 @@ def frames_in(source: Path, places: Sequence[str] = PLACES) -> dict[str, Frames]
             frames = picture_files(folder / name)
             if frames is not None:
                 found[name] = frames
-        if found and (place != "." or not set(found) & set(PLACES)):
+        if found and (folder_name != "." or not set(found) & set(FRAME_FOLDERS)):
             return found
     raise UserError(
         f"{source}: expected a video or a folder of pictures for each camera, there or in "
-        f"{' or '.join(f'{place}/' for place in places if place != '.')}, got none; put them there"
+        f"{' or '.join(f'{name}/' for name in folders if name != '.')}, got none; put them there"
     )
 
 
 def picture_files(folder: Path) -> PictureFiles | None:
-    """A folder's pictures in the order of their numbers; None where it has none."""
+    """A folder's pictures, ordered by number; None where it has none."""
     by_stem = find_pictures(folder)
     if not by_stem:
         return None
-    return PictureFiles(tuple(folder / by_stem[stem] for stem in frame_order(set(by_stem))))
+    return PictureFiles(tuple(folder / by_stem[stem] for stem in sort_frames(set(by_stem))))
 
 
-def mattes_in(folder: Path, frames: Frames) -> PictureFiles | None:
-    """A camera's mattes, one for each of its pictures: those of the same numbers. None where the folder has none.
+def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
+    """A camera's mattes, matched to its pictures by number; None where the folder has none.
 
-    Of a video, all that the folder has: how many frames a video has is not known here.
+    For a video all mattes of the folder, since its number of frames is not known yet.
 
     Raises:
         UserError: when a picture has no matte.
@@ -109,11 +109,10 @@ def mattes_in(folder: Path, frames: Frames) -> PictureFiles | None:
     return found
 
 
-def matched(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
-    """The calibration's name of each camera found: the same name, or else the only one of the same number.
+def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
+    """The name in the calibration of each camera with frames: equal, or with the same unique number.
 
-    Returns a dict from the name of the frames to the name in the calibration, for those that have one; which
-    cameras lack one is for the caller to say.
+    Returns a dict from the frames' name to the calibration's name; cameras without a calibration are left out.
 
     Raises:
         UserError: when no camera has a calibration.
@@ -134,53 +133,59 @@ def matched(calibrated: Sequence[str], found: Iterable[str], calibration: Path) 
     return pairs
 
 
-def with_lenses(
-    frames: Mapping[str, Frames], lenses: Mapping[str, Camera], calibration: Path, mattes: Sequence[Path] = ()
+def join_calibrations(
+    frames: Mapping[str, Frames], calibrations: Mapping[str, Camera], path: Path, mattes: Sequence[Path] = ()
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """The cameras of ``frames`` with the lenses of ``matched``, and notes on those that lack something.
+    """The cameras of ``frames`` with their calibrations, matched by match_names, and notes on missing parts.
 
-    ``mattes`` are folders in which a camera's folder of mattes is looked for; the first that has some counts.
-    Raises UserError as matched and mattes_in.
+    Args:
+        frames: by camera name.
+        calibrations: by their names in the file ``path``.
+        path: the calibration file, for errors.
+        mattes: folders that may hold a folder of mattes for each camera; the first one with mattes is used.
+
+    Raises:
+        UserError: as match_names and find_mattes.
     """
-    pairs = matched(list(lenses), frames, calibration)
+    pairs = match_names(list(calibrations), frames, path)
     cameras = []
     for name, found in frames.items():
-        masks = (mattes_in(folder / name, found) for folder in mattes)
+        masks = (find_mattes(folder / name, found) for folder in mattes)
         first = next((some for some in masks if some is not None), None)
-        cameras.append(ImportedCamera(name, lenses[pairs[name]] if name in pairs else None, found, first))
+        cameras.append(ImportedCamera(name, calibrations[pairs[name]] if name in pairs else None, found, first))
     notes = []
-    left = sorted(set(lenses) - set(pairs.values()))
-    if left:
-        notes.append(f"left out, since there are no pictures of them: {', '.join(left)}")
-    bare = [name for name in frames if name not in pairs]
-    if bare:
-        notes.append(f"without calibration: {', '.join(bare)}")
+    unused = sorted(set(calibrations) - set(pairs.values()))
+    if unused:
+        notes.append(f"cameras without pictures, not imported: {', '.join(unused)}")
+    uncalibrated = [name for name in frames if name not in pairs]
+    if uncalibrated:
+        notes.append(f"without calibration: {', '.join(uncalibrated)}")
     unmasked = [camera.name for camera in cameras if camera.masks is None]
     if 0 < len(unmasked) < len(cameras):
-        notes.append(f"without mattes, which others have: {', '.join(unmasked)}")
+        notes.append(f"without mattes, unlike other cameras: {', '.join(unmasked)}")
     return tuple(cameras), notes
 
 
-def numbers(where: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Finite numbers of that shape (-1 for any length) from what a parser made of a file.
+def parse_numbers(where: str, value: object, shape: tuple[int, ...]) -> Array:
+    """An array of finite numbers of that shape (-1 for any length) from a parsed value.
 
     Raises:
-        UserError: beginning with ``where``.
+        UserError: starting with ``where``.
     """
-    wanted = " x ".join("some" if size < 0 else str(size) for size in shape) or "1"
+    expected = " x ".join("some" if size < 0 else str(size) for size in shape) or "1"
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise UserError(f"{where}: expected {wanted} numbers, got something else; calibrate again") from error
+        raise UserError(f"{where}: expected {expected} numbers, got something else; calibrate again") from error
     if array.ndim != len(shape) or any(size not in (-1, got) for size, got in zip(shape, array.shape, strict=True)):
         got = " x ".join(map(str, array.shape)) or "1"
-        raise UserError(f"{where}: expected {wanted} numbers, got {got}; calibrate again")
-    if not (np.abs(array) < TOO_LARGE).all():
+        raise UserError(f"{where}: expected {expected} numbers, got {got}; calibrate again")
+    if not (np.abs(array) < MAX_VALUE).all():
         raise UserError(f"{where}: expected finite numbers, got {array.ravel().tolist()}; calibrate again")
     return array
 
 
-def lens(
+def make_camera(
     where: str,
     intrinsics: Array,
     rotation: Array,
@@ -188,7 +193,7 @@ def lens(
     size: tuple[float, float],
     distortion: Array | None = None,
 ) -> Camera:
-    """A Camera of ``size`` (width, height) whose faults are UserErrors that begin with ``where``."""
+    """A Camera of ``size`` (width, height); invalid values raise UserError starting with ``where``."""
     if not np.allclose(intrinsics[2], (0, 0, 1)):
         raise UserError(f"{where}: expected a last row of 0 0 1, got {intrinsics[2].tolist()}; calibrate again")
     try:

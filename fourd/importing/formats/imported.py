@@ -1,4 +1,4 @@
-"""What every importer returns: cameras in this project's conventions, and where their frames lie."""
+"""What every importer returns: cameras in fourd's conventions and the location of their frames."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from fourd.cameras import Camera
 
 @dataclass(frozen=True)
 class PictureFiles:
-    """One JPEG or PNG file a frame, in order."""
+    """One JPEG or PNG file per frame, in order."""
 
     paths: tuple[Path, ...]
 
 
 @dataclass(frozen=True)
 class VideoFile:
-    """One video, of which frame n is the capture's frame n until offsets are set."""
+    """One video; without an offset its frame n is the capture's frame n."""
 
     path: Path
 
 
 @dataclass(frozen=True)
 class EncodedPictures:
-    """Pictures that lie encoded within another file.
+    """Encoded pictures inside another file.
 
     Attributes:
         count: number of frames.
-        suffix: of the files to write, such as ``.jpg``.
-        read: bytes of the frame of that position, as they are to be written.
+        suffix: suffix of the files to write, such as ``.jpg``.
+        read: the encoded bytes of a frame by index.
     """
 
     count: int
@@ -47,26 +47,25 @@ class ImportedCamera:
 
     Attributes:
         name: unique within the source; letters, digits, ``_``, ``-`` and ``.``.
-        lens: pose and intrinsics with distortion, OpenCV axes, lengths as in the written capture
-            (metres where the source is metric); its width and height are those that the calibration was made
-            for. None where the source has no calibration.
+        calibration: pose and intrinsics with distortion, OpenCV axes, in metres where the source is metric; width and
+            height are those that the calibration was made for. None where the source has no calibration.
         frames: the pictures.
-        masks: mattes, 255 = object, as many as frames; None where the source has none.
+        masks: mattes, 255 = object, one per frame; None where the source has none.
     """
 
     name: str
-    lens: Camera | None
+    calibration: Camera | None
     frames: Frames
     masks: PictureFiles | EncodedPictures | None = None
 
 
 @dataclass(frozen=True)
 class Imported:
-    """A source as read: no picture is decoded.
+    """The content of a source; no picture is decoded.
 
     Attributes:
         cameras: in the source's order; at least one.
-        notes: what a person should know, a line each: units, axes, what was left out.
+        notes: information for the user, one line each: units, axes, cameras left out.
     """
 
     cameras: tuple[ImportedCamera, ...]
@@ -74,5 +73,5 @@ class Imported:
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:
-    """The videos of the cameras that have one, by name."""
+    """Paths of the cameras' videos by camera name, for the cameras that have one."""
     return {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}

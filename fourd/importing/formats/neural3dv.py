@@ -1,7 +1,7 @@
 """Neural 3D Video: poses_bounds.npy (LLFF) beside camNN.mp4.
 
-A row holds a 3 x 5 matrix and two bounds. The matrix's columns are the camera's axes down, right and backwards in
-the world, its position, and height, width and focal length. The centre is the picture's middle: no half pixel to add.
+A row holds a 3 x 5 matrix and two depth bounds. The matrix's columns are the camera's axes down, right and backwards
+in the world, its position, and height, width and focal length. The principal point is the picture's centre.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import Array, frames_in, lens, numbers
+from fourd.importing.formats.folders import Array, find_frames, make_camera, parse_numbers
 from fourd.importing.formats.imported import Imported, ImportedCamera
 
 NAME = "poses_bounds.npy"
 COLUMNS = 17
-MOST_PIXELS = 1 << 20
+MAX_PIXELS = 1 << 20
 
 
 def looks_like(source: Path) -> bool:
@@ -28,50 +28,50 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``: rows belong to the videos in the order of their names.
+    """Cameras of ``source``; rows belong to the videos in the order of their names.
 
     Raises:
-        UserError: when the file is no array of that shape, or there are not as many videos as rows.
+        UserError: when the file is no array of that shape, or the numbers of videos and rows differ.
     """
     path = source / NAME
     rows = _rows(path)
-    frames = frames_in(source)
+    frames = find_frames(source)
     if len(frames) != len(rows):
         raise UserError(
             f"{path}: expected {len(frames)} rows, one for each video ({', '.join(frames)}), got {len(rows)}; "
             "restore the missing videos, or remove the row of each"
         )
     cameras = tuple(
-        ImportedCamera(name, _lens(f"{path}: row {index}", row), found)
+        ImportedCamera(name, _make_camera(f"{path}: row {index}", row), found)
         for index, (row, (name, found)) in enumerate(zip(rows, frames.items(), strict=True))
     )
     notes = (
-        "lengths are in the poses' own unit, which need not be metres",
+        "lengths kept; their unit is unknown",
         "camera axes down, right, backwards -> right, down, forward (OpenCV)",
-        "rows belong to the videos in the order of their names; near and far bounds are not used",
+        "rows belong to the videos in the order of their names; near and far bounds are ignored",
     )
     return Imported(cameras, notes)
 
 
 def _rows(path: Path) -> Array:
     try:
-        # Mapped, so that a header that promises too much is told before memory is asked for.
+        # Memory mapping reports a header with a wrong size before memory is allocated.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(array, np.ndarray):
             raise ValueError("an archive of arrays")
     except (OSError, ValueError, EOFError, SyntaxError, TokenError, OverflowError, TypeError) as error:
         reason = str(error).partition("\n")[0]
-        raise UserError(f"{path}: expected an array that NumPy wrote, got '{reason}'; copy it again") from error
+        raise UserError(f"{path}: expected a NumPy array, got '{reason}'; copy it again") from error
     if array.dtype.kind not in "fiu":
         raise UserError(f"{path}: expected real numbers, got {array.dtype}; write it again")
-    return numbers(str(path), array, (-1, COLUMNS))
+    return parse_numbers(str(path), array, (-1, COLUMNS))
 
 
-def _lens(where: str, row: Array) -> Camera:
+def _make_camera(where: str, row: Array) -> Camera:
     matrix = row[:15].reshape(3, 5)
     down, right, backwards, centre, (height, width, focal) = matrix.T
-    if not (1 <= width <= MOST_PIXELS and 1 <= height <= MOST_PIXELS):
+    if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
         raise UserError(f"{where}: expected height and width in pixels, got {height:g} and {width:g}; copy it again")
     R_camera_world = np.stack([right, down, -backwards])
     intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    return lens(where, intrinsics, R_camera_world, -R_camera_world @ centre, (width, height))
+    return make_camera(where, intrinsics, R_camera_world, -R_camera_world @ centre, (width, height))

@@ -1,8 +1,8 @@
 """Qualisys Track Manager: NAME.qca.txt (XML) beside the videos.
 
-A camera's ``transform`` is its pose in the world: the position in millimetres, and a rotation whose rows, as
-the file lists them, are the camera's axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths
-and centres are in 1/64 pixel of the sensor; ``fov_video`` is the part of the sensor that the video holds.
+A camera's ``transform`` holds its position in the world in millimetres, and a rotation whose rows are the camera's
+axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths and principal points are in 1/64 pixel of
+the sensor; ``fov_video`` is the part of the sensor in the video.
 """
 
 from __future__ import annotations
@@ -14,71 +14,72 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import frames_in, matched
+from fourd.importing.formats.folders import find_frames, match_names
 from fourd.importing.formats.imported import Imported, ImportedCamera
 
 SUBPIXELS = 64
-MILLIMETRE = 1e-3
+METRES_PER_MM = 1e-3
 SUFFIX = ".qca.txt"
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is such a file, or a folder with one."""
-    return _file(source) is not None
+    """Whether ``source`` is a .qca.txt file, or a folder with one."""
+    return _find_file(source) is not None
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, a folder with NAME.qca.txt and videos, or that file among the videos.
+    """Cameras of ``source``, a folder with NAME.qca.txt and videos, or that file beside the videos.
 
     Raises:
         UserError: when the XML does not parse, a value is missing, or cameras and videos do not match.
     """
-    path = _file(source)
+    path = _find_file(source)
     if path is None:
         raise UserError(f"{source}: expected a folder with NAME{SUFFIX}, got none; export it from Qualisys")
-    lenses = read_lenses(path)
-    frames = frames_in(path.parent)
-    pairs = matched(list(lenses), frames, path)
+    calibrations = read_cameras(path)
+    frames = find_frames(path.parent)
+    pairs = match_names(list(calibrations), frames, path)
     cameras = tuple(
-        ImportedCamera(name, lenses[pairs[name]] if name in pairs else None, found) for name, found in frames.items()
+        ImportedCamera(name, calibrations[pairs[name]] if name in pairs else None, found)
+        for name, found in frames.items()
     )
     notes = [
         "millimetres -> metres, z up kept",
         "camera axes y up, z backwards -> y down, z forward (OpenCV)",
-        "1/64 pixels -> pixels, counted from the first pixel's corner",
+        "1/64 pixels -> pixels, origin at the first pixel's corner",
     ]
-    left = sorted(set(lenses) - set(pairs.values()))
-    if left:
-        notes.append(f"left out, since there is no video of them: {', '.join(left)}")
+    unused = sorted(set(calibrations) - set(pairs.values()))
+    if unused:
+        notes.append(f"cameras without a video, not imported: {', '.join(unused)}")
     return Imported(cameras, tuple(notes))
 
 
-def read_lenses(path: Path) -> dict[str, Camera]:
+def read_cameras(path: Path) -> dict[str, Camera]:
     """The cameras of a .qca.txt file by serial, in metres. Raises UserError as read."""
     try:
         root = ElementTree.fromstring(path.read_bytes())
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise UserError(f"{path}: expected Qualisys' XML, got '{error}'; export it again") from error
-    lenses: dict[str, Camera] = {}
+    cameras: dict[str, Camera] = {}
     for node in root.iter("camera"):
         serial = node.get("serial", "")
-        if not serial or serial in lenses:
-            raise UserError(f"{path}: expected each camera's own serial, got '{serial}'; export it again")
+        if not serial or serial in cameras:
+            raise UserError(f"{path}: expected a unique serial, got '{serial}'; export it again")
         if node.get("active", "1") == "1":
-            lenses[serial] = _Values(path, serial, node).lens()
-    if not lenses:
+            cameras[serial] = _CameraNode(path, serial, node).camera()
+    if not cameras:
         raise UserError(f"{path}: expected <camera> entries, got none; export it again")
-    return lenses
+    return cameras
 
 
-class _Values:
-    """One camera's XML, with errors that name it."""
+class _CameraNode:
+    """One camera's XML element; errors name the camera."""
 
     def __init__(self, path: Path, serial: str, node: ElementTree.Element) -> None:
         self.where = f"{path}: camera '{serial}'"
         self.node = node
 
-    def lens(self) -> Camera:
+    def camera(self) -> Camera:
         if self.value(".", "viewrotation", 0.0) != 0:
             raise UserError(f"{self.where}: expected viewrotation 0, got another; export without rotated views")
         left, top = self.value("fov_video", "left"), self.value("fov_video", "top")
@@ -92,7 +93,7 @@ class _Values:
         radial = [self.value("intrinsic", f"radialDistortion{i}") for i in (1, 2, 3)]
         tangential = [self.value("intrinsic", f"tangentalDistortion{i}") for i in (1, 2)]
         axes = np.array([[self.value("transform", f"r{i}{j}") for j in (1, 2, 3)] for i in (1, 2, 3)])
-        centre = MILLIMETRE * np.array([self.value("transform", axis) for axis in "xyz"])
+        centre = METRES_PER_MM * np.array([self.value("transform", axis) for axis in "xyz"])
         R_camera_world = np.diag([1.0, -1.0, -1.0]) @ axes
         distortion = np.array([*radial[:2], *tangential, radial[2]])
         try:
@@ -113,7 +114,7 @@ class _Values:
             ) from error
 
 
-def _file(source: Path) -> Path | None:
+def _find_file(source: Path) -> Path | None:
     if source.is_file():
         return source if source.name.endswith(SUFFIX) else None
     return next(iter(sorted(source.glob(f"*{SUFFIX}"))), None)

@@ -1,6 +1,6 @@
-"""transforms.json of nerfstudio and instant-ngp: poses from the camera (x right, y up, z backwards) to the world.
+"""transforms.json of nerfstudio and instant-ngp: camera-to-world poses (x right, y up, z backwards).
 
-Both take the first pixel's centre for (0.5, 0.5), as here. Without times every entry is a camera with one frame.
+The first pixel's centre is (0.5, 0.5), as in fourd. Without times every entry is a camera with one frame.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fourd.cameras import Camera
 from fourd.capture.decoding import picture_size
 from fourd.capture.layout import PICTURE_SUFFIXES
 from fourd.errors import UserError
-from fourd.importing.formats.folders import lens, numbers, whole_file
+from fourd.importing.formats.folders import make_camera, parse_numbers, read_file
 from fourd.importing.formats.imported import Imported, ImportedCamera, PictureFiles
 
 NAME = "transforms.json"
@@ -33,43 +33,43 @@ IGNORED = (
     "ply_file_path",
     "orientation_override",
 )
-MOST_PIXELS = 1 << 20
+MAX_PIXELS = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """One picture: its path as the file has it, its files, its lens, and its time or None."""
+    """One picture: its path in the JSON, its files, its camera, and its time or None."""
 
-    place: PurePosixPath
+    path: PurePosixPath
     picture: Path
     mask: Path | None
-    lens: Camera
+    camera: Camera
     time: float | None
 
     @property
     def key(self) -> tuple[float, ...]:
-        """Equal for entries of one pose and one lens."""
-        camera = self.lens
+        """Equal for entries with equal pose and intrinsics."""
+        camera = self.camera
         parts = [camera.rotation, camera.translation, camera.intrinsics, np.array([camera.width, camera.height])]
         parts += [] if camera.distortion is None else [camera.distortion]
         return tuple(np.concatenate([part.ravel() for part in parts]).round(9).tolist())
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a folder with transforms.json, or such a file of any end (transforms_train.json)."""
-    return os.path.isfile(_file(source))
+    """Whether ``source`` is a folder with transforms.json, or a file transforms*.json."""
+    return os.path.isfile(_json_path(source))
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``. With times, entries of one folder, or else of one pose and lens, are a camera.
+    """Cameras of ``source``. With times, entries of one folder, or else of one pose and intrinsics, form a camera.
 
     Raises:
-        UserError: when the JSON does not parse, a value is missing or no number, a lens is a fisheye, a path leaves
-            the folder or has no picture, or cameras do not have the same times.
+        UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leaves the
+            folder or has no picture, or cameras do not have the same times.
     """
-    path = _file(source)
+    path = _json_path(source)
     try:
-        data = json.loads(whole_file(path))
+        data = json.loads(read_file(path))
     except (ValueError, RecursionError) as error:
         raise UserError(f"{path}: expected JSON, got '{error}'; export it again") from error
     listed = data.get("frames") if isinstance(data, dict) else None
@@ -87,27 +87,29 @@ def read(source: Path) -> Imported:
         masks = tuple(entry.mask for entry in group if entry.mask is not None)
         mattes = PictureFiles(masks) if masked == len(entries) else None
         frames = PictureFiles(tuple(entry.picture for entry in group))
-        cameras.append(ImportedCamera(name, group[0].lens, frames, mattes))
+        cameras.append(ImportedCamera(name, group[0].camera, frames, mattes))
     notes = [
-        "lengths are in the file's own unit, which need not be metres",
+        "lengths kept; their unit is unknown",
         "camera axes y up, z backwards -> y down, z forward (OpenCV)",
     ]
     ignored = [key for key in IGNORED if key in data]
-    notes += [f"not used: {', '.join(ignored)}"] if ignored else []
+    notes += [f"ignored: {', '.join(ignored)}"] if ignored else []
     notes += [f"mattes left out: {masked} of {len(entries)} entries have one"] if 0 < masked < len(entries) else []
     return Imported(tuple(cameras), tuple(notes))
 
 
 def _entry(path: Path, index: int, values: Mapping[str, object]) -> _Entry:
-    """One entry, to which the values of the whole file were added."""
+    """An entry from its values, merged with those of the whole file."""
     where = f"{path}: entry {index}"
-    place, picture = _picture(path, f"{where}: file_path", values.get("file_path"))
-    mask = None if values.get("mask_path") is None else _picture(path, f"{where}: mask_path", values["mask_path"])[1]
-    time = None if values.get("time") is None else float(numbers(f"{where}: time", values["time"], ()))
-    return _Entry(place, picture, mask, _lens(where, values, picture), time)
+    relative, picture = _find_picture(path, f"{where}: file_path", values.get("file_path"))
+    mask = (
+        None if values.get("mask_path") is None else _find_picture(path, f"{where}: mask_path", values["mask_path"])[1]
+    )
+    time = None if values.get("time") is None else float(parse_numbers(f"{where}: time", values["time"], ()))
+    return _Entry(relative, picture, mask, _make_camera(where, values, picture), time)
 
 
-def _lens(where: str, values: Mapping[str, object], picture: Path) -> Camera:
+def _make_camera(where: str, values: Mapping[str, object], picture: Path) -> Camera:
     model = values.get("camera_model", "OPENCV")
     fisheye = values.get("is_fisheye") or values.get("k4")
     if model not in LENS_MODELS or fisheye:
@@ -121,58 +123,59 @@ def _lens(where: str, values: Mapping[str, object], picture: Path) -> Camera:
             return default
         if values.get(key) is None:
             raise UserError(f"{where}: expected {key}, got none; export it again")
-        return float(numbers(f"{where}: {key}", values[key], ()))
+        return float(parse_numbers(f"{where}: {key}", values[key], ()))
 
     if values.get("w") is None or values.get("h") is None:
         width, height = map(float, picture_size(picture))
     else:
         width, height = value("w"), value("h")
-        if not (1 <= width <= MOST_PIXELS and 1 <= height <= MOST_PIXELS):
-            raise UserError(f"{where}: w and h: expected pixels, got {width:g} x {height:g}; mend or drop them")
+        if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
+            raise UserError(f"{where}: w and h: expected pixels, got {width:g} x {height:g}; correct or remove them")
     if values.get("fl_x") is None and values.get("camera_angle_x") is None:
         raise UserError(f"{where}: expected fl_x or camera_angle_x, got neither; export it again")
     focal_x = value("fl_x", _focal(value("camera_angle_x", 1.0), width))
     angle_y = values.get("camera_angle_y")
     focal_y = value("fl_y", focal_x if angle_y is None else _focal(value("camera_angle_y"), height))
-    centre = value("cx", width / 2), value("cy", height / 2)
-    intrinsics = np.array([[focal_x, 0, centre[0]], [0, focal_y, centre[1]], [0, 0, 1]])
+    principal = value("cx", width / 2), value("cy", height / 2)
+    intrinsics = np.array([[focal_x, 0, principal[0]], [0, focal_y, principal[1]], [0, 0, 1]])
     distortion = np.array([value(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
     matrix = values.get("transform_matrix")
     rows = 3 if isinstance(matrix, list) and len(matrix) == 3 else 4
-    pose = numbers(f"{where}: transform_matrix", matrix, (rows, 4))
+    pose = parse_numbers(f"{where}: transform_matrix", matrix, (rows, 4))
     R_camera_world = np.diag([1.0, -1.0, -1.0]) @ pose[:3, :3].T
-    return lens(where, intrinsics, R_camera_world, -R_camera_world @ pose[:3, 3], (width, height), distortion)
+    return make_camera(where, intrinsics, R_camera_world, -R_camera_world @ pose[:3, 3], (width, height), distortion)
 
 
 def _focal(angle: float, pixels: float) -> float:
+    """Focal length in pixels from a field of view in radians; 0 for an impossible one."""
     return pixels / 2 / math.tan(angle / 2) if 0 < angle < math.pi else 0.0
 
 
-def _picture(path: Path, where: str, value: object) -> tuple[PurePosixPath, Path]:
-    """A path of the file, which is not trusted to stay in its folder, and the picture there."""
+def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath, Path]:
+    """A path from the JSON, which must stay within the JSON's folder, and the picture file there."""
     if not isinstance(value, str) or not value or "\0" in value:
         raise UserError(f"{where}: expected a picture's path, got '{value!r}'; export it again")
-    place = PurePosixPath(value.replace("\\", "/"))
-    if place.is_absolute() or ".." in place.parts or ":" in place.parts[0]:
+    relative = PurePosixPath(value.replace("\\", "/"))
+    if relative.is_absolute() or ".." in relative.parts or ":" in relative.parts[0]:
         raise UserError(f"{where}: expected a path within {path.parent}, got '{value}'; write it relative to that")
-    written = path.parent / place
+    target = path.parent / relative
     for suffix in ("", *PICTURE_SUFFIXES):
-        found = written.with_name(written.name + suffix)
+        found = target.with_name(target.name + suffix)
         if found.suffix.lower() in PICTURE_SUFFIXES and os.path.isfile(found):
-            return place, found
-    raise UserError(f"{where}: expected a JPEG or PNG at {written}, got none; restore it or drop the entry")
+            return relative, found
+    raise UserError(f"{where}: expected a JPEG or PNG at {target}, got none; restore it or remove the entry")
 
 
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
-    """Each entry as a camera, named by its file, by its folder, or by both: the first that tells them apart."""
-    stems = [entry.place.name if entry.picture.name != entry.place.name else entry.place.stem for entry in entries]
-    folders = [entry.place.parent.name for entry in entries]
-    paths = ["_".join((*entry.place.parent.parts, stem)) for entry, stem in zip(entries, stems, strict=True)]
+    """Each entry as a camera, named by its file, by its folder, or by both: the first that is unique."""
+    stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
+    folders = [entry.path.parent.name for entry in entries]
+    paths = ["_".join((*entry.path.parent.parts, stem)) for entry, stem in zip(entries, stems, strict=True)]
     for names in (stems, folders, paths):
         clean = [_clean(name) for name in names]
         if "" not in clean and len(set(clean)) == len(clean):
             return {name: [entry] for name, entry in zip(clean, entries, strict=True)}
-    raise UserError(f"{path}: expected each picture once, got one in two entries; drop the double, or add times")
+    raise UserError(f"{path}: expected each picture once, got one in two entries; remove the duplicate, or add times")
 
 
 def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
@@ -180,11 +183,11 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
     folders: dict[str, list[_Entry]] = {}
     poses: dict[tuple[float, ...], list[_Entry]] = {}
     for entry in entries:
-        folders.setdefault(entry.place.parent.as_posix(), []).append(entry)
+        folders.setdefault(entry.path.parent.as_posix(), []).append(entry)
         poses.setdefault(entry.key, []).append(entry)
     names = [_clean(PurePosixPath(folder).name) for folder in folders]
-    still = all(len({entry.key for entry in group}) == 1 for group in folders.values())
-    if still and "" not in names and len(set(names)) == len(names):
+    is_static = all(len({entry.key for entry in group}) == 1 for group in folders.values())
+    if is_static and "" not in names and len(set(names)) == len(names):
         cameras = dict(zip(names, folders.values(), strict=True))
     else:
         cameras = {f"{index:02d}": group for index, group in enumerate(poses.values())}
@@ -194,19 +197,19 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
         times = [entry.time for entry in group]
         if len(set(times)) != len(times) or times != [entry.time for entry in cameras[first]]:
             raise UserError(
-                f"{path}: expected every camera to stand still and have the same times once, got {len(set(times))} "
+                f"{path}: expected static cameras with the same times, each once, got {len(set(times))} "
                 f"times in {len(times)} pictures of '{name}' and {len(cameras[first])} pictures of '{first}'; "
-                "drop what other cameras lack"
+                "remove the entries that other cameras lack"
             )
     return cameras
 
 
 def _clean(name: str) -> str:
-    """``name`` with what cannot stand in a camera's name replaced."""
+    """``name`` with the characters that camera names cannot contain replaced."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".-")
 
 
-def _file(source: Path) -> Path:
+def _json_path(source: Path) -> Path:
     if source.name.startswith("transforms") and source.suffix == ".json":
         return source
     return source / NAME

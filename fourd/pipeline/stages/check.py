@@ -42,7 +42,7 @@ def run_check(files: CheckFiles, settings: CheckSettings, context: Context) -> N
     """Index videos and check every file. Raises UserError with the first problem."""
     track = context.track
     index_capture(files.capture, None, track)
-    problems = check_capture(files.capture, track=lambda paths: track(paths, len(paths), "files")).problems
+    problems = check_capture(files.capture, track=track).problems
     if problems:
         more = f" (and {len(problems) - 1} more; fourd check lists them)" if len(problems) > 1 else ""
         raise UserError(f"{problems[0]}{more}")

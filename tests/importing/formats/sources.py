@@ -1,4 +1,4 @@
-"""What the importers' tests share: uneven cameras, tiny pictures and videos, and how faults are told."""
+"""Helpers of the importers' tests: asymmetric cameras, small pictures and videos, and checks of errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Read = Callable[[Path], Imported]
 
 
 def uneven_cameras(count: int, distortion: np.ndarray | None = None) -> list[Camera]:
-    """Ring cameras of which no two numbers of the intrinsics are equal: mixing them up shows."""
+    """Ring cameras whose intrinsics are all different numbers, so that mixing them up is detected."""
     cameras = []
     for index, camera in enumerate(ring_cameras(count, WIDTH)):
         intrinsics = np.array([[26.0 + index, 0, 11.3], [0, 27.5, 8.9 - 0.1 * index], [0, 0, 1]])
@@ -33,7 +33,7 @@ def uneven_cameras(count: int, distortion: np.ndarray | None = None) -> list[Cam
 
 
 def assert_same_view(lens: Camera | None, original: Camera, rng: np.random.Generator) -> None:
-    """Random world points, in metres, are seen at the same pixels, distortion included."""
+    """Random world points in metres project to the same pixels, distortion included."""
     assert lens is not None
     assert (lens.width, lens.height) == (original.width, original.height)
     xyz = rng.uniform(-0.4, 0.4, (50, 3))
@@ -46,7 +46,7 @@ def assert_same_view(lens: Camera | None, original: Camera, rng: np.random.Gener
 
 
 def picture_bytes(suffix: str = ".jpg", grey: int = 90) -> bytes:
-    """A tiny encoded picture."""
+    """A small encoded picture."""
     done, content = cv2.imencode(suffix, np.full((HEIGHT, WIDTH, 3), grey, np.uint8))
     assert done
     return content.tobytes()
@@ -78,17 +78,17 @@ def file_names(frames: object) -> list[str]:
     return [path.name for path in frames.paths]
 
 
-def detected(source: Path) -> str | None:
+def detect_format(source: Path) -> str | None:
     """The name of the first format that a source looks like."""
     return next((form.name for form in FORMATS if form.looks_like(source)), None)
 
 
-def assert_told(read: Read, source: Path, message: str) -> None:
-    """The source is refused in one line that matches."""
+def assert_refused(read: Read, source: Path, message: str) -> None:
+    """The source raises a one-line UserError that matches and has a fix."""
     with pytest.raises(UserError, match=message) as caught:
         read(source)
     assert "\n" not in str(caught.value)
-    assert "; " in str(caught.value), "the mend is missing"
+    assert "; " in str(caught.value), "the fix is missing"
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -97,19 +97,21 @@ def edit(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new, 1))
 
 
-def assert_damage_is_told(read: Read, source: Path, file: Path, rng: np.random.Generator, flips: bool = True) -> None:
-    """A file that is cut short, or has wrong bytes, is read or refused in one line: nothing else is raised."""
+def assert_damage_is_reported(
+    read: Read, source: Path, file: Path, rng: np.random.Generator, flips: bool = True
+) -> None:
+    """A truncated or corrupted file is read or raises a one-line UserError, never another exception."""
     whole = file.read_bytes()
     for attempt in range(24):
         damaged = bytearray(whole[: rng.integers(len(whole))] if attempt % 2 else whole)
         if flips:
-            for place in rng.integers(0, max(len(damaged), 1), 3):
-                damaged[place : place + 1] = rng.bytes(1)
+            for position in rng.integers(0, max(len(damaged), 1), 3):
+                damaged[position : position + 1] = rng.bytes(1)
         file.write_bytes(damaged)
-        told = ""
+        message = ""
         try:
             read(source)
         except UserError as error:
-            told = str(error)
-        assert "\n" not in told
+            message = str(error)
+        assert "\n" not in message
     file.write_bytes(whole)

@@ -1,4 +1,4 @@
-"""ActorsHQ: a CSV of camera-to-world rotation vectors and of intrinsics relative to the picture's size."""
+"""ActorsHQ: a CSV of camera-to-world rotation vectors, and intrinsics relative to the picture's size."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from fourd.importing.formats.actorshq import read
 from tests.importing.formats.sources import (
-    assert_damage_is_told,
+    assert_damage_is_reported,
+    assert_refused,
     assert_same_view,
-    assert_told,
-    detected,
+    detect_format,
     edit,
     file_names,
     uneven_cameras,
@@ -38,13 +38,13 @@ def source(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_cameras_see_what_they_saw(source: Path, rng: np.random.Generator) -> None:
-    """Catches the pose taken for world-to-camera, and lengths relative to the wrong side."""
-    assert detected(source) == "actorshq"
+def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator) -> None:
+    """Catches poses read as world-to-camera, and lengths relative to the wrong side."""
+    assert detect_format(source) == "actorshq"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == list(NAMES)
     for camera, original in zip(imported.cameras, uneven_cameras(3), strict=True):
-        assert_same_view(camera.lens, original, rng)
+        assert_same_view(camera.calibration, original, rng)
         assert file_names(camera.frames) == [f"{camera.name}_rgb{number:06d}.jpg" for number in (0, 9, 10)]
         assert file_names(camera.masks) == [f"{camera.name}_mask{number:06d}.png" for number in (0, 9, 10)]
 
@@ -53,27 +53,27 @@ def test_cameras_see_what_they_saw(source: Path, rng: np.random.Generator) -> No
     ("old", "new", "message"),
     [
         ("rz,tx", "rz,qx", r"calibration.csv: expected rows with name,w,.*, got none of tx; copy it again"),
-        ("Cam002", "Cam001", r"calibration.csv: line 3: expected each camera's own name, got 'Cam001'"),
+        ("Cam002", "Cam001", r"calibration.csv: line 3: expected a unique camera name, got 'Cam001'"),
         ("Cam001,24,16", "Cam001,24,no", r"camera 'Cam001': h: expected 1 numbers, got something else"),
         ("Cam001,24,16", "Cam001,24,nan", r"camera 'Cam001': h: expected finite numbers, got \[nan\]"),
         ("Cam001,24,16", "Cam001,24,0", r"camera 'Cam001': expected w and h in pixels, got 24 x 0"),
         ("name,w,h", '"name,w,h', r"calibration.csv: expected ActorsHQ's CSV, got '.*'; copy it again"),
     ],
 )
-def test_faults_are_told(source: Path, old: str, new: str, message: str) -> None:
+def test_invalid_values_are_reported(source: Path, old: str, new: str, message: str) -> None:
     edit(source / "calibration.csv", old, new)
-    assert_told(read, source, message)
+    assert_refused(read, source, message)
 
 
-def test_missing_mattes_are_told(source: Path) -> None:
+def test_missing_mattes_are_reported(source: Path) -> None:
     (source / "masks" / "Cam002" / "Cam002_mask000009.png").unlink()
-    assert_told(read, source, r"masks/Cam002: expected a matte for each picture, got none for Cam002_rgb000009.jpg")
+    assert_refused(read, source, r"masks/Cam002: expected a matte for each picture, got none for Cam002_rgb000009.jpg")
 
 
-def test_an_empty_file_is_told(source: Path) -> None:
+def test_empty_files_are_reported(source: Path) -> None:
     (source / "calibration.csv").write_text("")
-    assert_told(read, source, r"calibration.csv: expected rows with name,w,")
+    assert_refused(read, source, r"calibration.csv: expected rows with name,w,")
 
 
-def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
-    assert_damage_is_told(read, source, source / "calibration.csv", rng)
+def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_reported(read, source, source / "calibration.csv", rng)

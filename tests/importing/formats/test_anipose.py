@@ -1,4 +1,4 @@
-"""Anipose and Pose2Sim: TOML of world-to-camera poses, in the board's units or in metres."""
+"""Anipose and Pose2Sim: TOML of world-to-camera poses, in millimetres or metres."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from fourd.importing.formats.anipose import looks_like, read
 from tests.importing.formats.sources import (
     BARREL,
-    assert_damage_is_told,
+    assert_damage_is_reported,
+    assert_refused,
     assert_same_view,
-    assert_told,
-    detected,
+    detect_format,
     edit,
     file_names,
     uneven_cameras,
@@ -25,8 +25,8 @@ NAMES = ("camA", "camB", "camC")
 METADATA = "[metadata]\nadjusted = true\nerror = 0.75\n"
 
 
-def toml(scale: float) -> str:
-    """The cameras as both write them; OpenCV's matrix has the first pixel's centre at 0."""
+def calibration_toml(scale: float) -> str:
+    """The cameras as both programs write them; OpenCV's origin is the first pixel's centre."""
     text = ""
     for index, (name, camera) in enumerate(zip(NAMES, uneven_cameras(3, BARREL), strict=True)):
         matrix = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
@@ -40,44 +40,44 @@ def toml(scale: float) -> str:
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
     (tmp_path / "Config.toml").write_text('[project]\nframe_rate = 60\n[calibration]\nsize = 3\nmatrix = "no"\n')
-    (tmp_path / "calibration.toml").write_text(toml(1000))
+    (tmp_path / "calibration.toml").write_text(calibration_toml(1000))
     for name in NAMES:
         write_video(tmp_path / "videos-raw" / f"{name}.mp4")
     return tmp_path
 
 
-@pytest.mark.parametrize(("scale", "note"), [(1000, "millimetres -> metres"), (1, "taken for metres")])
-def test_cameras_see_what_they_saw(source: Path, scale: float, note: str, rng: np.random.Generator) -> None:
-    """Catches the half pixel forgotten, and millimetres taken for metres."""
-    (source / "calibration.toml").write_text(toml(scale))
-    assert detected(source) == detected(source / "calibration.toml") == "anipose"
+@pytest.mark.parametrize(("scale", "note"), [(1000, "millimetres -> metres"), (1, "unit assumed to be metres")])
+def test_cameras_project_as_the_originals(source: Path, scale: float, note: str, rng: np.random.Generator) -> None:
+    """Catches a missing half pixel, and millimetres read as metres."""
+    (source / "calibration.toml").write_text(calibration_toml(scale))
+    assert detect_format(source) == detect_format(source / "calibration.toml") == "anipose"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == list(NAMES)
     for camera, original in zip(imported.cameras, uneven_cameras(3, BARREL), strict=True):
-        assert_same_view(camera.lens, original, rng)
+        assert_same_view(camera.calibration, original, rng)
         assert file_names(camera.frames) == [f"{camera.name}.mp4"]
     assert note in imported.notes[0]
-    assert "the file says of the calibration: adjusted True, error 0.75" in imported.notes
+    assert "metadata of the calibration: adjusted True, error 0.75" in imported.notes
 
 
-def test_one_camera_does_not_tell_its_unit(source: Path) -> None:
-    text = toml(1000)
+def test_unit_of_a_single_camera_is_unknown(source: Path) -> None:
+    text = calibration_toml(1000)
     (source / "calibration.toml").write_text(text[: text.index("[cam_1]")])
     for name in NAMES[1:]:
         (source / "videos-raw" / f"{name}.mp4").unlink()
-    assert read(source).notes[0] == "lengths kept: one camera does not tell its unit"
+    assert read(source).notes[0] == "lengths kept: the unit of a single camera is unknown"
 
 
-def test_other_toml_is_none_of_ours(source: Path) -> None:
+def test_other_toml_files_are_ignored(source: Path) -> None:
     (source / "calibration.toml").unlink()
     assert not looks_like(source)
-    assert detected(source) == "videos"
-    assert_told(read, source, r"expected one TOML with the cameras' calibration, got none; name the file itself")
+    assert detect_format(source) == "videos"
+    assert_refused(read, source, r"expected one TOML with the cameras' calibration, got none; name the file itself")
 
 
-def test_two_calibrations_are_told(source: Path) -> None:
-    (source / "older.toml").write_text(toml(1))
-    assert_told(read, source, r"expected one TOML .*, got calibration.toml and older.toml; name the file itself")
+def test_two_calibrations_are_refused(source: Path) -> None:
+    (source / "older.toml").write_text(calibration_toml(1))
+    assert_refused(read, source, r"expected one TOML .*, got calibration.toml and older.toml; name the file itself")
     (source / "camA.mp4").write_bytes((source / "videos-raw" / "camA.mp4").read_bytes())
     assert len(read(source / "older.toml").cameras) == 1
 
@@ -91,7 +91,7 @@ def test_two_calibrations_are_told(source: Path) -> None:
             "fisheye = true",
             r"\[cam_0\]: expected a lens without fisheye, got fisheye = true; undist",
         ),
-        ("camB", "camA", r"\[cam_1\]: expected each camera's own name, got 'camA'; rename one"),
+        ("camB", "camA", r"\[cam_1\]: expected a unique camera name, got 'camA'; rename one"),
         ('name = "camA"\n', "", r"\[cam_0\]: expected name, size, .*, got no name; calibrate again"),
         ("size = [ 24.0, 16,]", "size = [24]", r"\[cam_0\]: size: expected 2 numbers, got 1"),
         ("size = [ 24.0, 16,]", "size = [0, 16]", r"\[cam_0\]: size: expected width and height in pixels, got 0 x 16"),
@@ -107,10 +107,10 @@ def test_two_calibrations_are_told(source: Path) -> None:
         ),
     ],
 )
-def test_faults_are_told(source: Path, old: str, new: str, message: str) -> None:
+def test_invalid_values_are_reported(source: Path, old: str, new: str, message: str) -> None:
     edit(source / "calibration.toml", old, new)
-    assert_told(read, source, message)
+    assert_refused(read, source, message)
 
 
-def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
-    assert_damage_is_told(read, source, source / "calibration.toml", rng)
+def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_reported(read, source, source / "calibration.toml", rng)

@@ -1,4 +1,4 @@
-"""COLMAP: models written by hand, as text and as bytes, of cameras with a folder of pictures each."""
+"""COLMAP: handwritten models, text and binary, of cameras with a folder of pictures each."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from fourd.importing.formats.colmap import read
 from tests.importing.formats.sources import (
     HEIGHT,
     WIDTH,
-    assert_damage_is_told,
+    assert_damage_is_reported,
+    assert_refused,
     assert_same_view,
-    assert_told,
-    detected,
+    detect_format,
     edit,
     file_names,
     uneven_cameras,
@@ -40,17 +40,19 @@ MODELS: dict[str, tuple[int, list[float], list[float]]] = {
         [K1, K2, P1, P2, 0.01, 0.02, 0.03, 0.04],
     ),
 }
-"""Of each lens model: its number, its parameters in COLMAP's order, and OpenCV's coefficients."""
+"""Number of each lens model, its parameters in COLMAP's order, and OpenCV's coefficients."""
 
 
-def original(camera: Camera, kind: str) -> Camera:
+def expected_camera(camera: Camera, kind: str) -> Camera:
+    """The camera with the intrinsics of a lens model."""
     focal_y = FY if len(MODELS[kind][1]) not in (3, 5) and kind != "SIMPLE_RADIAL" else FX
     intrinsics = np.array([[FX, 0, CX], [0, focal_y, CY], [0, 0, 1]])
     distortion = np.array(MODELS[kind][2]) if MODELS[kind][2] else None
     return replace(camera, intrinsics=intrinsics, distortion=distortion)
 
 
-def pose(camera: Camera) -> list[float]:
+def colmap_pose(camera: Camera) -> list[float]:
+    """Quaternion and translation in COLMAP's order."""
     x, y, z, w = Rotation.from_matrix(camera.rotation).as_quat()
     return [float(value) for value in (w, x, y, z, *camera.translation)]
 
@@ -60,7 +62,8 @@ def write_text(folder: Path, images: list[tuple[str, Camera]], kind: str = "OPEN
     parameters = " ".join(map(repr, MODELS[kind][1]))
     (folder / "cameras.txt").write_text(f"# cameras\n1 {kind} {WIDTH} {HEIGHT} {parameters}\n")
     lines = [
-        f"{number} {' '.join(map(repr, pose(camera)))} 1 {name}\n\n" for number, (name, camera) in enumerate(images, 1)
+        f"{number} {' '.join(map(repr, colmap_pose(camera)))} 1 {name}\n\n"
+        for number, (name, camera) in enumerate(images, 1)
     ]
     (folder / "images.txt").write_text("# images\n" + "".join(lines))
     (folder / "points3D.txt").write_text("")
@@ -73,7 +76,7 @@ def write_binary(folder: Path, images: list[tuple[str, Camera]], kind: str) -> N
     (folder / "cameras.bin").write_bytes(cameras)
     content = struct.pack("<Q", len(images))
     for index, (name, camera) in enumerate(images, 1):
-        content += struct.pack("<I7dI", index, *pose(camera), 1) + name.encode() + b"\0"
+        content += struct.pack("<I7dI", index, *colmap_pose(camera), 1) + name.encode() + b"\0"
         content += struct.pack("<Q", 1) + struct.pack("<ddq", 3.0, 4.0, -1)
     (folder / "images.bin").write_bytes(content)
     (folder / "points3D.bin").write_bytes(struct.pack("<Q", 0))
@@ -91,71 +94,76 @@ def source(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", list(MODELS))
-@pytest.mark.parametrize("place", [".", "sparse/0"])
-def test_cameras_see_what_they_saw(source: Path, kind: str, place: str, rng: np.random.Generator) -> None:
-    """Catches coefficients in the wrong order, and half pixels added where none are to be."""
-    (write_text if place == "." else write_binary)(source / place, images(), kind)
-    assert detected(source) == "colmap"
+@pytest.mark.parametrize("folder", [".", "sparse/0"])
+def test_cameras_project_as_the_originals(source: Path, kind: str, folder: str, rng: np.random.Generator) -> None:
+    """Catches coefficients in the wrong order, and half pixels added by mistake."""
+    (write_text if folder == "." else write_binary)(source / folder, images(), kind)
+    assert detect_format(source) == "colmap"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == ["c0", "c1", "c2"]
-    for camera, as_written in zip(imported.cameras, uneven_cameras(3), strict=True):
-        assert_same_view(camera.lens, original(as_written, kind), rng)
+    for camera, original in zip(imported.cameras, uneven_cameras(3), strict=True):
+        assert_same_view(camera.calibration, expected_camera(original, kind), rng)
         assert file_names(camera.frames) == ["0000.jpg", "0001.jpg"]
-    assert "COLMAP does not know metres" in imported.notes[0]
+    assert "COLMAP's arbitrary unit" in imported.notes[0]
 
 
-def test_flat_names_and_videos(tmp_path: Path) -> None:
+def test_images_without_folders_and_videos(tmp_path: Path) -> None:
+    """Catches images named CAM.jpg that match no camera."""
     write_text(tmp_path / "sparse", [(f"{name[:2]}.jpg", camera) for name, camera in images()])
     for index in range(3):
         write_video(tmp_path / "videos" / f"c{index}.mp4")
     assert [camera.name for camera in read(tmp_path).cameras] == ["c0", "c1", "c2"]
 
 
-def test_several_images_of_a_camera_must_agree(source: Path) -> None:
-    """Catches a moving camera taken for one that stands still."""
-    still = replace(uneven_cameras(1)[0], translation=uneven_cameras(1)[0].translation + 1e-4)
-    write_text(source, [*images(), ("c0/0001.jpg", still)])
+def test_images_of_a_camera_must_agree(source: Path) -> None:
+    """Catches a moving camera read as a static one."""
+    static = replace(uneven_cameras(1)[0], translation=uneven_cameras(1)[0].translation + 1e-4)
+    write_text(source, [*images(), ("c0/0001.jpg", static)])
     assert len(read(source).cameras) == 3
-    moved = replace(still, translation=still.translation + 0.05)
+    moved = replace(static, translation=static.translation + 0.05)
     write_text(source, [*images(), ("c0/0001.jpg", moved)])
-    assert_told(read, source, r"camera 'c0': expected a camera that stands still, got c0/0000.jpg and c0/0001.jpg .*")
-    write_text(source, [*images(), ("other/c0/0001.jpg", still)])
-    assert_told(read, source, r"camera 'c0': expected each camera once, got two folders of that name; rename one")
-    write_text(source, [*images(), ("c0/0001.jpg", still)])
+    assert_refused(read, source, r"camera 'c0': expected a static camera, got c0/0000.jpg and c0/0001.jpg .*")
+    write_text(source, [*images(), ("other/c0/0001.jpg", static)])
+    assert_refused(read, source, r"camera 'c0': expected each camera once, got two folders of that name; rename one")
+    write_text(source, [*images(), ("c0/0001.jpg", static)])
     edit(source / "images.txt", "1 c0/0001.jpg", "2 c0/0001.jpg")
     with (source / "cameras.txt").open("a") as file:
         file.write(f"2 PINHOLE {WIDTH} {HEIGHT} 50 50 11 8\n")
-    assert_told(read, source, r"camera 'c0': expected one lens, got others for c0/0000.jpg and c0/0001.jpg; recons")
+    assert_refused(
+        read,
+        source,
+        r"camera 'c0': expected the same intrinsics for all images, got different ones for c0/0000.jpg and c0/",
+    )
 
 
-def test_faults_are_told(source: Path) -> None:
+def test_invalid_values_are_reported(source: Path) -> None:
     write_text(source, images())
     whole = (source / "cameras.txt").read_text()
     edit(source / "cameras.txt", "OPENCV", "OPENCV_FISHEYE")
-    assert_told(read, source, r"camera 'c0': expected a lens model among .*, got OPENCV_FISHEYE; undistort the pict")
+    assert_refused(read, source, r"camera 'c0': expected a lens model among .*, got OPENCV_FISHEYE; undistort the pict")
     (source / "cameras.txt").write_text("nonsense here\n")
-    assert_told(read, source, r"expected a COLMAP model, got '.*'; copy or reconstruct it again")
+    assert_refused(read, source, r"expected a COLMAP model, got '.*'; copy or reconstruct it again")
     (source / "cameras.txt").write_text(whole.replace("31.0", "-31.0"))
-    assert_told(read, source, r"camera 'c0': intrinsics: expected positive focal lengths")
+    assert_refused(read, source, r"camera 'c0': intrinsics: expected positive focal lengths")
     (source / "cameras.txt").write_text(whole)
     (source / "images.txt").write_text("")
-    assert_told(read, source, r"expected images with poses, got none; reconstruct again")
+    assert_refused(read, source, r"expected images with poses, got none; reconstruct again")
     (source / "points3D.txt").unlink()
-    assert_told(read, source, r"expected a COLMAP model, got '.*'; copy or reconstruct it again")
+    assert_refused(read, source, r"expected a COLMAP model, got '.*'; copy or reconstruct it again")
     (source / "cameras.txt").unlink()
-    assert_told(read, source, r"expected cameras.bin and images.bin \(or .txt\) there or in sparse/0, got none; add")
+    assert_refused(read, source, r"expected cameras.bin and images.bin \(or .txt\) there or in sparse/0, got none; add")
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
-def test_files_that_end_early_are_told(source: Path, name: str) -> None:
-    """Catches pycolmap reading what is not there, or never coming back."""
+def test_truncated_files_are_reported(source: Path, name: str) -> None:
+    """Catches pycolmap reading beyond the end of a file, or hanging."""
     write_binary(source, images(), "OPENCV")
     content = (source / name).read_bytes()
     for cut in (content[: len(content) // 2], content[:-3], b"\xff" * 7 + b"\x0f" + content[8:], b""):
         (source / name).write_bytes(cut)
-        assert_told(read, source, rf"{name}: expected a whole file, got one that ends early; copy it again")
+        assert_refused(read, source, rf"{name}: expected a whole file, got one that ends early; copy it again")
 
 
-def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
+def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
     write_text(source, images())
-    assert_damage_is_told(read, source, source / "images.txt", rng)
+    assert_damage_is_reported(read, source, source / "images.txt", rng)

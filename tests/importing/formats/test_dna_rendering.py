@@ -1,4 +1,4 @@
-"""DNA-Rendering: HDF5 files with the groups, names and types that the set's own reader asks for."""
+"""DNA-Rendering: HDF5 files with the groups, names and types that the data set's own reader uses."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from fourd.importing.formats.dna_rendering import read
 from fourd.importing.formats.imported import EncodedPictures
 from tests.importing.formats.sources import (
     BARREL,
-    assert_damage_is_told,
+    assert_damage_is_reported,
+    assert_refused,
     assert_same_view,
-    assert_told,
-    detected,
+    detect_format,
     picture_bytes,
     uneven_cameras,
 )
@@ -26,12 +26,12 @@ FRAMES = 12
 IDS = {"0": "Camera_5mp", "2": "Camera_5mp", "48": "Camera_12mp"}
 
 
-def stored(content: bytes) -> np.ndarray:
+def as_bytes(content: bytes) -> np.ndarray:
     return np.frombuffer(content, np.uint8)
 
 
-def write_parameters(file: h5py.File) -> None:
-    """Poses from the camera to the world; OpenCV's matrix has the first pixel's centre at 0."""
+def write_calibration(file: h5py.File) -> None:
+    """Camera-to-world poses; OpenCV's origin is the first pixel's centre."""
     for number, camera in zip(IDS, uneven_cameras(3, BARREL), strict=True):
         group = file.create_group(f"Camera_Parameter/{int(number):02d}")
         group["K"] = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
@@ -45,39 +45,39 @@ def source(tmp_path: Path) -> Path:
     with h5py.File(tmp_path / "0012_11.smc", "w") as file:
         for number, group in IDS.items():
             for frame in range(FRAMES):
-                file[f"{group}/{number}/color/{frame}"] = stored(picture_bytes(".jpg", 20 * frame))
+                file[f"{group}/{number}/color/{frame}"] = as_bytes(picture_bytes(".jpg", 20 * frame))
     with h5py.File(tmp_path / "0012_11_annots.smc", "w") as file:
-        write_parameters(file)
+        write_calibration(file)
         for number in IDS:
             for frame in range(FRAMES):
-                file[f"Mask/{number}/mask/{frame}"] = stored(picture_bytes(".png", 255 - frame))
+                file[f"Mask/{number}/mask/{frame}"] = as_bytes(picture_bytes(".png", 255 - frame))
     return tmp_path
 
 
-def grey(frames: object, index: int) -> int:
+def mean_grey(frames: object, index: int) -> int:
     assert isinstance(frames, EncodedPictures)
-    picture = cv2.imdecode(stored(frames.read(index)), cv2.IMREAD_GRAYSCALE)
+    picture = cv2.imdecode(as_bytes(frames.read(index)), cv2.IMREAD_GRAYSCALE)
     assert picture is not None
     return round(float(np.mean(picture)))
 
 
-def test_cameras_see_what_they_saw(source: Path, rng: np.random.Generator) -> None:
-    """Catches the pose taken for world-to-camera, and frames ordered by letters (10 before 2)."""
-    assert detected(source) == detected(source / "0012_11.smc") == "dna-rendering"
+def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator) -> None:
+    """Catches poses read as world-to-camera, and frames in alphabetical order (10 before 2)."""
+    assert detect_format(source) == detect_format(source / "0012_11.smc") == "dna-rendering"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == ["00", "02", "48"]
     for camera, original in zip(imported.cameras, uneven_cameras(3, BARREL), strict=True):
-        assert_same_view(camera.lens, original, rng)
+        assert_same_view(camera.calibration, original, rng)
         assert isinstance(camera.frames, EncodedPictures)
         assert (camera.frames.count, camera.frames.suffix) == (FRAMES, ".jpg")
-        assert [grey(camera.frames, index) for index in (2, 10)] == [40, 200]
+        assert [mean_grey(camera.frames, index) for index in (2, 10)] == [40, 200]
         assert isinstance(camera.masks, EncodedPictures)
         assert (camera.masks.count, camera.masks.suffix) == (FRAMES, ".png")
-        assert [grey(camera.masks, index) for index in (2, 10)] == [253, 245]
+        assert [mean_grey(camera.masks, index) for index in (2, 10)] == [253, 245]
 
 
-def test_later_parts_and_other_folders(source: Path, rng: np.random.Generator) -> None:
-    """Catches the calibration looked for in one place: the set hands it out in three."""
+def test_calibration_in_other_places(source: Path, rng: np.random.Generator) -> None:
+    """Catches a calibration searched in one place: the data set has it in three."""
     (source / "main").mkdir()
     (source / "annotations").mkdir()
     for name, folder in (("0012_11.smc", "main"), ("0012_11_annots.smc", "annotations")):
@@ -86,24 +86,24 @@ def test_later_parts_and_other_folders(source: Path, rng: np.random.Generator) -
     assert imported.cameras[0].masks is not None
     (source / "annotations" / "0012_11_annots.smc").unlink()
     with h5py.File(source / "main" / "0012_11.smc", "a") as file:
-        write_parameters(file)
+        write_calibration(file)
     imported = read(source / "main" / "0012_11.smc")
     assert imported.cameras[0].masks is None
-    assert_same_view(imported.cameras[2].lens, uneven_cameras(3, BARREL)[2], rng)
+    assert_same_view(imported.cameras[2].calibration, uneven_cameras(3, BARREL)[2], rng)
 
 
 def _replace(name: str, value: object) -> object:
-    def spoil(main: h5py.File, annotations: h5py.File) -> None:
+    def damage(main: h5py.File, annotations: h5py.File) -> None:
         file = annotations if name.startswith(("Camera_P", "Mask")) else main
         del file[name]
         if value is not None:
             file[name] = value
 
-    return spoil
+    return damage
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("damage", "message"),
     [
         (_replace("Camera_Parameter", None), r"_annots.smc: expected the group Camera_Parameter, got none; download"),
         (_replace("Camera_Parameter/02/RT", None), r"_annots.smc: expected Camera_Parameter/02/RT, got none"),
@@ -119,26 +119,28 @@ def _replace(name: str, value: object) -> object:
             _replace("Camera_5mp/2/color/0", "text"),
             r"Camera_5mp/2/color/0: expected the bytes of a picture, got object",
         ),
-        (_replace("Camera_5mp/2/color/0", stored(b"GIF")), r"Camera_5mp/2/color/0: expected a JPEG or PNG, got some"),
+        (_replace("Camera_5mp/2/color/0", as_bytes(b"GIF")), r"Camera_5mp/2/color/0: expected a JPEG or PNG, got some"),
         (_replace("Mask/2/mask/5", None), r"_annots.smc: Mask/2: expected 12 mattes, one for each picture, got 11"),
     ],
 )
-def test_faults_are_told(source: Path, spoil: object, message: str) -> None:
-    assert callable(spoil)
+def test_invalid_values_are_reported(source: Path, damage: object, message: str) -> None:
+    assert callable(damage)
     with h5py.File(source / "0012_11.smc", "a") as main, h5py.File(source / "0012_11_annots.smc", "a") as annotations:
-        spoil(main, annotations)
-    assert_told(read, source, message)
+        damage(main, annotations)
+    assert_refused(read, source, message)
 
 
-def test_files_that_are_missing_or_none_are_told(source: Path) -> None:
+def test_missing_and_other_files_are_reported(source: Path) -> None:
     (source / "0012_11_annots.smc").rename(source / "kept")
-    assert_told(read, source, r"expected the group Camera_Parameter there or in 0012_11_annots.smc, got neither; put")
+    assert_refused(
+        read, source, r"expected the group Camera_Parameter there or in 0012_11_annots.smc, got neither; put"
+    )
     (source / "0013_01.smc").write_text("text")
-    assert_told(read, source, r"expected one NAME.smc, got 0012_11.smc and 0013_01.smc; name the file itself")
-    assert_told(read, source / "0013_01.smc", r"0013_01.smc: expected HDF5, got '.*'; download it again")
+    assert_refused(read, source, r"expected one NAME.smc, got 0012_11.smc and 0013_01.smc; name the file itself")
+    assert_refused(read, source / "0013_01.smc", r"0013_01.smc: expected HDF5, got '.*'; download it again")
     with h5py.File(source / "0013_01.smc", "w") as file:
         file["Kinect"] = 1
-    assert_told(read, source / "0013_01.smc", r"expected the group Camera_5mp or Camera_12mp, got neither; download")
+    assert_refused(read, source / "0013_01.smc", r"expected the group Camera_5mp or Camera_12mp, got neither; download")
 
 
 def _external_storage(file: h5py.File, name: str, secret: Path) -> None:
@@ -169,18 +171,18 @@ def _virtual_dataset(file: h5py.File, name: str, secret: Path) -> None:
         (_virtual_dataset, "a virtual dataset"),
     ],
 )
-@pytest.mark.parametrize("place", ["Camera_5mp/2/color/0", "Camera_5mp/2/color/3"])
-def test_data_of_other_files_are_refused(source: Path, store: object, got: str, place: str) -> None:
+@pytest.mark.parametrize("name", ["Camera_5mp/2/color/0", "Camera_5mp/2/color/3"])
+def test_data_of_other_files_are_refused(source: Path, store: object, got: str, name: str) -> None:
     """Catches a file from the network whose import copies the user's own files into the capture."""
     assert callable(store)
     secret = source / "secret.txt"
     secret.write_text("secret")
     with h5py.File(source / "secret.h5", "w") as file:
-        file["secret"] = stored(b"secret")
+        file["secret"] = as_bytes(b"secret")
     with h5py.File(source / "0012_11.smc", "a") as file:
-        del file[place]
-        store(file, place, secret)
-    message = rf"{place}: expected data within this file, got {got}; download it again"
+        del file[name]
+        store(file, name, secret)
+    message = rf"{name}: expected data within this file, got {got}; download it again"
     with pytest.raises(UserError, match=message):
         for camera in read(source).cameras:
             assert isinstance(camera.frames, EncodedPictures)
@@ -195,10 +197,10 @@ def test_soft_links_within_the_file_are_followed(source: Path) -> None:
             del file[f"Camera_5mp/2/color/{frame}"]
             file[f"Camera_5mp/2/color/{frame}"] = h5py.SoftLink(target)
     frames = read(source).cameras[1].frames
-    assert [grey(frames, index) for index in (3, 4)] == [40, 40]
+    assert [mean_grey(frames, index) for index in (3, 4)] == [40, 40]
     with pytest.raises(UserError, match=r"expected Camera_5mp/2/color/5, got none"):
-        grey(frames, 5)
+        mean_grey(frames, 5)
 
 
-def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
-    assert_damage_is_told(read, source, source / "0012_11_annots.smc", rng)
+def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_reported(read, source, source / "0012_11_annots.smc", rng)

@@ -1,4 +1,4 @@
-"""EasyMocap: YAML files written by hand as its own tools write them, pictures or videos, mattes that may be missing."""
+"""EasyMocap: handwritten YAML in the style of its own tools, pictures or videos, optional mattes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from tests.importing.formats.sources import (
     BARREL,
     HEIGHT,
     WIDTH,
-    assert_damage_is_told,
+    assert_damage_is_reported,
+    assert_refused,
     assert_same_view,
-    assert_told,
-    detected,
+    detect_format,
     edit,
     file_names,
     uneven_cameras,
@@ -31,7 +31,7 @@ from tests.importing.formats.sources import (
 NAMES = ("01", "02", "10")
 
 
-def matrix(key: str, values: np.ndarray) -> str:
+def opencv_matrix(key: str, values: np.ndarray) -> str:
     values = np.atleast_2d(values)
     listed = ", ".join(repr(float(value)) for value in values.ravel())
     rows, columns = values.shape
@@ -42,9 +42,11 @@ def write_yaml(folder: Path, distortion_key: str = "D") -> None:
     names = "%YAML:1.0\n---\nnames:\n" + "".join(f'  - "{name}"\n' for name in NAMES)
     intri, extri = names, names
     for name, camera in zip(NAMES, uneven_cameras(3), strict=True):
-        intri += matrix(f"K_{name}", camera.intrinsics) + matrix(f"{distortion_key}_{name}", BARREL)
-        extri += matrix(f"R_{name}", np.asarray(cv2.Rodrigues(camera.rotation)[0]))
-        extri += matrix(f"Rot_{name}", camera.rotation) + matrix(f"T_{name}", camera.translation.reshape(3, 1))
+        intri += opencv_matrix(f"K_{name}", camera.intrinsics) + opencv_matrix(f"{distortion_key}_{name}", BARREL)
+        extri += opencv_matrix(f"R_{name}", np.asarray(cv2.Rodrigues(camera.rotation)[0]))
+        extri += opencv_matrix(f"Rot_{name}", camera.rotation) + opencv_matrix(
+            f"T_{name}", camera.translation.reshape(3, 1)
+        )
     (folder / "intri.yml").write_text(intri)
     (folder / "extri.yml").write_text(extri)
 
@@ -60,13 +62,13 @@ def source(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("key", ["D", "dist"])
 def test_pictures_and_mattes(source: Path, key: str, rng: np.random.Generator) -> None:
-    """Catches frames out of order, and the distortion lost that EasyMocap itself calls dist_c."""
+    """Catches frames out of order, and ignored distortion under EasyMocap's own key dist_c."""
     write_yaml(source, key)
-    assert detected(source) == "easymocap"
+    assert detect_format(source) == "easymocap"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == list(NAMES)
     for camera, original in zip(imported.cameras, uneven_cameras(3, BARREL), strict=True):
-        assert_same_view(camera.lens, original, rng)
+        assert_same_view(camera.calibration, original, rng)
         assert file_names(camera.frames) == ["1.jpg", "2.jpg", "10.jpg"]
         assert file_names(camera.masks) == ["000001.png", "000002.png", "000010.png"]
 
@@ -78,46 +80,48 @@ def test_videos_give_their_own_size(source: Path) -> None:
         write_video(source / "videos" / f"{name}.mp4")
     cameras = read(source).cameras
     assert [file_names(camera.frames) for camera in cameras] == [[f"{name}.mp4"] for name in NAMES]
-    assert all(camera.masks is None and camera.lens is not None for camera in cameras)
-    assert {(camera.lens.width, camera.lens.height) for camera in cameras if camera.lens} == {(WIDTH, HEIGHT)}
+    assert all(camera.masks is None and camera.calibration is not None for camera in cameras)
+    assert {(camera.calibration.width, camera.calibration.height) for camera in cameras if camera.calibration} == {
+        (WIDTH, HEIGHT)
+    }
     (source / "videos" / "02.mp4").write_bytes(b"no video")
-    assert_told(read, source, r"02.mp4: expected a whole video, got '.*'; copy it again")
+    assert_refused(read, source, r"02.mp4: expected a whole video, got '.*'; copy it again")
 
 
-def test_what_is_missing_is_noted(source: Path) -> None:
+def test_missing_parts_are_noted(source: Path) -> None:
     shutil.rmtree(source / "masks" / "02")
     shutil.rmtree(source / "images" / "10")
     shutil.copytree(source / "images" / "01", source / "images" / "77")
     notes = read(source).notes
-    assert "left out, since there are no pictures of them: 10" in notes
+    assert "cameras without pictures, not imported: 10" in notes
     assert "without calibration: 77" in notes
-    assert "without mattes, which others have: 02, 77" in notes
+    assert "without mattes, unlike other cameras: 02, 77" in notes
 
 
-def test_faults_are_told(source: Path) -> None:
+def test_invalid_values_are_reported(source: Path) -> None:
     (source / "masks" / "02" / "000002.png").unlink()
-    assert_told(read, source, r"masks/02: expected a matte for each picture, got none for 2.jpg; restore it")
+    assert_refused(read, source, r"masks/02: expected a matte for each picture, got none for 2.jpg; restore it")
     edit(source / "intri.yml", '"02"', '"01"')
-    assert_told(read, source, r"intri.yml: names: expected each camera once")
+    assert_refused(read, source, r"intri.yml: names: expected each camera once")
     edit(source / "intri.yml", "%YAML:1.0", "[")
-    assert_told(read, source, r"intri.yml: expected OpenCV FileStorage YAML")
+    assert_refused(read, source, r"intri.yml: expected OpenCV FileStorage YAML")
 
 
-def test_numbers_that_are_none_are_told(source: Path) -> None:
+def test_invalid_numbers_are_reported(source: Path) -> None:
     edit(source / "extri.yml", "data: [", "data: [.Nan, ")
     edit(source / "extri.yml", "rows: 3\n  cols: 1", "rows: 4\n  cols: 1")
-    assert_told(read, source, r"extri.yml: ")
+    assert_refused(read, source, r"extri.yml: ")
     write_yaml(source, "dist")
     edit(source / "intri.yml", "cols: 5\n  dt: d\n  data: [-0.25", "cols: 5\n  dt: d\n  data: [.Nan")
-    assert_told(read, source, r"intri.yml: dist_01: expected finite numbers, got \[nan")
+    assert_refused(read, source, r"intri.yml: dist_01: expected finite numbers, got \[nan")
 
 
-def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
-    assert_damage_is_told(read, source, source / "extri.yml", rng, flips=False)
+def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_reported(read, source, source / "extri.yml", rng, flips=False)
 
 
-def test_a_calibration_that_ends_anywhere_is_told(source: Path) -> None:
-    """Catches OpenCV's own error: a file that ends within its first key opens as a text."""
+def test_truncated_calibrations_are_reported(source: Path) -> None:
+    """Catches OpenCV's own exception: a file truncated within its first key opens as a string."""
     for name in ("intri.yml", "extri.yml"):
         whole = (source / name).read_bytes()
         for size in range(0, len(whole), 1 if len(whole) < 600 else 3):
@@ -131,6 +135,6 @@ def test_a_calibration_that_ends_anywhere_is_told(source: Path) -> None:
         (source / name).write_bytes(whole)
 
 
-def test_no_pictures_are_told(source: Path) -> None:
+def test_missing_pictures_are_reported(source: Path) -> None:
     shutil.rmtree(source / "images")
-    assert_told(read, source, r"expected a video or a folder of pictures for each camera")
+    assert_refused(read, source, r"expected a video or a folder of pictures for each camera")

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from fourd.cameras import Camera
-from fourd.importing.formats.qualisys import read, read_lenses
+from fourd.importing.formats.qualisys import read, read_cameras
 from tests.importing.formats.sources import (
     BARREL,
-    assert_damage_is_told,
+    assert_damage_is_reported,
+    assert_refused,
     assert_same_view,
-    assert_told,
-    detected,
+    detect_format,
     edit,
     file_names,
     uneven_cameras,
@@ -27,8 +27,8 @@ LEFT, TOP = 5, 3
 NAMES = ("11", "12", "13")
 
 
-def entry(serial: str, camera: Camera) -> str:
-    """A camera as Qualisys writes it: the axes by looking along them, the picture as a part of the sensor."""
+def camera_xml(serial: str, camera: Camera) -> str:
+    """A camera as Qualisys writes it: its axes as vectors, the picture as a part of the sensor."""
     right, down, forward = camera.rotation
     axes = {"1": right, "2": -down, "3": -forward}
     rotation = " ".join(f'r{i}{j}="{axis[j - 1]!r}"' for i, axis in axes.items() for j in (1, 2, 3))
@@ -47,7 +47,7 @@ def entry(serial: str, camera: Camera) -> str:
 
 @pytest.fixture
 def source(tmp_path: Path) -> Path:
-    text = "".join(entry(name, camera) for name, camera in zip(NAMES, uneven_cameras(3, BARREL), strict=True))
+    text = "".join(camera_xml(name, camera) for name, camera in zip(NAMES, uneven_cameras(3, BARREL), strict=True))
     text = f"<?xml version='1.0' encoding='ASCII'?><calibration><cameras>{text}</cameras></calibration>"
     (tmp_path / "Calib.qca.txt").write_text(text)
     for name in NAMES:
@@ -55,55 +55,55 @@ def source(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_cameras_see_what_they_saw(source: Path, rng: np.random.Generator) -> None:
-    """Catches axes, units, or the part of the sensor taken wrongly."""
-    assert detected(source) == detected(source / "Calib.qca.txt") == "qualisys"
+def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator) -> None:
+    """Catches wrong axes, units, or part of the sensor."""
+    assert detect_format(source) == detect_format(source / "Calib.qca.txt") == "qualisys"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == [f"Miqus_{name}" for name in NAMES]
     for camera, original in zip(imported.cameras, uneven_cameras(3, BARREL), strict=True):
-        assert_same_view(camera.lens, original, rng)
+        assert_same_view(camera.calibration, original, rng)
         assert file_names(camera.frames) == [f"{camera.name}.mp4"]
     assert "millimetres" in imported.notes[0]
 
 
-def test_cameras_without_video_are_named(source: Path) -> None:
+def test_cameras_without_video_are_noted(source: Path) -> None:
     (source / "Miqus_12.mp4").unlink()
-    assert "left out, since there is no video of them: 12" in read(source).notes
+    assert "cameras without a video, not imported: 12" in read(source).notes
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ("<calibration>", "<calibration", r"Calib.qca.txt: expected Qualisys' XML, got '.*'; export it again"),
-        ('serial="12"', 'serial="11"', r"expected each camera's own serial, got '11'"),
+        ('serial="12"', 'serial="11"', r"expected a unique serial, got '11'"),
         ('viewrotation="0"', 'viewrotation="90"', r"camera '11': expected viewrotation 0"),
         ('skew="0.0"', 'skew="no"', r"camera '11': <intrinsic skew>: expected a number, got 'no'"),
         ('r11="', 'r11="nan" r19="', r"camera '11': rotation: expected finite numbers"),
         ('r11="', 'r11="9" r19="', r"camera '11': rotation: expected an orthonormal matrix"),
     ],
 )
-def test_faults_are_told(source: Path, old: str, new: str, message: str) -> None:
+def test_invalid_values_are_reported(source: Path, old: str, new: str, message: str) -> None:
     edit(source / "Calib.qca.txt", old, new)
-    assert_told(read, source, message)
+    assert_refused(read, source, message)
 
 
-def test_damage_is_told(source: Path, rng: np.random.Generator) -> None:
-    assert_damage_is_told(read, source, source / "Calib.qca.txt", rng)
+def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_reported(read, source, source / "Calib.qca.txt", rng)
 
 
-def test_videos_of_other_names_are_told(source: Path) -> None:
+def test_videos_of_other_names_are_refused(source: Path) -> None:
     for path in source.glob("*.mp4"):
         path.rename(path.with_name(f"{path.stem}9.mp4"))
-    assert_told(read, source, r"Calib.qca.txt: expected calibrations named as the cameras \(Miqus_119, ")
+    assert_refused(read, source, r"Calib.qca.txt: expected calibrations named as the cameras \(Miqus_119, ")
 
 
-def test_a_real_calibration_is_read_as_pose2sim_reads_it() -> None:
-    """Catches a pose that agrees with our own writer alone: these numbers are of Pose2Sim's Calib_qualisys.toml."""
+def test_real_calibration_agrees_with_pose2sim() -> None:
+    """Catches a pose that agrees with our own writer alone: these numbers are from Pose2Sim's Calib_qualisys.toml."""
     if not BALANCE.is_file():
         pytest.skip(f"{BALANCE} is not there")
-    lenses = read_lenses(BALANCE)
-    assert list(lenses) == ["cam01", "cam02", "cam03", "cam04"]
-    camera = lenses["cam03"]
+    cameras = read_cameras(BALANCE)
+    assert list(cameras) == ["cam01", "cam02", "cam03", "cam04"]
+    camera = cameras["cam03"]
     assert (camera.width, camera.height) == (1088, 1920)
     assert np.allclose(cv2.Rodrigues(camera.rotation)[0].ravel(), [0.81096549, -2.19721293, 1.37602778], atol=1e-7)
     assert np.allclose(camera.translation, [-0.79348039, 0.32283594, 4.35351487], atol=1e-7)

@@ -1,4 +1,4 @@
-"""transforms.json: OpenGL poses written by looking along them, static and with times, and paths not to be trusted."""
+"""transforms.json: OpenGL poses, static and with times, and paths that leave the folder."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from tests.importing.formats.sources import (
     BARREL,
     HEIGHT,
     WIDTH,
-    assert_damage_is_told,
+    assert_damage_is_reported,
+    assert_refused,
     assert_same_view,
-    assert_told,
-    detected,
+    detect_format,
     file_names,
     uneven_cameras,
     write_pictures,
 )
 
 
-def entry(camera: Camera, file: str, **more: object) -> dict[str, Any]:
-    """Columns of the pose: right, up, backwards, position, in the world."""
+def make_entry(camera: Camera, file: str, **more: object) -> dict[str, Any]:
+    """A JSON entry; the pose's columns are right, up, backwards and position in the world."""
     right, down, forward = camera.rotation
     matrix = np.vstack([np.stack([right, -down, -forward, camera.centre], axis=1), [0, 0, 0, 1]])
     (focal_x, _, centre_x), (_, focal_y, centre_y), _ = camera.intrinsics.tolist()
@@ -42,116 +42,130 @@ def write(folder: Path, frames: list[dict[str, Any]], **more: object) -> Path:
 
 @pytest.fixture
 def static(tmp_path: Path) -> Path:
-    """Three cameras with a frame each; the lens distorts alike and stands once, for all."""
+    """Three cameras with one frame each; the distortion is stored once for all."""
     write_pictures(tmp_path / "images", [f"cam {index}.png" for index in range(3)])
     write_pictures(tmp_path / "masks", [f"m{index}.png" for index in range(3)])
     frames = [
-        entry(camera, f"./images/cam {index}", mask_path=f"masks/m{index}.png")
+        make_entry(camera, f"./images/cam {index}", mask_path=f"masks/m{index}.png")
         for index, camera in enumerate(uneven_cameras(3))
     ]
     coefficients = dict(zip(("k1", "k2", "p1", "p2", "k3"), BARREL.tolist(), strict=True))
     return write(tmp_path, frames, camera_model="OPENCV", aabb_scale=4, offset=[0.5, 0.5, 0.5], **coefficients)
 
 
-def moving(folder: Path, pattern: str) -> Path:
+def write_moving(folder: Path, pattern: str) -> Path:
     """Two cameras at three times, listed out of order."""
     frames = []
     for index, camera in enumerate(uneven_cameras(2)):
         for number in (2, 0, 1):
             file = pattern.format(camera=index, frame=number)
             write_pictures(folder / Path(file).parent, [Path(file).name])
-            frames.append(entry(camera, file, time=number / 2))
+            frames.append(make_entry(camera, file, time=number / 2))
     return write(folder, frames)
 
 
 def test_static_cameras(static: Path, rng: np.random.Generator) -> None:
-    """Catches axes turned wrongly, values for all entries forgotten, and suffixes not found."""
-    assert detected(static) == detected(static / "transforms.json") == "transforms"
+    """Catches wrong axes, ignored values of the whole file, and suffixes not found."""
+    assert detect_format(static) == detect_format(static / "transforms.json") == "transforms"
     imported = read(static)
     assert [camera.name for camera in imported.cameras] == ["cam_0", "cam_1", "cam_2"]
     for index, (camera, original) in enumerate(zip(imported.cameras, uneven_cameras(3, BARREL), strict=True)):
-        assert_same_view(camera.lens, original, rng)
+        assert_same_view(camera.calibration, original, rng)
         assert file_names(camera.frames) == [f"cam {index}.png"]
         assert file_names(camera.masks) == [f"m{index}.png"]
-    assert "not used: aabb_scale, offset" in imported.notes
+    assert "ignored: aabb_scale, offset" in imported.notes
 
 
 @pytest.mark.parametrize("pattern", ["cam{camera}/{frame:02d}.jpg", "images/{camera}_{frame:02d}.jpg"])
 def test_cameras_with_times(tmp_path: Path, pattern: str, rng: np.random.Generator) -> None:
-    """Catches frames in the file's order in place of time's, by folders and by poses."""
-    imported = read(moving(tmp_path, pattern))
+    """Catches frames in the file's order instead of the order of times, by folder and by pose."""
+    imported = read(write_moving(tmp_path, pattern))
     names = ["cam0", "cam1"] if pattern.startswith("cam") else ["00", "01"]
     assert [camera.name for camera in imported.cameras] == names
     for index, (camera, original) in enumerate(zip(imported.cameras, uneven_cameras(2), strict=True)):
-        assert_same_view(camera.lens, original, rng)
+        assert_same_view(camera.calibration, original, rng)
         files = [Path(pattern.format(camera=index, frame=number)).name for number in range(3)]
         assert file_names(camera.frames) == files
         assert camera.masks is None
 
 
-def test_sizes_and_focal_lengths_may_be_angles(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_focal_length_from_a_field_of_view(tmp_path: Path, rng: np.random.Generator) -> None:
     camera = uneven_cameras(1)[0]
     write_pictures(tmp_path, ["a.jpg"])
-    sparse = entry(camera, "a.jpg")
+    sparse = make_entry(camera, "a.jpg")
     for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
         del sparse[key]
     write(tmp_path, [sparse], camera_angle_x=2 * math.atan(WIDTH / 2 / 30))
     expected = np.array([[30, 0, WIDTH / 2], [0, 30, HEIGHT / 2], [0, 0, 1]])
-    assert_same_view(read(tmp_path).cameras[0].lens, Camera(expected, camera.rotation, camera.translation, 24, 16), rng)
+    assert_same_view(
+        read(tmp_path).cameras[0].calibration, Camera(expected, camera.rotation, camera.translation, 24, 16), rng
+    )
 
 
-def test_stems_that_are_twins_take_the_folders_names(tmp_path: Path) -> None:
+def test_equal_file_names_use_the_folders_names(tmp_path: Path) -> None:
     for index in range(2):
         write_pictures(tmp_path / "images" / f"c{index}", ["000.jpg"])
-    frames = [entry(camera, f"images/c{index}/000.jpg") for index, camera in enumerate(uneven_cameras(2))]
+    frames = [make_entry(camera, f"images/c{index}/000.jpg") for index, camera in enumerate(uneven_cameras(2))]
     assert [camera.name for camera in read(write(tmp_path, frames)).cameras] == ["c0", "c1"]
     frames[1]["file_path"] = frames[0]["file_path"]
-    assert_told(read, write(tmp_path, frames), r"transforms.json: expected each picture once, got one in two entries")
+    assert_refused(read, write(tmp_path, frames), r"transforms.json: expected each picture once, got one in two")
 
 
-FAULTS: list[tuple[dict[str, object], str]] = [
-    ({"file_path": "../secret.png"}, r"entry 1: file_path: expected a path within .*, got '../secret.png'; write it"),
+INVALID_VALUES: list[tuple[dict[str, object], str]] = [
+    (
+        {"file_path": "../secret.png"},
+        r"entry 1: file_path: expected a path within .*, got '../secret.png'; write it",
+    ),
     ({"file_path": "/etc/secret.png"}, r"entry 1: file_path: expected a path within .*, got '/etc/secret.png'"),
     ({"file_path": "images\\..\\..\\x.png"}, r"entry 1: file_path: expected a path within "),
     ({"file_path": "C:\\x.png"}, r"entry 1: file_path: expected a path within "),
     ({"mask_path": "../x.png"}, r"entry 1: mask_path: expected a path within "),
-    ({"file_path": "images/none"}, r"entry 1: file_path: expected a JPEG or PNG at .*images/none, got none; restore"),
+    (
+        {"file_path": "images/none"},
+        r"entry 1: file_path: expected a JPEG or PNG at .*images/none, got none; restore",
+    ),
     ({"file_path": "x" * 300}, r"entry 1: file_path: expected a JPEG or PNG at .*, got none; restore"),
     ({"file_path": 7}, r"entry 1: file_path: expected a picture's path, got '7'"),
     ({"fl_x": float("nan")}, r"entry 1: fl_x: expected finite numbers, got \[nan\]"),
     ({"fl_x": "wide"}, r"entry 1: fl_x: expected 1 numbers, got something else"),
     ({"fl_x": None}, r"entry 1: expected fl_x or camera_angle_x, got neither"),
     ({"w": 0}, r"entry 1: w and h: expected pixels, got 0 x 16"),
-    ({"transform_matrix": [[1, 2], [3]]}, r"entry 1: transform_matrix: expected 4 x 4 numbers, got something else"),
+    (
+        {"transform_matrix": [[1, 2], [3]]},
+        r"entry 1: transform_matrix: expected 4 x 4 numbers, got something else",
+    ),
     ({"transform_matrix": np.diag([2, 1, 1, 1]).tolist()}, r"entry 1: rotation: expected an orthonormal matrix"),
-    ({"camera_model": "OPENCV_FISHEYE"}, r"entry 1: camera_model: expected OPENCV, .*, got OPENCV_FISHEYE; undistort"),
+    (
+        {"camera_model": "OPENCV_FISHEYE"},
+        r"entry 1: camera_model: expected OPENCV, .*, got OPENCV_FISHEYE; undistort",
+    ),
     ({"is_fisheye": True}, r"entry 1: camera_model: expected OPENCV, .*, got a fisheye; undistort"),
     ({"time": 0.5}, r"transforms.json: expected a time in all 3 entries or in none, got 1; add the others"),
 ]
 
 
-@pytest.mark.parametrize(("values", "message"), FAULTS)
-def test_faults_are_told(static: Path, values: dict[str, object], message: str) -> None:
+@pytest.mark.parametrize(("values", "message"), INVALID_VALUES)
+def test_invalid_values_are_reported(static: Path, values: dict[str, object], message: str) -> None:
     data = json.loads((static / "transforms.json").read_text())
     data["frames"][1].update(values)
     (static / "transforms.json").write_text(json.dumps(data))
-    assert_told(read, static, message)
+    assert_refused(read, static, message)
 
 
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"frames": [1]}', "[" * 100_000])
-def test_what_is_no_transforms_json_is_told(static: Path, text: str) -> None:
+def test_other_json_is_refused(static: Path, text: str) -> None:
     (static / "transforms.json").write_text(text)
-    assert_told(read, static, r"transforms.json: expected ('frames'|JSON)")
+    assert_refused(read, static, r"transforms.json: expected ('frames'|JSON)")
 
 
-def test_a_missing_or_moving_frame_is_told(tmp_path: Path) -> None:
-    data = json.loads((moving(tmp_path, "cam{camera}/{frame:02d}.jpg") / "transforms.json").read_text())
+def test_missing_and_moving_frames_are_refused(tmp_path: Path) -> None:
+    data = json.loads((write_moving(tmp_path, "cam{camera}/{frame:02d}.jpg") / "transforms.json").read_text())
     write(tmp_path, data["frames"][:-1])
-    assert_told(read, tmp_path, r"got 2 times in 2 pictures of 'cam1' and 3 pictures of 'cam0'; drop what other")
+    assert_refused(read, tmp_path, r"got 2 times in 2 pictures of 'cam1' and 3 pictures of 'cam0'; remove the")
     data["frames"][1]["transform_matrix"][0][3] += 0.1
     write(tmp_path, data["frames"])
-    assert_told(read, tmp_path, r"expected every camera to stand still and have the same times once")
+    assert_refused(read, tmp_path, r"expected static cameras with the same times, each once")
 
 
-def test_damage_is_told(static: Path, rng: np.random.Generator) -> None:
-    assert_damage_is_told(read, static, static / "transforms.json", rng)
+def test_damaged_files_are_reported(static: Path, rng: np.random.Generator) -> None:
+    assert_damage_is_reported(read, static, static / "transforms.json", rng)

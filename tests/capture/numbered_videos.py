@@ -1,4 +1,4 @@
-"""Small videos whose pictures tell their own number, so that a frame taken for its neighbour shows."""
+"""Small videos whose frames show their own number, so that a wrong frame is detected."""
 
 from __future__ import annotations
 
@@ -16,15 +16,20 @@ Picture = NDArray[np.uint8]
 WIDTH, HEIGHT = 32, 48
 BLOCK = 16
 BITS = (WIDTH // BLOCK) * (HEIGHT // BLOCK)
-KEYFRAMES_EVERY = 10
+KEYFRAME_INTERVAL = 10
 OPTIONS = {
-    "libx264": {"g": str(KEYFRAMES_EVERY), "bf": "2", "x264-params": "b-adapt=0:scenecut=0:keyint_min=10", "crf": "12"},
-    "libvpx-vp9": {"g": str(KEYFRAMES_EVERY), "deadline": "realtime", "cpu-used": "8", "crf": "20", "b": "0"},
+    "libx264": {
+        "g": str(KEYFRAME_INTERVAL),
+        "bf": "2",
+        "x264-params": "b-adapt=0:scenecut=0:keyint_min=10",
+        "crf": "12",
+    },
+    "libvpx-vp9": {"g": str(KEYFRAME_INTERVAL), "deadline": "realtime", "cpu-used": "8", "crf": "20", "b": "0"},
 }
 
 
-def numbered(number: int) -> Picture:
-    """(48, 32, 3) RGB: six blocks, bright where the number's bit is set, tinted so that channels differ."""
+def numbered_picture(number: int) -> Picture:
+    """(48, 32, 3) RGB: six blocks, one per bit of the number, with a different level in each channel."""
     bits = (number >> np.arange(BITS)) & 1
     blocks = np.where(bits, 210, 40).reshape(HEIGHT // BLOCK, WIDTH // BLOCK)
     grey = np.kron(blocks, np.ones((BLOCK, BLOCK)))
@@ -32,33 +37,33 @@ def numbered(number: int) -> Picture:
 
 
 def number_of(picture: Picture) -> int:
-    """The number that a decoded picture shows."""
+    """The number that a decoded frame shows."""
     means = picture[..., 1].reshape(HEIGHT // BLOCK, BLOCK, WIDTH // BLOCK, BLOCK).mean(axis=(1, 3))
     return int(((means.ravel() > 125) << np.arange(BITS)).sum())
 
 
-def write_film(
+def write_numbered_video(
     path: Path,
     numbers: Sequence[int] = tuple(range(40)),
     *,
     codec: str = "libx264",
     fps: int = 30,
     times: Sequence[int] | None = None,
-    front: bool = False,
+    index_first: bool = False,
 ) -> Path:
-    """A video of :func:`numbered` pictures, each for 1/fps; ``times`` are other presentation times in frames.
+    """Write a video of numbered pictures at ``fps``; ``times`` are other presentation times in frames.
 
-    ``front`` puts the MP4's index before its frames, as on the web.
+    ``index_first`` puts the MP4's index before its frames, as for streaming.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    options: dict[str, Any] = {"options": {"movflags": "faststart"}} if front else {}
+    options: dict[str, Any] = {"options": {"movflags": "faststart"}} if index_first else {}
     with av.open(str(path), "w", **options) as container:
         stream = container.add_stream(codec, rate=fps, options=OPTIONS[codec])
         stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
         stream.codec_context.time_base = Fraction(1, fps)
-        for place, number in enumerate(numbers):
-            frame = av.VideoFrame.from_ndarray(numbered(number), format="rgb24")
-            frame.pts, frame.time_base = place if times is None else times[place], Fraction(1, fps)
+        for position, number in enumerate(numbers):
+            frame = av.VideoFrame.from_ndarray(numbered_picture(number), format="rgb24")
+            frame.pts, frame.time_base = position if times is None else times[position], Fraction(1, fps)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return path
