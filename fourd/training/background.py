@@ -67,7 +67,7 @@ def create_background(
         # Features outside all plates get no gradient: random initial values would remain as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
-    cloud = FramePoints.fresh(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
+    cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
     cloud.is_permanent = outside_all_images(xyz, [plate.camera for plate in plates.values()])
     return StaticBackground(model, cloud, plates)
 

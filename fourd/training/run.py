@@ -153,7 +153,7 @@ class Run:
         spacing = torch.full((len(xyz),), self.config.scene.spacing)
         explicit = train.model.sh == "explicit" and train.model.appearance != "ibr"
         placed = torch.from_numpy(xyz[morton_order(xyz)])
-        return FramePoints.fresh(placed, spacing, train.model.radius_start, explicit_sh=explicit)
+        return FramePoints.initial(placed, spacing, train.model.radius_start, explicit_sh=explicit)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Runs that take a second or two: few points, small planes, the ball capture."""
+"""Small training runs, of a second or two each, on the ball capture."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SMALL = TrainConfig(
 
 
 def full_config(seeds: Path, points: int = 1200, *, shadow: bool = False) -> TrainConfig:
-    """The same of a full scene, with a shell of grey points around it, which are written to ``seeds``."""
+    """The same for a full scene; its background points are a grey shell, written to ``seeds``."""
     xyz = 5 * sphere(points)
     write_ply(seeds, xyz, np.full((points, 3), 89, np.uint8))
     planes = PlanesConfig(levels=2, features=4, base_resolution=16, time=False)
@@ -41,17 +41,17 @@ def full_config(seeds: Path, points: int = 1200, *, shadow: bool = False) -> Tra
 
 
 def quiet() -> Console:
-    """A console that shows nothing."""
+    """A console without output."""
     return Console(quiet=True)
 
 
 def train(run: Run, config: TrainConfig) -> TrainSummary:
-    """Train a run to the end of ``config``'s budget."""
+    """Train a run until ``config``'s budget is spent."""
     return Trainer(run, None, quiet(), config).train()
 
 
 def trained_run(capture: Path, folder: Path, config: TrainConfig = SMALL) -> Run:
-    """A run made and trained."""
+    """Create a run and train it."""
     run = create_run(capture, folder, config)
     train(run, run.config.train)
     return run

@@ -1,4 +1,4 @@
-"""Every example in configs/ is an ablation switch that trains, renders and does what it says."""
+"""Every example in configs/ is an ablation switch that trains, renders and is exported."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ NAMES = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "paper"])
-def test_the_switch_trains_and_is_baked(name: str, ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a combination that crashes, or one whose export differs in kind from its run."""
+def test_every_switch_trains_and_is_exported(name: str, ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a combination that crashes, or that is exported although it cannot be baked."""
     config = load_overlay(with_steps(SMALL, 3), CONFIGS / f"{name}.yaml")
-    assert config != with_steps(SMALL, 3), "an example that changes nothing"
+    assert config != with_steps(SMALL, 3), "an example without effect"
     run = trained_run(ball_capture, tmp_path / "run", config)
     trained = load_run(run.folder)
     camera = run.capture.cameras[3]
@@ -42,8 +42,8 @@ def parameters(name: str, ball_capture: Path, tmp_path: Path) -> set[str]:
     return {key.split(".")[0] for key in state.model.state_dict()} | set(state.frames.get(0).parameters)
 
 
-def test_switches_remove_what_they_say(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches an ablation that still learns the part which it should lack."""
+def test_switches_remove_their_part_of_the_model(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches an ablation that still has the part that it removes."""
     both = {"blend_head", "image_encoder", "harmonics_head"}
     assert not {"blend_head", "image_encoder"} & parameters("sh_mlp_only", ball_capture, tmp_path)
     assert "harmonics_head" not in parameters("ibr_only", ball_capture, tmp_path)
@@ -53,8 +53,8 @@ def test_switches_remove_what_they_say(ball_capture: Path, tmp_path: Path) -> No
     assert both <= parameters("no_mask_loss", ball_capture, tmp_path)
 
 
-def test_the_configuration_page_is_the_code_s() -> None:
-    """Catches a key that was added, renamed or given another default while the docs stayed."""
+def test_the_configuration_page_is_up_to_date() -> None:
+    """Catches a changed key or default without its documentation."""
     from tools.site.configuration_page import PAGE, page
 
     assert PAGE.read_text() == page(), "run tools/site/configuration_page.py"

@@ -1,4 +1,4 @@
-"""The static part of a full scene: what moves and what does not in one picture, and what a plate does not see."""
+"""Full scenes: compositing with the background, visibility in plates, and seeding."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def run(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def _sheet(distance: float, side: float) -> FramePoints:
-    """A dense square sheet across the x axis, seen by the first camera of a ring."""
+    """A dense square sheet perpendicular to the x axis, seen by the first camera of a ring."""
     steps = torch.linspace(-side, side, 41)
     y, z = torch.meshgrid(steps, steps, indexing="ij")
     xyz = torch.stack([torch.full_like(y, distance), y, z], -1).reshape(-1, 3)
     count = len(xyz)
     spacing = torch.full((count,), 2 * side / 40)
-    return FramePoints.fresh(xyz, spacing, 1.5, explicit_sh=False)
+    return FramePoints.initial(xyz, spacing, 1.5, explicit_sh=False)
 
 
 def _painted(points: FramePoints, colour: tuple[float, float, float]) -> RenderablePoints:
@@ -57,21 +57,21 @@ def _painted(points: FramePoints, colour: tuple[float, float, float]) -> Rendera
     return RenderablePoints(points.xyz, points.radius, points.density, colours)
 
 
-def test_parts_hide_each_other_whichever_is_first() -> None:
-    """Catches parts drawn one over the other: a thing of the background before the subject must hide it."""
+def test_clouds_occlude_each_other_in_any_order() -> None:
+    """Catches clouds composited in sequence: background in front of the subject occludes it."""
     viewer = ring_cameras(8, 64)[0]
     near = _painted(_sheet(0.5, 0.2), (1.0, 0.0, 0.0))
     far = _painted(_sheet(-1.0, 3.0), (0.0, 0.0, 1.0))
-    for parts, first in (([near, far], 1.0), ([far, near], 0.0)):
-        picture = composite(parts, viewer, 15).features
+    for clouds, coverage in (([near, far], 1.0), ([far, near], 0.0)):
+        picture = composite(clouds, viewer, 15).features
         assert picture[32, 32, :3].tolist() == pytest.approx([1, 0, 0], abs=0.05)
         assert picture[4, 4, :3].tolist() == pytest.approx([0, 0, 1], abs=0.05)
-        assert float(picture[32, 32, 3]) == pytest.approx(first, abs=0.05)
-        assert float(picture[4, 4, 3]) == pytest.approx(1 - first, abs=0.05)
+        assert float(picture[32, 32, 3]) == pytest.approx(coverage, abs=0.05)
+        assert float(picture[4, 4, 3]) == pytest.approx(1 - coverage, abs=0.05)
 
 
-def test_rows_in_sight_leave_out_what_the_other_cloud_hides() -> None:
-    """Catches clouds that are looked at apart, so that what the subject hides is trained on."""
+def test_points_occluded_by_the_other_cloud_are_not_visible() -> None:
+    """Catches visibility of each cloud alone, with which occluded points are trained."""
     viewer = ring_cameras(8, 64)[0]
     near, far = _sheet(0.5, 1.2), _sheet(-1.0, 0.3)
     assert len(visible_points([far], viewer, 15, 0.05)[0]) > 0
@@ -79,8 +79,8 @@ def test_rows_in_sight_leave_out_what_the_other_cloud_hides() -> None:
     assert [len(rows) > 0 for rows in both] == [True, False]
 
 
-def test_a_view_that_does_not_see_a_point_takes_its_own_colour() -> None:
-    """Catches black or foreign colours where none of the blended plates sees a point."""
+def test_a_point_s_own_colour_replaces_views_that_do_not_see_it() -> None:
+    """Catches black or unrelated colours where no blended plate sees a point."""
     colours = torch.tensor([[[0.0, 0.0, 0.0]], [[0.9, 0.1, 0.1]]])
     base = torch.tensor([[0.2, 0.5, 0.4]])
     unseen = blend(torch.zeros(2, 1), torch.zeros(2, 1), colours, base)
@@ -89,8 +89,8 @@ def test_a_view_that_does_not_see_a_point_takes_its_own_colour() -> None:
     assert torch.equal(half_seen, colours[1])
 
 
-def test_a_full_run_shows_what_is_around_the_subject(run: Run) -> None:
-    """Catches a background that is left out of pictures, of the loss or of the checkpoint."""
+def test_a_full_run_renders_the_surroundings_of_the_subject(run: Run) -> None:
+    """Catches a background missing in pictures, in the loss or in the checkpoint."""
     trained = load_run(run.folder)
     camera = run.capture.cameras[run.test[0]]
     picture = trained.renderer.render(trained.frames.get(1), 1, camera, 15)
@@ -103,12 +103,12 @@ def test_a_full_run_shows_what_is_around_the_subject(run: Run) -> None:
     assert np.abs(alone.rgb - 0.35).mean() < 0.1
 
 
-def test_a_floor_at_a_grazing_angle_hides_nothing_of_itself() -> None:
-    """Catches discs that hide the points behind them on the same floor: these lost their pictures' colours, whose
-    place blurred ones of their own took, and grew until they hid each other all the more."""
+def test_a_floor_at_a_grazing_angle_does_not_occlude_itself() -> None:
+    """Catches discs that occlude the points behind them on the same floor: without image-based colours these blur, and
+    their discs grow and occlude each other more."""
     x, y = torch.meshgrid(torch.arange(-1, 1, 0.02), torch.arange(-1, 3, 0.02), indexing="ij")
     xyz = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3)
-    floor = FramePoints.fresh(xyz, torch.full((len(xyz),), 0.02), 1.3, explicit_sh=False)
+    floor = FramePoints.initial(xyz, torch.full((len(xyz),), 0.02), 1.3, explicit_sh=False)
     size = 256
     intrinsics = np.array([[300.0, 0, size / 2], [0, 300, size / 2], [0, 0, 1]])
     viewer = look_at(np.array([0, -2.0, 0.3]), np.zeros(3), np.array([0, 0, 1.0]), intrinsics, size, size)
@@ -121,18 +121,18 @@ def test_a_floor_at_a_grazing_angle_hides_nothing_of_itself() -> None:
     assert (occlusion_depth(floor, viewer)[row, column] < 1.3 * depth)[shown].mean() > 0.95
 
 
-def test_what_a_wall_hides_goes_and_a_floor_stays(run: Run) -> None:
-    """Catches pruning of floor that discs before it cover in every plate: another camera sees holes in it."""
+def test_points_behind_a_wall_are_hidden_and_a_floor_is_not(run: Run) -> None:
+    """Catches the removal of floor points that discs in front of them cover in every plate: other cameras see holes."""
     background = load_run(run.folder).renderer.background
     assert background is not None
     around = background.points
     x, y = torch.meshgrid(torch.arange(-3, 3, 0.1), torch.arange(-3, 3, 0.1), indexing="ij")
-    # Cameras stand 0.4 above it and more: closer than a disc's radius, one disc hides all others.
+    # Cameras are at least 0.4 above it; closer than a disc's radius, one disc would occlude all others.
     floor = torch.stack([x, y, torch.full_like(x, -0.6)], -1).reshape(-1, 3)
     beyond = 1.8 * around.xyz[:200]
     xyz = torch.cat([around.xyz, floor, beyond])
     spacing = torch.cat([around.spacing, torch.full((len(floor),), 0.1), torch.full((200,), 0.01)])
-    background.points = FramePoints.fresh(xyz, spacing, 1.3, explicit_sh=False, rgb=torch.zeros(len(xyz), 3))
+    background.points = FramePoints.initial(xyz, spacing, 1.3, explicit_sh=False, rgb=torch.zeros(len(xyz), 3))
     hidden = background.hidden_points()
     pictures = [background.camera(index) for index in background.plates]
     seen = ~outside_all_images(floor, pictures)
@@ -140,11 +140,11 @@ def test_what_a_wall_hides_goes_and_a_floor_stays(run: Run) -> None:
     assert hidden[-200:].all()
 
 
-def test_parts_apart_learn_nothing_of_each_other(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a background that learns from frames, or rounds for its points in steps that it has no part in."""
+def test_without_joint_training_the_background_ignores_frames(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a background that learns from frames, or is densified in steps without it."""
     config = full_config(tmp_path / "shell.ply")
-    apart = replace(config.background, joint=False, share=0.0)
-    run = trained_run(ball_capture, tmp_path / "run", replace(config, background=apart))
+    separate = replace(config.background, joint=False, share=0.0)
+    run = trained_run(ball_capture, tmp_path / "run", replace(config, background=separate))
     trained = load_run(run.folder)
     background = trained.renderer.background
     assert background is not None
@@ -155,37 +155,37 @@ def test_parts_apart_learn_nothing_of_each_other(ball_capture: Path, tmp_path: P
     assert picture.alpha.mean() > 0.9
 
 
-def test_what_is_kept_of_plates_is_renewed(run: Run) -> None:
-    """Catches depths and features of long ago, and ones that are found anew in every step."""
+def test_cached_depths_of_plates_expire(run: Run) -> None:
+    """Catches depths and features that never expire, or that are computed in every step."""
     background = load_run(run.folder).renderer.background
     assert background is not None
     indices = list(background.plates)[:2]
     first = background.sources(indices)
     background.points.parameters["xyz"] *= 0.5
     background.count_step()
-    kept = background.sources(indices)
+    cached = background.sources(indices)
     assert first.depth is not None
-    assert kept.depth is not None
-    assert torch.equal(first.depth, kept.depth)
+    assert cached.depth is not None
+    assert torch.equal(first.depth, cached.depth)
     for _ in range(CACHED_STEPS):
         background.count_step()
-    renewed = background.sources(indices)
-    assert renewed.depth is not None
+    recomputed = background.sources(indices)
+    assert recomputed.depth is not None
     torch.testing.assert_close(
-        renewed.depth[0], torch.from_numpy(occlusion_depth(background.points, renewed.cameras[0]))
+        recomputed.depth[0], torch.from_numpy(occlusion_depth(background.points, recomputed.cameras[0]))
     )
-    assert not torch.equal(renewed.depth, first.depth)
+    assert not torch.equal(recomputed.depth, first.depth)
     assert background.sources(indices, train_encoder=True).encoded is None
 
 
-def test_held_out_views_give_no_plate(run: Run) -> None:
-    """Catches a held-out view's plate, which would shape what it judges."""
+def test_held_out_views_have_no_plate(run: Run) -> None:
+    """Catches plates of held-out views, which leak into training."""
     made = sorted(path.stem for path in (run.folder / "background" / "plates").glob("*.png"))
     assert made == [run.capture.names[index] for index in run.training]
 
 
-def test_plates_of_the_capture_are_used_where_it_has_them(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches plates made anew beside those that a person brought."""
+def test_the_capture_s_own_plates_are_used(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches plates that are computed although the capture has them."""
     capture = tmp_path / "capture"
     capture.mkdir()
     for name in ("images", "masks", "intri.yml", "extri.yml"):
@@ -200,7 +200,7 @@ def test_plates_of_the_capture_are_used_where_it_has_them(ball_capture: Path, tm
     assert all(plate.seen.all() for plate in background.plates.values())
 
 
-def test_brought_points_that_are_none_are_refused(ball_capture: Path, tmp_path: Path) -> None:
+def test_an_empty_file_of_background_points_is_refused(ball_capture: Path, tmp_path: Path) -> None:
     (tmp_path / "none.ply").write_text(EMPTY_PLY)
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, seeds=tmp_path / "none.ply"))
@@ -209,10 +209,10 @@ def test_brought_points_that_are_none_are_refused(ball_capture: Path, tmp_path: 
 
 
 @pytest.mark.parametrize(("seeding", "why"), [("ngp", "cannot be measured"), ("sfm", "cannot be triangulated")])
-def test_points_are_found_in_the_way_that_was_asked_for(
+def test_seeding_follows_the_config(
     seeding: Literal["ngp", "sfm"], why: str, ball_capture: Path, tmp_path: Path
 ) -> None:
-    """Catches a way that is not taken, by what each says of plates of one colour."""
+    """Catches an ignored setting, by the error of each method for plates of one colour."""
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, seeds=None, seeding=seeding))
     with pytest.raises(UserError, match=rf"plates: expected at least 8 features .*{why}.*--background FILE.ply"):

@@ -1,4 +1,4 @@
-"""Training from the outside of the loop: what is saved, and going on from it."""
+"""Training runs: checkpoints, resuming and errors."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from fourd.training.step import StepResult
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
 
 
-def contents(run: Path, step: int) -> dict[str, torch.Tensor]:
-    """All tensors of a checkpoint: the model's, the optimiser's and every frame's points."""
+def checkpoint_tensors(run: Path, step: int) -> dict[str, torch.Tensor]:
+    """All tensors of a checkpoint: of the models, the optimizer and the points of all frames."""
     base = run / "checkpoints" / f"{step:08d}"
     tensors = load_file(base.with_suffix(".safetensors"))
     for path in sorted(base.with_suffix(".points").glob("*.safetensors")):
@@ -38,38 +38,38 @@ def contents(run: Path, step: int) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("scene", ["object", "full", "shadow"])
-def test_a_resumed_run_is_bit_for_bit_the_unbroken_one(
+def test_a_resumed_run_equals_an_uninterrupted_one(
     scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches state that a checkpoint forgets: Adam's moments, per-point steps, cached radii, random draws."""
+    """Catches state missing in checkpoints: Adam's moments, steps of points, cached radii, random numbers."""
     full = full_config(tmp_path / "shell.ply", shadow=scene == "shadow")
     config = replace(SMALL if scene == "object" else full, max_steps=9)
-    whole = create_run(ball_capture, tmp_path / "whole", config)
-    train(whole, config)
-    broken = create_run(ball_capture, tmp_path / "broken", config)
+    uninterrupted = create_run(ball_capture, tmp_path / "whole", config)
+    train(uninterrupted, config)
+    interrupted = create_run(ball_capture, tmp_path / "broken", config)
 
-    trainer = Trainer(broken, None, quiet(), config)
-    take = trainer.stepper.step
+    trainer = Trainer(interrupted, None, quiet(), config)
+    original_step = trainer.stepper.step
 
     def step_until_five(*arguments: Any) -> StepResult:
         if arguments[-1] == 5:
             raise InterruptedError
-        return take(*arguments)
+        return original_step(*arguments)
 
     monkeypatch.setattr(trainer.stepper, "step", step_until_five)
     with pytest.raises(InterruptedError):
         trainer.train()
     train(open_run(tmp_path / "broken"), config)
-    expected, got = contents(tmp_path / "whole", 9), contents(tmp_path / "broken", 9)
+    expected, got = checkpoint_tensors(tmp_path / "whole", 9), checkpoint_tensors(tmp_path / "broken", 9)
     assert expected.keys() == got.keys()
     different = [name for name in expected if not torch.equal(expected[name], got[name])]
     assert not different
 
 
-def test_a_value_that_is_not_finite_stops_and_names_step_and_term(
+def test_a_loss_that_is_not_finite_stops_training(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a run that trains on with NaN weights, or overwrites its last good checkpoint with them."""
+    """Catches training with NaN parameters, and an intact checkpoint overwritten with them."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     value = MaskTerm.value
 
@@ -83,8 +83,8 @@ def test_a_value_that_is_not_finite_stops_and_names_step_and_term(
     assert load_run(tmp_path / "run").step == 3
 
 
-def test_training_teaches(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a step that changes nothing or makes things worse: from grey, 200 steps must gain."""
+def test_training_raises_the_psnr(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches steps without effect: from grey, 200 steps gain at least 0.5 dB."""
     model = replace(SMALL.model, appearance="sh")
     config = replace(with_steps(SMALL, 200), checkpoint_steps=1000, model=model)
     trained_run(ball_capture, tmp_path / "run", config)
@@ -94,16 +94,16 @@ def test_training_teaches(ball_capture: Path, tmp_path: Path) -> None:
     assert np.mean(values[-5:]) > np.mean(values[:2]) + 0.5
 
 
-def test_config_of_the_run_is_what_was_asked_for(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches settings lost on the way to config.yaml, from which eval and export read them."""
+def test_the_run_s_config_is_saved(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches settings missing in config.yaml, from which eval and export read them."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     assert open_run(run.folder).config == run.config
     assert run.config.train == SMALL
     assert [run.capture.names[index] for index in run.test] == ["03"]
 
 
-def test_folders_that_are_no_place_for_a_run(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a run written over someone's files, and a second run over the first."""
+def test_folders_in_use_are_refused(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a run written over a user's files, and a second run over the first."""
     (tmp_path / "diary.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a new or empty folder, got one that is not a run"):
         create_run(ball_capture, tmp_path, SMALL)
@@ -114,8 +114,8 @@ def test_folders_that_are_no_place_for_a_run(ball_capture: Path, tmp_path: Path)
         load_run(tmp_path / "run")
 
 
-def test_points_of_one_s_own(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches bounds or points that still come from carving when the user brought better ones."""
+def test_points_from_the_user_s_files(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches bounds or points from carving when the user gives points."""
     rng = np.random.default_rng(0)
     for frame in range(3):
         xyz = rng.normal(0, 0.2, (2000, 3)).astype(np.float32)
@@ -131,8 +131,8 @@ def test_points_of_one_s_own(ball_capture: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_kill_at_any_moment_leaves_a_run_that_goes_on(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches files written in place: after kill -9 at several moments the run still resumes to its end."""
+def test_a_run_resumes_after_a_kill_at_any_time(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches files written in place: after kill -9 at several times the run still resumes to its end."""
     overlay = tmp_path / "small.yaml"
     overlay.write_text(
         "points: 1500\nlayers: 8\ncheckpoint_steps: 1\nmodel: {hidden: 16, planes: {levels: 2, base_resolution: 16}}\n"

@@ -59,7 +59,7 @@ class FramePoints:
         return self.parameters["xyz"]
 
     @classmethod
-    def fresh(
+    def initial(
         cls, xyz: Tensor, spacing: Tensor, radius: float, *, explicit_sh: bool, rgb: Tensor | None = None
     ) -> FramePoints:
         """Untrained points.

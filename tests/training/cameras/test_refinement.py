@@ -1,4 +1,4 @@
-"""Corrections of cameras: their gradient, what they leave alone, what they find, and what is written of them."""
+"""Camera refinement: gradients, identity, convergence, and calibration files."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from fourd.training.run import load_run, open_run
 from fourd.training.step import StepResult
 from tests.captures import ring_cameras
 from tests.training.small import SMALL, full_config, quiet, train, trained_run, with_steps
-from tests.training.test_loop import contents
+from tests.training.test_loop import checkpoint_tensors
 
 EVERYTHING = RefineConfig(poses=True, focal=True, colours=True)
 OFF = RefineConfig()
 
 
 def _cloud(rng: np.random.Generator, camera: Camera, count: int = 60) -> RenderablePoints:
-    """Points at depths apart before ``camera``, so that no small change puts one before another."""
+    """Points at distinct depths in front of ``camera``, so that small changes keep their order."""
     depths = 1.6 + 0.8 * rng.permutation(count)[:, None] / count
     in_camera = np.hstack([rng.uniform(-0.4, 0.4, (count, 2)), depths])
     xyz = torch.from_numpy((in_camera - camera.translation) @ camera.rotation)
@@ -61,8 +61,8 @@ def _set(refinement: Refinement, place: int, pose: NDArray[np.float64], zoom: fl
         refinement.zooms[place].fill_(zoom)
 
 
-def test_gradients_of_a_camera_are_those_of_the_picture(rng: np.random.Generator) -> None:
-    """Catches a wrong sign, frame or Jacobian of the pose's gradient, and a zoom that forgets the radii in pixels."""
+def test_camera_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
+    """Catches a wrong sign, frame or Jacobian of the pose's gradient, and a zoom without effect on radii in pixels."""
     cameras = ring_cameras(3, 24)
     refinement = Refinement(EVERYTHING, cameras, [0, 1, 2], np.zeros(3)).double()
     pose, zoom = rng.normal(0, 0.1, 6), 0.05
@@ -90,8 +90,8 @@ def test_gradients_of_a_camera_are_those_of_the_picture(rng: np.random.Generator
     assert refinement.poses[0].grad is None
 
 
-def test_no_correction_is_exactly_none(rng: np.random.Generator) -> None:
-    """Catches cameras, points, radii or colours that change in the last bit as soon as refinement is switched on."""
+def test_zero_corrections_are_exactly_the_identity(rng: np.random.Generator) -> None:
+    """Catches cameras, points, radii or colours whose last bit changes when refinement is switched on."""
     cameras = ring_cameras(4, 24)
     refinement = Refinement(EVERYTHING, cameras, [0, 1, 3], np.zeros(3))
     rig = refinement.rig()
@@ -112,8 +112,8 @@ def test_no_correction_is_exactly_none(rng: np.random.Generator) -> None:
     assert torch.equal(rig.scene_colours(1, picture), picture)
 
 
-def test_colours_have_no_mean_and_are_undone_in_sources(rng: np.random.Generator) -> None:
-    """Catches a scene that turns red while all cameras turn green, and sources corrected the wrong way round."""
+def test_colour_corrections_have_mean_identity_and_are_inverted_in_sources(rng: np.random.Generator) -> None:
+    """Catches a colour shift of the scene that all cameras compensate, and the forward map applied to sources."""
     refinement = Refinement(EVERYTHING, ring_cameras(4, 24), [0, 2, 3], np.zeros(3))
     with torch.no_grad():
         for tint in refinement.tints:
@@ -129,35 +129,35 @@ def test_colours_have_no_mean_and_are_undone_in_sources(rng: np.random.Generator
 
 
 @pytest.mark.parametrize("scene", ["object", "full"])
-def test_a_refined_run_goes_on_bit_for_bit(
+def test_a_resumed_refined_run_equals_an_uninterrupted_one(
     scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches corrections or their optimiser's state that a checkpoint forgets, and cameras kept from before it."""
+    """Catches corrections or optimizer state missing in checkpoints, and stale cameras."""
     config = SMALL if scene == "object" else full_config(tmp_path / "shell.ply")
     config = replace(config, max_steps=9, refine=EVERYTHING)
-    whole = create_run(ball_capture, tmp_path / "whole", config)
-    train(whole, config)
-    broken = create_run(ball_capture, tmp_path / "broken", config)
-    trainer = Trainer(broken, None, quiet(), config)
-    take = trainer.stepper.step
+    uninterrupted = create_run(ball_capture, tmp_path / "whole", config)
+    train(uninterrupted, config)
+    interrupted = create_run(ball_capture, tmp_path / "broken", config)
+    trainer = Trainer(interrupted, None, quiet(), config)
+    original_step = trainer.stepper.step
 
     def step_until_five(*arguments: Any) -> StepResult:
         if arguments[-1] == 5:
             raise InterruptedError
-        return take(*arguments)
+        return original_step(*arguments)
 
     monkeypatch.setattr(trainer.stepper, "step", step_until_five)
     with pytest.raises(InterruptedError):
         trainer.train()
     train(open_run(tmp_path / "broken"), config)
-    expected, got = contents(tmp_path / "whole", 9), contents(tmp_path / "broken", 9)
+    expected, got = checkpoint_tensors(tmp_path / "whole", 9), checkpoint_tensors(tmp_path / "broken", 9)
     assert any(name.startswith("refinement.poses") and value.any() for name, value in expected.items())
     assert expected.keys() == got.keys()
     assert not [name for name in expected if not torch.equal(expected[name], got[name])]
 
 
-def test_a_loaded_run_has_its_corrected_cameras_everywhere(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches rendering, export or viewing with the cameras as given, and files that say another thing."""
+def test_a_loaded_run_uses_its_corrected_cameras(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches rendering or export with the given cameras, and calibration files that differ from the corrections."""
     run = trained_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
     trained = load_run(run.folder)
     cameras = trained.run.capture.cameras
@@ -179,8 +179,8 @@ def test_a_loaded_run_has_its_corrected_cameras_everywhere(ball_capture: Path, t
     assert np.allclose(colours["05"]["matrix"], trained.renderer.views.rig.colours[5, :, :3])
 
 
-def test_a_calibration_that_is_written_gives_the_same_cameras(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches focal lengths at the wrong scale, and cameras of the capture that are lost when only some are used."""
+def test_a_written_calibration_gives_the_same_cameras(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches focal lengths at the wrong scale, and cameras that are lost because they are not selected."""
     half = open_capture(ball_capture, views=["01", "02", "05"], scale=0.5)
     moved = list(
         perturb_cameras(dict(zip(half.names, half.cameras, strict=True)), 2, 0.1, np.random.default_rng(0)).values()
@@ -200,8 +200,8 @@ def test_a_calibration_that_is_written_gives_the_same_cameras(ball_capture: Path
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12])
-def test_distortion_follows_the_focal_length(count: int, rng: np.random.Generator) -> None:
-    """Catches a written calibration whose undistorted pictures are others than those that were trained on."""
+def test_distortion_scales_with_the_focal_length(count: int, rng: np.random.Generator) -> None:
+    """Catches a written calibration whose undistorted pictures differ from those of training."""
     distortion = rng.normal(0, 0.02, count)
     k = np.array([[400.0, 0, 320], [0, 420, 240], [0, 0, 1]])
     zoomed = np.diag([1.05, 1.05, 1.0]) @ k
@@ -215,8 +215,8 @@ def test_distortion_follows_the_focal_length(count: int, rng: np.random.Generato
     assert np.allclose(in_file(k, distortion), in_file(zoomed, zoomed_distortion(distortion, 1.05)), atol=1e-8)
 
 
-def test_a_held_out_camera_finds_its_place(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a fit that walks away from the picture, changes the scene, or reports another move than it made."""
+def test_a_held_out_camera_is_aligned(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a fit that diverges, changes the scene, or reports another move than its own."""
     config = replace(with_steps(SMALL, 60), checkpoint_steps=1000)
     run = trained_run(ball_capture, tmp_path / "run", config)
     trained = load_run(run.folder)
@@ -229,17 +229,18 @@ def test_a_held_out_camera_finds_its_place(ball_capture: Path, tmp_path: Path) -
     before = trained.frames.get(0).xyz.clone()
     fitted = fit_test_camera(trained.renderer, trained.frames, index, 8, colours=True)
     assert torch.equal(before, trained.frames.get(0).xyz)
-    true = run.capture.cameras[index]
+    true_camera = run.capture.cameras[index]
     xyz = before.numpy()
-    off = [np.abs(camera.project(xyz)[0] - true.project(xyz)[0]).mean() for camera in (cameras[index], fitted.camera)]
-    assert off[1] < 0.3 * off[0]
+    expected = true_camera.project(xyz)[0]
+    error = [np.abs(camera.project(xyz)[0] - expected).mean() for camera in (cameras[index], fitted.camera)]
+    assert error[1] < 0.3 * error[0]
     assert fitted.distance == pytest.approx(float(np.linalg.norm(fitted.camera.centre - cameras[index].centre)))
     assert fitted.colours is not None
     assert np.abs(fitted.colours - np.eye(3, 4)).max() < 0.5
 
 
-def test_refinement_is_off_unless_asked_for() -> None:
-    """Catches a default that corrects what was calibrated well."""
+def test_refinement_is_off_by_default() -> None:
+    """Catches a default that changes good calibrations."""
     assert [OFF.cameras, OFF.colours] == [False, False]
     assert TrainConfig().refine == OFF
     with pytest.raises(ValueError, match="rotation_deg: expected more than 0, got 0"):
@@ -252,8 +253,8 @@ def _copied(capture: Path, folder: Path) -> Path:
     return folder
 
 
-def test_poses_that_are_learnt_come_nearer_the_truth(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches gradients that reach the wrong camera, and cameras that steps do not look through as corrected."""
+def test_learnt_poses_approach_the_truth(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches gradients that reach the wrong camera, and steps that render with uncorrected cameras."""
     opened = open_capture(ball_capture)
     truth = dict(zip(opened.names, opened.cameras, strict=True))
     wrong = perturb_cameras(truth, 1.0, 0.0, np.random.default_rng(0))
@@ -270,8 +271,8 @@ def test_poses_that_are_learnt_come_nearer_the_truth(ball_capture: Path, tmp_pat
     assert error(load_run(run.folder).run.capture.cameras) < 0.9 * error(run.capture.cameras)
 
 
-def test_a_camera_that_is_darker_is_found(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches colours corrected the wrong way round, and cameras that are told apart no longer."""
+def test_a_darker_camera_is_detected(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches inverted colour corrections, and corrections of the wrong camera."""
     capture = _copied(ball_capture, tmp_path / "capture")
     for path in (capture / "images" / "02").iterdir():
         picture = cv2.imread(str(path))
@@ -287,8 +288,8 @@ def test_a_camera_that_is_darker_is_found(ball_capture: Path, tmp_path: Path) ->
     assert trained.run.capture.cameras[2].rotation.tolist() == open_capture(capture).cameras[2].rotation.tolist()
 
 
-def test_a_run_that_lost_its_first_cameras_says_so(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a run that goes on, or is exported, with the cameras as they were given."""
+def test_a_run_without_start_cameras_is_refused(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a run that is resumed or exported with the given cameras."""
     run = create_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
     shutil.rmtree(run.folder / "calibration")
     with pytest.raises(UserError, match=r"calibration/start: expected the cameras that the run starts with, got none"):
@@ -296,7 +297,7 @@ def test_a_run_that_lost_its_first_cameras_says_so(ball_capture: Path, tmp_path:
 
 
 def test_a_tilted_sensor_is_refused_where_focal_lengths_are_refined(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a calibration written back that is another one than was trained with."""
+    """Catches a written calibration that differs from that of training."""
     capture = _copied(ball_capture, tmp_path / "capture")
     opened = open_capture(capture)
     tilted = np.zeros(14)

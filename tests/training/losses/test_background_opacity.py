@@ -51,7 +51,7 @@ def test_the_gradient_on_a_floor_of_many_layers_has_the_right_sign(background: S
     """Catches too few layers, with which the gradient enlarges the discs, and fewer of them fit into the layers."""
     x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
     floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
-    points = FramePoints.fresh(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
+    points = FramePoints.initial(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
     dense = StaticBackground(background.model, points, background.plates)
     viewer = look_at(np.array([3.0, 0, 0.2]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 64)
     radius_bias = dense.model.geometry_head.layers[-1].bias
@@ -70,7 +70,7 @@ def test_a_wall_with_holes_becomes_opaque(background: StaticBackground) -> None:
     y, z = torch.meshgrid(torch.arange(-2, 2, 0.1), torch.arange(-2, 2, 0.1), indexing="ij")
     wall = torch.stack([torch.full_like(y, -1.0), y, z], -1).reshape(-1, 3)
     # Half the true spacing, so that initial radii are too small.
-    points = FramePoints.fresh(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
+    points = FramePoints.initial(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
     holed = StaticBackground(background.model, points, background.plates)
     viewer = ring_cameras(8, 64)[0]
     optimizer = torch.optim.Adam(holed.model.parameters(), lr=0.01)

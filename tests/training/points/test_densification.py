@@ -25,7 +25,7 @@ def sheet(side: int = 20, *, colours: bool = True) -> FramePoints:
     x, y = torch.meshgrid(torch.arange(side) * 0.01, torch.arange(side) * 0.01, indexing="ij")
     xyz = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3).float()
     rgb = xyz / xyz.max() if colours else None
-    return FramePoints.fresh(xyz, torch.full((side * side,), 0.01), 1.3, explicit_sh=False, rgb=rgb)
+    return FramePoints.initial(xyz, torch.full((side * side,), 0.01), 1.3, explicit_sh=False, rgb=rgb)
 
 
 def observe(points: FramePoints, large: torch.Tensor) -> None:

@@ -1,4 +1,4 @@
-"""Points of frames: Adam on a subset of rows, and the store that keeps memory flat."""
+"""Points of frames: their storage, visible points, and the silhouette constraint."""
 
 from __future__ import annotations
 
@@ -16,39 +16,11 @@ from fourd.training.rendering import COUNT_STEP, select_heaviest
 
 
 def fresh_points(xyz: torch.Tensor, spacing: float, explicit_sh: bool = False) -> FramePoints:
-    return FramePoints.fresh(xyz, torch.full((len(xyz),), spacing), 1.0, explicit_sh=explicit_sh)
+    return FramePoints.initial(xyz, torch.full((len(xyz),), spacing), 1.0, explicit_sh=explicit_sh)
 
 
 def fresh(count: int = 6, seed: int = 0) -> FramePoints:
     return fresh_points(torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)), 0.01)
-
-
-def test_adam_on_rows_is_torch_adam_on_those_rows() -> None:
-    """Catches a wrong bias correction, and points out of sight being moved by old momentum."""
-    points = fresh()
-    rows = torch.tensor([1, 4])
-    twin = torch.nn.Parameter(points.xyz[rows].clone())
-    optimizer = torch.optim.Adam([twin], lr=0.01, betas=(0.9, 0.99), eps=1e-15)
-    before = points.xyz.clone()
-    for step in range(5):
-        gradient = torch.randn(2, 3, generator=torch.Generator().manual_seed(step))
-        twin.grad = gradient
-        optimizer.step()
-        points.optimizer.step(points.parameters, rows, {"xyz": gradient}, {"xyz": 0.01})
-    torch.testing.assert_close(points.xyz[rows], twin.detach())
-    others = [0, 2, 3, 5]
-    assert torch.equal(points.xyz[others], before[others])
-
-
-def test_colours_that_have_no_say_stay(rng: np.random.Generator) -> None:
-    """Catches speckle: next to nothing of a gradient, of changing sign, made as large steps as any other."""
-    xyz = torch.zeros(2, 3)
-    points = FramePoints.fresh(xyz, torch.full((2,), 0.01), 1.0, explicit_sh=False, rgb=torch.full((2, 3), 0.5))
-    for _ in range(300):
-        noise = torch.from_numpy(rng.normal(size=3)).float()
-        gradient = torch.stack([1e-8 * noise, 1e-5 * (points.parameters["rgb"][1] - 0.3)])
-        points.optimizer.step(points.parameters, torch.tensor([0, 1]), {"rgb": gradient}, {"rgb": 0.005})
-    torch.testing.assert_close(points.parameters["rgb"], torch.tensor([[0.5] * 3, [0.3] * 3]), atol=0.02, rtol=0)
 
 
 def test_tensors_round_trip() -> None:
@@ -58,8 +30,8 @@ def test_tensors_round_trip() -> None:
     assert torch.equal(again.optimizer.moments["sh"], points.optimizer.moments["sh"])
 
 
-def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path: Path) -> None:
-    """Catches changes lost when a frame leaves memory, and a store that keeps every frame."""
+def test_changes_survive_eviction_from_the_cache(tmp_path: Path) -> None:
+    """Catches changes lost when a frame leaves memory, and a cache that holds every frame."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 20, lambda frame: fresh(20_000, frame), 2, None)
     for frame in range(20):
         store.get(frame).xyz[0] = frame
@@ -67,8 +39,8 @@ def test_the_store_gives_back_what_was_changed_although_it_keeps_little(tmp_path
     assert [float(store.get(frame).xyz[0, 0]) for frame in range(20)] == list(range(20))
 
 
-def test_a_saved_store_is_read_again_and_later_changes_are_not_in_it(tmp_path: Path) -> None:
-    """Catches a checkpoint that shares files with the scratch folder of the going run."""
+def test_a_saved_store_is_a_snapshot(tmp_path: Path) -> None:
+    """Catches a checkpoint that shares files with the scratch folder."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 3, lambda frame: fresh(10, frame), 16, None)
     store.get(1).xyz[0] = 7
     store.save(tmp_path / "saved")
@@ -78,8 +50,8 @@ def test_a_saved_store_is_read_again_and_later_changes_are_not_in_it(tmp_path: P
     assert torch.equal(again.get(2).xyz, fresh(10, 2).xyz)
 
 
-def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Path) -> None:
-    """Catches a checkpoint with the points of the one before it, or as carved, for frames that are not in memory."""
+def test_saving_copies_the_newest_file_of_an_evicted_frame(tmp_path: Path) -> None:
+    """Catches a checkpoint with the previous or initial points of frames that are not in memory."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 6, lambda frame: fresh(20_000, frame), 1, None)
     for turn in (1, 2):
         for frame in range(5):
@@ -91,19 +63,19 @@ def test_saving_copies_the_newest_file_of_a_frame_that_left_memory(tmp_path: Pat
     assert torch.equal(again.get(5).xyz, fresh(20_000, 5).xyz), "never trained"
 
 
-def test_rows_in_sight_come_in_few_numbers() -> None:
-    """Catches a visible point left out, and hidden ones taken before heavier ones."""
+def test_numbers_of_visible_points_are_rounded_up() -> None:
+    """Catches a missing visible point, and hidden points selected before heavier ones."""
     weight = torch.rand(3 * COUNT_STEP + 5, generator=torch.Generator().manual_seed(1))
     rows = select_heaviest(weight, 0.5)
     assert rows.tolist() == sorted(set(rows.tolist()))
     assert len(rows) == -(-int((weight > 0.5).sum()) // COUNT_STEP) * COUNT_STEP
-    left_out = torch.ones_like(weight, dtype=torch.bool).index_fill(0, rows, False)
-    assert float(weight[left_out].max()) <= min(0.5, float(weight[rows].min()))
-    assert len(select_heaviest(weight, 0.0)) == len(weight), "never more than there are"
+    unselected = torch.ones_like(weight, dtype=torch.bool).index_fill(0, rows, False)
+    assert float(weight[unselected].max()) <= min(0.5, float(weight[rows].min()))
+    assert len(select_heaviest(weight, 0.0)) == len(weight), "never more than the number of points"
 
 
-def test_points_may_not_leave_a_silhouette() -> None:
-    """Catches stray points beside the object; and a rule that freezes points which mattes never held."""
+def test_points_do_not_leave_a_silhouette() -> None:
+    """Catches stray points beside the object, and frozen points that were outside the matte before."""
     camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), np.eye(3), np.zeros(3), 20, 20)
     matte = torch.zeros(20, 20)
     matte[5:15, 5:15] = 1
@@ -117,5 +89,5 @@ def test_points_may_not_leave_a_silhouette() -> None:
     assert torch.equal(got[0], moved[0]), "a move within the silhouette"
     assert torch.equal(got[1], before[1]), "a move out of it"
     assert torch.equal(got[2], moved[2]), "outside before and after"
-    assert torch.equal(got[3], moved[3]), "a move out of the image, which says nothing"
-    assert torch.equal(got[4], moved[4]), "behind the camera, likewise"
+    assert torch.equal(got[3], moved[3]), "a move out of the image, where the matte is unknown"
+    assert torch.equal(got[4], moved[4]), "a move behind the camera"
