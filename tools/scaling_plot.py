@@ -14,7 +14,7 @@ from fourd.baking.player import Player
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.timing import Clock
-from fourd.benchmarks.workloads import baked_cloud, camera, figure
+from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
 from fourd.files import atomic_path, write_text_atomically
 
 POINTS = (16_384, 65_536, 262_144, 1_048_576, 2_097_152)
@@ -79,8 +79,8 @@ def measure(
     found: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for position in positions:
         count, size, layers = setting(position)
-        view, cloud = camera(*size), figure(count)
-        frame, scene = baked_cloud(count)
+        view, cloud = make_camera(*size), make_cloud(count)
+        frame, scene = make_baked_frame(count)
         player = Player()
         works = (
             composite(cloud, view, layers, False),

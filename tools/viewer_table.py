@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame, SceneManifest, open_scene
 from fourd.baking.shade import shade_reference
-from fourd.benchmarks.workloads import baked_cloud, camera
+from fourd.benchmarks.workloads import make_baked_frame, make_camera
 from fourd.cameras import Camera
 from fourd.ops.points.arrays import render_points_numpy
 from fourd.viewer.display import DisplaySettings, RenderRequest
@@ -69,8 +69,8 @@ def main(arguments: Arguments) -> int:
 
 def _subject(arguments: Arguments) -> tuple[BakedFrame, SceneManifest, Camera]:
     if arguments.scene is None:
-        frame, manifest = baked_cloud(arguments.points)
-        return frame, manifest, camera(*arguments.size, angle=0.3)
+        frame, manifest = make_baked_frame(arguments.points)
+        return frame, manifest, make_camera(*arguments.size, angle=0.3)
     with open_scene(arguments.scene) as scene:
         seen = fit_camera(scene.manifest.cameras[0], *arguments.size)
         return scene.frame(arguments.frame), scene.manifest, seen

@@ -323,7 +323,7 @@ def _open_zip(path: Path) -> zipfile.ZipFile:
         raise UserError(f"{path}: expected a .4dv file, got nothing there; check the name") from error
     except _ZIP_ERRORS as error:
         raise UserError(
-            f"{path}: expected a whole .4dv scene (a ZIP), got a truncated file or another kind of file; "
+            f"{path}: expected a complete .4dv scene (a ZIP), got a truncated file or another kind of file; "
             "copy or export it again"
         ) from error
     except OSError as error:

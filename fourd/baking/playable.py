@@ -107,8 +107,8 @@ class PlayableRun:
         trained = self.trained
         layers = layers or trained.run.config.train.layers
         picture = trained.renderer.render(trained.frames.get(frame), frame, camera, layers)
-        behind = (1 - picture.alpha)[..., None] * background
-        return np.clip(picture.rgb + behind, 0, 1).astype(np.float32)
+        over = (1 - picture.alpha)[..., None] * background
+        return np.clip(picture.rgb + over, 0, 1).astype(np.float32)
 
 
 def open_playable(path: Path) -> Playable:
@@ -140,10 +140,10 @@ def select_frames(playable: Playable, selection: str | None) -> list[int]:
         bounds = [int(part) if part else None for part in parts]
         if len(bounds) not in (2, 3):
             raise ValueError
-        wanted = range(max(numbers) + 1)[slice(*bounds)]
+        selected = range(max(numbers) + 1)[slice(*bounds)]
     except ValueError as error:
         raise UserError(f"--frames: expected A:B or A:B:S in whole numbers, got '{selection}'") from error
-    chosen = [index for index, number in enumerate(numbers) if number in wanted]
+    chosen = [index for index, number in enumerate(numbers) if number in selected]
     if not chosen:
         raise UserError(f"--frames: expected frames among {numbers[0]} to {numbers[-1]}, got '{selection}'")
     return chosen

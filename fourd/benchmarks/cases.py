@@ -13,7 +13,7 @@ from fourd.baking.player import Player
 from fourd.benchmarks.peers import pytorch3d_compositor
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
-from fourd.benchmarks.workloads import baked_cloud, camera, figure, planes
+from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
 from fourd.cameras import Camera
 from fourd.ops.planes.op import sample_planes
 from fourd.ops.planes.reference import sample_planes_reference
@@ -52,12 +52,12 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
         steps: include whole training steps, on a synthetic capture that is created first.
     """
     # The reference's memory grows with points times pixels: it is only compared where both are small.
-    yield _composite(2_048, camera(96, 96), 15, True, reference=True)
+    yield _composite(2_048, make_camera(96, 96), 15, True, reference=True)
     for backward in (False, True):
-        yield _composite(65_536, camera(512, 512), 15, backward)
-    yield _play(262_144, camera(1920, 1080), 12)
-    yield _play(262_144, camera(1920, 1080), 12, ordered=True)
-    yield _play(1_000_000, camera(1920, 1080), 12)
+        yield _composite(65_536, make_camera(512, 512), 15, backward)
+    yield _play(262_144, make_camera(1920, 1080), 12)
+    yield _play(262_144, make_camera(1920, 1080), 12, ordered=True)
+    yield _play(1_000_000, make_camera(1920, 1080), 12)
     yield plane_case(65_536, CPU)
     yield sampling_case(65_536, CPU)
     yield _similarity(512)
@@ -81,7 +81,7 @@ def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: boo
 
 def plane_case(count: int, device: torch.device) -> Case:
     """Sample K-Planes at random points, with the planes' gradient."""
-    tensors, axes = planes()
+    tensors, axes = make_planes()
     leaves = [plane.to(device).requires_grad_() for plane in tensors]
     levels, features = len(tensors) // 6, tensors[0].shape[2]
     generator = torch.Generator().manual_seed(count)
@@ -104,9 +104,9 @@ def sampling_case(count: int, device: torch.device) -> Case:
     def random(*shape: int) -> Tensor:
         return torch.rand(*shape, generator=generator).to(device)
 
-    cameras = [number for view in range(4) for number in pack_camera(camera(512, 512, 0.3 * view))]
+    cameras = [number for view in range(4) for number in pack_camera(make_camera(512, 512, 0.3 * view))]
     views = (random(4, 3, 512, 512), random(4, 512, 512), 4 * random(4, 512, 512), cameras)
-    xyz = figure(count)["xyz"].to(device).requires_grad_()
+    xyz = make_cloud(count)["xyz"].to(device).requires_grad_()
     features = random(4, 16, 256, 256).contiguous(memory_format=torch.channels_last).requires_grad_()
 
     softness = torch.full((count,), 0.02, device=device)
@@ -123,7 +123,7 @@ def sampling_case(count: int, device: torch.device) -> Case:
 
 
 def _composite(count: int, view: Camera, layers: int, backward: bool, reference: bool = False) -> Case:
-    cloud = figure(count)
+    cloud = make_cloud(count)
     passes = "forward + backward" if backward else "forward"
     rivals = {"torch reference": composite(cloud, view, layers, backward, "reference")} if reference else {}
     peer = pytorch3d_compositor(cloud, view, layers, backward)
@@ -134,7 +134,7 @@ def _composite(count: int, view: Camera, layers: int, backward: bool, reference:
 
 
 def _play(count: int, view: Camera, layers: int, *, ordered: bool = False) -> Case:
-    frame, scene = baked_cloud(count, ordered=ordered)
+    frame, scene = make_baked_frame(count, ordered=ordered)
     player = Player()
     out = player.draw(frame, view, scene, layers=layers)
     order = ", in Morton order" if ordered else ""

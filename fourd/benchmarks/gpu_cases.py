@@ -11,7 +11,7 @@ from fourd.benchmarks.cases import Case, composite, plane_case, sampling_case
 from fourd.benchmarks.machine import has_gpu
 from fourd.benchmarks.peers import gsplat_rasterizer
 from fourd.benchmarks.timing import Work
-from fourd.benchmarks.workloads import baked_cloud, camera, figure
+from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
 from fourd.cameras import Camera
 
 REPEATS = 20
@@ -25,12 +25,12 @@ def gpu_cases() -> Iterator[Case]:
     if not has_gpu():
         return
     device = torch.device("cuda", torch.cuda.current_device())
-    for count, view in ((65_536, camera(512, 512)), (262_144, camera(1920, 1080))):
+    for count, view in ((65_536, make_camera(512, 512)), (262_144, make_camera(1920, 1080))):
         for backward in (False, True):
             yield _composite(device, count, view, 15, backward)
     for count in (262_144, 1_000_000):
         for size in SIZES:
-            yield _play(device, count, camera(*size), 12)
+            yield _play(device, count, make_camera(*size), 12)
     yield _on_gpu(plane_case(65_536, device))
     yield _on_gpu(sampling_case(65_536, device))
 
@@ -47,7 +47,7 @@ def repeat(work: Work) -> Work:
 
 
 def _composite(device: torch.device, count: int, view: Camera, layers: int, backward: bool) -> Case:
-    cloud = {name: array.to(device) for name, array in figure(count).items()}
+    cloud = {name: array.to(device) for name, array in make_cloud(count).items()}
     passes = "forward + backward" if backward else "forward"
     name = f"GPU: composite {count:,} points, {view.width} x {view.height}, K = {layers}, {passes}"
     peer = gsplat_rasterizer(cloud, view, backward)
@@ -56,7 +56,7 @@ def _composite(device: torch.device, count: int, view: Camera, layers: int, back
 
 
 def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
-    frame, scene = baked_cloud(count)
+    frame, scene = make_baked_frame(count)
     player, held = GpuPlayer(device), GpuFrame.from_frame(frame, device)
     out = player.draw(held, view, scene, layers=layers)
     name = f"GPU: play {count:,} points, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"

@@ -34,7 +34,7 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
     default = TrainConfig(points=POINTS, max_steps=10_000)
     whole = replace(default, crop="full", hidden_weight=0.0, least_layers=default.layers)
     size = f"{POINTS:,} points, {SIZE} x {SIZE}, {default.model.neighbours} source views"
-    for name, config in (("the figure's box, points in sight", default), ("whole pictures, all points", whole)):
+    for name, config in (("the foreground's box, visible points", default), ("whole pictures, all points", whole)):
         run = create_run(folder / "capture", folder / name.split(",")[0], config)
         for learning in (False, True):
             encoder = "image CNN learning" if learning else "image CNN frozen"

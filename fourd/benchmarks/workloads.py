@@ -15,10 +15,10 @@ SEED = 4
 RADIUS_IN_SPACINGS = 1.3
 
 
-def figure_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+def make_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Make points on an ellipsoid: xyz (N, 3), radius (N,) and density (N,), with gaps and semi-transparent overlaps.
 
-    It covers 40% of the picture of :func:`camera`; the nearer half of its points occludes the farther half.
+    It covers 40% of the picture of :func:`make_camera`; the nearer half of its points occludes the farther half.
     """
     rng = np.random.default_rng(SEED)
     directions = rng.standard_normal((count, 3))
@@ -29,15 +29,15 @@ def figure_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32],
     return xyz.astype(np.float32), radius.astype(np.float32), density.astype(np.float32)
 
 
-def figure(count: int) -> dict[str, Tensor]:
-    """Make arguments of ``render_points``: the points of :func:`figure_points` in random colours."""
-    xyz, radius, density = figure_points(count)
+def make_cloud(count: int) -> dict[str, Tensor]:
+    """Make arguments of ``render_points``: the points of :func:`make_points` in random colours."""
+    xyz, radius, density = make_points(count)
     colours = np.random.default_rng(SEED + 1).random((count, 3), dtype=np.float32)
     arrays = {"xyz": xyz, "features": colours, "radius": radius, "density": density}
     return {name: torch.from_numpy(array) for name, array in arrays.items()}
 
 
-def camera(width: int, height: int, angle: float = 0.0) -> Camera:
+def make_camera(width: int, height: int, angle: float = 0.0) -> Camera:
     """Make a camera 3 units from the origin, at ``angle`` radians around it; the points fill the picture's height."""
     focal = 1.3 * height
     intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
@@ -45,14 +45,14 @@ def camera(width: int, height: int, angle: float = 0.0) -> Camera:
     return look_at(centre, np.zeros(3), np.array([0.0, 0, 1]), intrinsics, width, height)
 
 
-def baked_cloud(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
+def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
     """Make a baked frame of the points with ``views`` source cameras in a ring, and its manifest.
 
     Args:
         ordered: sort the points in Morton order, as those of a run are; else their order is random.
     """
     rng = np.random.default_rng(SEED + 2)
-    xyz, radius, density = figure_points(count)
+    xyz, radius, density = make_points(count)
     if ordered:
         xyz = xyz[morton_order(xyz)]
     frame = BakedFrame(
@@ -63,7 +63,7 @@ def baked_cloud(count: int, views: int = 17, *, ordered: bool = False) -> tuple[
         blend_weights=rng.exponential(10, (count, views)).astype(np.float16),
         rgb=rng.integers(0, 256, (count, views, 3), dtype=np.uint8),
     )
-    cameras = tuple(camera(512, 512, 2 * np.pi * view / views) for view in range(views))
+    cameras = tuple(make_camera(512, 512, 2 * np.pi * view / views) for view in range(views))
     scene = SceneManifest(
         source_names=tuple(f"{view:02d}" for view in range(views)),
         source_cameras=cameras,
@@ -78,7 +78,7 @@ def baked_cloud(count: int, views: int = 17, *, ordered: bool = False) -> tuple[
     return frame, scene
 
 
-def planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
+def make_planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
     """Make six K-Planes per level with their axes; ``side`` samples at the coarsest level, doubled per level."""
     generator = torch.Generator().manual_seed(SEED)
     pairs = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))

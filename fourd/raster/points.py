@@ -134,16 +134,16 @@ def _check(
         return "reference"
     check_points(arrays, camera, layers, near)
     device = arrays["xyz"].device.type
-    wanted = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
-    if wanted == "cuda" and (missing := cuda_unavailable_reason()):
+    required = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
+    if required == "cuda" and (missing := cuda_unavailable_reason()):
         raise RuntimeError(
             "backend: expected one that this installation has, got 'cuda', but fourd was built without it "
             f"({missing}); install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "
             "backend='reference', which runs on any device"
         )
-    if device != wanted:
+    if device != required:
         raise ValueError(
-            f"xyz: expected a tensor on {wanted!r} for backend {backend!r}, got one on {device!r}; "
+            f"xyz: expected a tensor on {required!r} for backend {backend!r}, got one on {device!r}; "
             "backend='reference' runs on any device"
         )
     return "native"

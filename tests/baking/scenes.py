@@ -88,15 +88,15 @@ def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedF
 
 
 def write_full_scene(
-    path: Path, views: int = 6, frames: int = 3, points: int = 200, behind: int = 300, shadow: bool = True
+    path: Path, views: int = 6, frames: int = 3, points: int = 200, background_points: int = 300, shadow: bool = True
 ) -> tuple[list[BakedFrame], BakedFrame, list[NDArray[np.uint8]]]:
     """Write random frames in a room; return the frames, the background and the shadows, if any."""
-    moving = [random_frame(points + index, views, seed=index) for index in range(frames)]
-    room = room_frame(behind, views, seed=100)
+    dynamic = [random_frame(points + index, views, seed=index) for index in range(frames)]
+    room = room_frame(background_points, views, seed=100)
     rng = np.random.default_rng(200)
-    shadows = [rng.integers(0, 256, behind, dtype=np.uint8) for _ in range(frames)] if shadow else []
+    shadows = [rng.integers(0, 256, background_points, dtype=np.uint8) for _ in range(frames)] if shadow else []
     with SceneWriter(path, full_manifest(views, frames)) as writer:
         writer.add_background(room)
-        for index, frame in enumerate(moving):
+        for index, frame in enumerate(dynamic):
             writer.add_frame(index, frame, shadows[index] if shadow else None)
-    return moving, room, shadows
+    return dynamic, room, shadows

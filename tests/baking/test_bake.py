@@ -62,8 +62,8 @@ def test_the_scene_renders_like_the_run(trained: TrainedRun, scene_path: Path) -
 def test_occluded_views_have_weight_zero(trained: TrainedRun, scene_path: Path) -> None:
     """Catches small weights that blend the front of the ball into its back."""
     scene = open_scene(scene_path)
-    moving = scene.manifest.points[1]
-    xyz, weights = scene.frame(1).xyz[:moving], scene.frame(1).blend_weights[:moving]
+    count = scene.manifest.points[1]
+    xyz, weights = scene.frame(1).xyz[:count], scene.frame(1).blend_weights[:count]
     outwards = xyz - xyz.mean(axis=0)
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
     centres = np.stack([camera.centre for camera in scene.manifest.source_cameras])

@@ -212,7 +212,7 @@ def test_a_truncated_scene_is_rejected_on_opening(scene: Path, kept: float) -> N
     """Catches a partial download that opens and fails later or with a traceback."""
     content = scene.read_bytes()
     scene.write_bytes(content[: int(kept * len(content)) if kept == 0.5 else int(kept)])
-    with pytest.raises(UserError, match=r"scene\.4dv: expected a whole \.4dv scene.*copy or export it again"):
+    with pytest.raises(UserError, match=r"scene\.4dv: expected a complete \.4dv scene.*copy or export it again"):
         SceneReader(scene)
 
 
@@ -377,8 +377,8 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
         for index in range(frames):
             reader.read(index)
         reader.close()
-        _, most = tracemalloc.get_traced_memory()
+        _, peak_bytes = tracemalloc.get_traced_memory()
         tracemalloc.stop()
-        return most
+        return peak_bytes
 
     assert peak(40) < peak(4) + random_frame(2000, 6, seed=0).nbytes

@@ -21,14 +21,14 @@ from fourd.errors import UserError
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame, write_full_scene, write_scene
 from tests.baking.test_container import rewritten, with_manifest
 
-BEHIND = 300
+BACKGROUND_POINTS = 300
 VIEWS = 6
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
     path = tmp_path / "full.4dv"
-    write_full_scene(path, behind=BEHIND)
+    write_full_scene(path, background_points=BACKGROUND_POINTS)
     return path
 
 
@@ -45,17 +45,17 @@ def assert_same(got: BakedFrame, expected: BakedFrame) -> None:
 @pytest.mark.parametrize("shadow", [True, False])
 def test_frames_are_read_with_the_background_after_them(tmp_path: Path, shadow: bool) -> None:
     """Catches the background placed first, another frame's shadow, and attributes that are not combined."""
-    moving, room, shadows = write_full_scene(tmp_path / "full.4dv", behind=BEHIND, shadow=shadow)
+    dynamic, room, shadows = write_full_scene(tmp_path / "full.4dv", background_points=BACKGROUND_POINTS, shadow=shadow)
     reader = SceneReader(tmp_path / "full.4dv")
     assert reader.manifest.points == (200, 201, 202)
-    assert reader.manifest.background == SceneBackground(BEHIND, shadow)
+    assert reader.manifest.background == SceneBackground(BACKGROUND_POINTS, shadow)
     assert (reader.manifest.kind, reader.manifest.version) == ("full", 2)
     for index in (2, 0, 1):
-        frame, own = reader.read(index), moving[index]
+        frame, own = reader.read(index), dynamic[index]
         rgb = cast_shadow(room.rgb, shadows[index]) if shadow else room.rgb
         for attribute in own.attributes:
-            behind = rgb if attribute.name == "rgb" else getattr(room, attribute.name)
-            expected = np.concatenate([getattr(own, attribute.name), behind])
+            other = rgb if attribute.name == "rgb" else getattr(room, attribute.name)
+            expected = np.concatenate([getattr(own, attribute.name), other])
             np.testing.assert_array_equal(getattr(frame, attribute.name), expected)
         assert_same(reader.read_dynamic(index), own)
     background = reader.read_background()
@@ -78,9 +78,9 @@ def test_the_background_is_stored_once_without_shadow(scene: Path) -> None:
     """Catches a background that grows the file with every frame, and shadows baked into it."""
     with zipfile.ZipFile(scene) as archive:
         names = archive.namelist()
-        room = room_frame(BEHIND, VIEWS, seed=100)
+        room = room_frame(BACKGROUND_POINTS, VIEWS, seed=100)
         assert archive.read("background/rgb") == room.rgb.tobytes()
-        assert archive.getinfo("frames/000001/shadow").file_size == BEHIND
+        assert archive.getinfo("frames/000001/shadow").file_size == BACKGROUND_POINTS
     assert sorted(names) == sorted(
         [
             "manifest.json",
@@ -136,14 +136,14 @@ def test_combined_frames_are_read_only(scene: Path) -> None:
         assert not getattr(frame, attribute.name).flags.writeable, attribute.name
 
 
-@pytest.mark.parametrize(("points", "behind", "views"), [(0, 50, 2), (50, 0, 2), (0, 0, 2), (50, 50, 0)])
-def test_empty_frames_and_backgrounds(tmp_path: Path, points: int, behind: int, views: int) -> None:
+@pytest.mark.parametrize(("points", "background_points", "views"), [(0, 50, 2), (50, 0, 2), (0, 0, 2), (50, 50, 0)])
+def test_empty_frames_and_backgrounds(tmp_path: Path, points: int, background_points: int, views: int) -> None:
     """Catches arrays of zero bytes: an empty frame, an empty background, a scene without source views."""
     with SceneWriter(tmp_path / "full.4dv", full_manifest(views, 1)) as writer:
-        writer.add_frame(0, random_frame(points, views, seed=0), np.full(behind, 64, np.uint8))
-        writer.add_background(room_frame(behind, views, seed=1))
+        writer.add_frame(0, random_frame(points, views, seed=0), np.full(background_points, 64, np.uint8))
+        writer.add_background(room_frame(background_points, views, seed=1))
     with open_scene(tmp_path / "full.4dv") as opened:
-        assert opened.frame(0).point_count == points + behind
+        assert opened.frame(0).point_count == points + background_points
         opened.render(opened.manifest.other_cameras[0], 0)
 
 
@@ -365,7 +365,7 @@ def test_caches_count_the_size_of_combined_frames(tmp_path: Path) -> None:
     """Catches a cache that ignores the background, in the reader and in every combined frame."""
     write_full_scene(tmp_path / "full.4dv", frames=3, points=200)
     described = SceneReader(tmp_path / "full.4dv").manifest
-    room = room_frame(BEHIND, VIEWS, seed=100)
+    room = room_frame(BACKGROUND_POINTS, VIEWS, seed=100)
     assert described.background_nbytes == room.nbytes
     assert described.frame_nbytes(1) == random_frame(201, VIEWS, seed=0).nbytes + room.nbytes
     two = described.frame_nbytes(0) + described.frame_nbytes(1) + described.background_nbytes

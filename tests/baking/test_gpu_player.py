@@ -40,7 +40,7 @@ def test_colours_equal_the_reference(gpu: torch.device) -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_full_scene_from_a_file(gpu: torch.device, tmp_path: Path) -> None:
     """Catches a background that is not drawn, and torch's warning about read-only arrays."""
-    write_full_scene(tmp_path / "full.4dv", frames=1, points=300, behind=400)
+    write_full_scene(tmp_path / "full.4dv", frames=1, points=300, background_points=400)
     reader, camera = SceneReader(tmp_path / "full.4dv"), ring(2)[1]
     frame = reader.read(0)
     picture = GpuPlayer(gpu).draw(GpuFrame.from_frame(frame, gpu), camera, reader.manifest).cpu().numpy()

@@ -14,15 +14,15 @@ from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.report import Row, markdown, to_json
 from fourd.benchmarks.timing import Clock, Timing
-from fourd.benchmarks.workloads import baked_cloud, camera, figure, planes
+from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
 from fourd.cli.main import main
 from fourd.ops.planes.op import sample_planes
 
 
 def test_points_cover_the_middle_of_the_picture() -> None:
     """Catches a workload outside the picture, whose speed would be meaningless."""
-    frame, scene = baked_cloud(20_000)
-    picture = Player().draw(frame, camera(192, 108), scene)
+    frame, scene = make_baked_frame(20_000)
+    picture = Player().draw(frame, make_camera(192, 108), scene)
     alpha = picture[..., 3] / 255
     assert 0.15 < (alpha > 0.5).mean() < 0.6
     assert alpha[54, 96] > 0.95
@@ -32,13 +32,13 @@ def test_points_cover_the_middle_of_the_picture() -> None:
 
 def test_backward_work_computes_gradients() -> None:
     """Catches a backward pass that is never executed."""
-    cloud, view = figure(500), camera(40, 40)
+    cloud, view = make_cloud(500), make_camera(40, 40)
     image = composite(cloud, view, 5, False)()
     gradients = composite(cloud, view, 5, True)()
     assert image.features.shape == (40, 40, 3)  # type: ignore[attr-defined]
     assert [gradient.shape for gradient in gradients] == [array.shape for array in cloud.values()]  # type: ignore[attr-defined]
     assert all(gradient.abs().max() > 0 for gradient in gradients)  # type: ignore[attr-defined]
-    tensors, axes = planes(side=4, levels=2, features=3, frames=5)
+    tensors, axes = make_planes(side=4, levels=2, features=3, frames=5)
     assert sample_planes(torch.zeros(2, 4), tensors, axes).shape == (2, 36)
 
 

@@ -145,7 +145,7 @@ def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch:
 
 def test_a_session_plays_a_full_scene(tmp_path: Path) -> None:
     """Catches frames without their background, with that of another frame's shadow, or in each other's place."""
-    moving, room, _ = write_full_scene(tmp_path / "full.4dv", frames=4, points=300, behind=2500)
+    moving, room, _ = write_full_scene(tmp_path / "full.4dv", frames=4, points=300, background_points=2500)
     session = Session(DisplaySettings())
     session.open(tmp_path / "full.4dv")
     opened = session.take_opened(wait=True)
@@ -198,7 +198,7 @@ def test_info_tells_of_the_background(kind: str, tmp_path: Path, capsys: pytest.
     """Catches a background counted with every frame, or not at all, and a size a frame that holds it."""
     path = tmp_path / "scene.4dv"
     if kind == "full":
-        write_full_scene(path, points=200, behind=40_000)
+        write_full_scene(path, points=200, background_points=40_000)
     else:
         write_scene(path, points=200)
     assert main(["info", str(path)]) == 0
@@ -219,7 +219,7 @@ def test_info_tells_of_the_background(kind: str, tmp_path: Path, capsys: pytest.
 
 def test_commands_render_full_scenes(tmp_path: Path) -> None:
     """Catches a command with a way of its own to open scenes, which would show the points on black."""
-    write_full_scene(tmp_path / "full.4dv", frames=2, points=300, behind=4000)
+    write_full_scene(tmp_path / "full.4dv", frames=2, points=300, background_points=4000)
     words = ["render", tmp_path / "full.4dv", "--out", tmp_path / "views", "--views", "held out"]
     assert main([str(word) for word in words]) == 0
     words = ["view", tmp_path / "full.4dv", "--screenshot", tmp_path / "seen.png", "--camera", "held out"]

@@ -144,7 +144,7 @@ def test_scenes_that_cannot_be_shown(scene: Path, tmp_path: Path, capsys: pytest
     out = tmp_path / "never.png"
     cut = tmp_path / "cut.4dv"
     cut.write_bytes(scene.read_bytes()[:5000])
-    assert "cut.4dv: expected a whole .4dv scene" in complaint(capsys, cut, "--screenshot", out)
+    assert "cut.4dv: expected a complete .4dv scene" in complaint(capsys, cut, "--screenshot", out)
     newer = rewritten(scene, tmp_path / "newer.4dv", lambda content: content.update(version=FORMAT_VERSION + 1))
     assert "update fourd to open this newer scene" in complaint(capsys, newer, "--screenshot", out)
     lying = rewritten(scene, tmp_path / "lying.4dv", lambda content: content["frames"][1].update(points=801))

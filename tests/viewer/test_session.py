@@ -43,7 +43,7 @@ def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path
     (tmp_path / "broken.4dv").write_bytes(b"no scene")
     session.open(tmp_path / "broken.4dv")
     assert session.take_opened(wait=True) is None
-    assert "broken.4dv: expected a whole .4dv scene" in session.message
+    assert "broken.4dv: expected a complete .4dv scene" in session.message
     after = session.render_request(SIZE, wait=True)
     assert before is not None
     assert after is not None

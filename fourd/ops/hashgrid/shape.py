@@ -31,7 +31,7 @@ class HashGridShape:
     features: int = 2
     """Numbers per sample, 1 to 8 (F)."""
     log2_entries: int = 19
-    """Log2 of the most entries that a level stores, 4 to 24 (T). Larger levels share entries through a hash."""
+    """Log2 of the maximum number of entries that a level stores, 4 to 24 (T). Larger levels share them by a hash."""
     coarsest: int = 16
     """Cells per side of the first level (N_min)."""
     finest: int = 2048
@@ -92,8 +92,8 @@ def check_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) ->
     if coordinates.dtype not in (torch.float32, torch.float64):
         raise TypeError(f"coordinates: expected float32 or float64, got {_dtype_name(coordinates.dtype)}")
     if table.dtype != coordinates.dtype:
-        wanted, got = _dtype_name(coordinates.dtype), _dtype_name(table.dtype)
-        raise TypeError(f"table: expected {wanted} like coordinates, got {got}")
+        names = [_dtype_name(tensor.dtype) for tensor in (coordinates, table)]
+        raise TypeError(f"table: expected {names[0]} like coordinates, got {names[1]}")
     if table.device != coordinates.device:
         raise ValueError(f"table: expected device {coordinates.device} like coordinates, got {table.device}")
 

@@ -66,11 +66,7 @@ class PointPlayer:
             TypeError, ValueError: naming the argument, what was expected and what came.
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
-        shape = (camera.height, camera.width, 4)
-        if out is None:
-            out = np.empty(shape, np.uint8)
-        elif out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
-            raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of shape {out.shape}")
+        out = _check_canvas(out, (camera.height, camera.width, 4))
         with self._lock:
             self._native.draw(
                 xyz,
@@ -90,6 +86,14 @@ class PointPlayer:
                 out,
             )
         return out
+
+
+def _check_canvas(out: NDArray[np.uint8] | None, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
+    if out is None:
+        return np.empty(shape, np.uint8)
+    if out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
+        raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of shape {out.shape}")
+    return out
 
 
 class PointSorter:

@@ -1,4 +1,4 @@
-"""What determines the colours of baked points, apart from their own arrays."""
+"""The viewpoint and the constants that shading needs beside the points' arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Shading:
     """A viewpoint, and the constants of the colour model.
 
     Attributes:
-        views: (K,) int32 indices of the source views to blend; empty for spherical harmonics alone.
+        views: (K,) int32 indices of the source views to blend; empty for spherical harmonics only.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.
         sh_range, sh_base: the view-dependent part is ``sh_base + sh_range * tanh(sh . Y(d))``.
     """
