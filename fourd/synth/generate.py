@@ -1,4 +1,4 @@
-"""Writing a synthetic capture: cameras, pictures, mattes, true depth and plates, and a marker of the settings."""
+"""Writing of a synthetic capture: cameras, pictures, mattes, true depth and plates, and its settings."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from fourd.cameras import Camera, look_at
 from fourd.capture.calibration import write_calibration
 from fourd.errors import UserError
 from fourd.files import write_bytes_atomically, write_text_atomically
-from fourd.synth.figure import Figure, make_figure, pose
-from fourd.synth.render import Picture, extent, render_figure, render_plate
+from fourd.synth.figure import Figure, make_figure, pose_figure
+from fourd.synth.render import RenderedFigure, projected_extent, render_figure, render_plate
 
 Array = NDArray[np.float64]
 
-MARKER = "synth.json"
+SETTINGS_NAME = "synth.json"
 VERSION = 1
 CYCLE_FRAMES = 24
 RING_RADIUS = 3.6
 RING_HEIGHTS = (1.35, 0.75, 2.15)
-FILLED = 0.9
-"""Share of the picture's side that the whole movement spans."""
+FILL = 0.9
+"""Share of the picture's side that the whole motion spans."""
 
 
 @dataclass(frozen=True)
 class SynthSettings:
-    """What decides every byte of a synthetic capture.
+    """Settings that determine every byte of a synthetic capture.
 
     Attributes:
-        frames: at least 1. The gait is whole cycles of about 24 frames, so that the capture plays in a loop.
-        cameras: from 3 to 100, evenly on a ring of 3.6 m at three heights.
-        size: width and height of the pictures, from 32 to 4096 pixels.
-        seed: at least 0; decides clothes, proportions and where the gait begins.
-        gloss: strength of the highlights, from 0 to 1.
+        frames: at least 1. The gait has whole cycles of about 24 frames, so that the capture plays in a loop.
+        cameras: 3 to 100, evenly spaced on a ring with a radius of 3.6 m, at three heights.
+        size: width and height of the pictures, 32 to 4096 pixels.
+        seed: at least 0; determines clothes, proportions and the gait's first phase.
+        gloss: strength of the highlights, 0 to 1.
 
     Raises:
-        UserError: naming the option that is out of its range.
+        UserError: naming the option that is out of range.
     """
 
     frames: int = 24
@@ -57,10 +57,10 @@ class SynthSettings:
 
     def __post_init__(self) -> None:
         limits = {"frames": (1, 100_000), "cameras": (3, 100), "size": (32, 4096), "seed": (0, 2**63), "gloss": (0, 1)}
-        for name, (least, most) in limits.items():
+        for name, (minimum, maximum) in limits.items():
             value = getattr(self, name)
-            if not least <= value <= most:
-                raise UserError(f"--{name}: expected {least} to {most}, got {value}; give a number in that range")
+            if not minimum <= value <= maximum:
+                raise UserError(f"--{name}: expected {minimum} to {maximum}, got {value}; give a number in that range")
 
 
 def make_synthetic(
@@ -68,27 +68,26 @@ def make_synthetic(
 ) -> None:
     """Write a synthetic capture of a running figure into the folder ``out``.
 
-    It holds images/CAM/FRAME.jpg, masks/CAM/FRAME.png (soft, 255 = figure), intri.yml,
-    extri.yml, truth/depth/CAM/FRAME.png (uint16 millimetres along the viewing direction at
-    pixel centres, 0 = none), truth/bgs/CAM.png (the empty studio) and synth.json (the settings).
-    World in metres, z up. The same settings give the same bytes. A finished capture of these
-    settings is left as it is; a synthetic one of other settings is replaced.
+    It contains images/CAM/FRAME.jpg, masks/CAM/FRAME.png (soft, 255 = figure), intri.yml, extri.yml,
+    truth/depth/CAM/FRAME.png (uint16 camera depth in millimetres at pixel centres, 0 = none), truth/bgs/CAM.png (the
+    empty studio) and synth.json (the settings). The world is in metres, z up. The same settings give the same bytes. A
+    finished capture of these settings is unchanged; a synthetic one of other settings is replaced.
 
     Args:
         out: a folder that is missing, empty, or a synthetic capture.
         frames, cameras, size, seed, gloss: see :class:`SynthSettings`.
 
     Raises:
-        UserError: when a number is out of its range or ``out`` holds something else.
+        UserError: when a number is out of range or ``out`` holds other files.
     """
     out = Path(out)
     settings = SynthSettings(frames, cameras, size, seed, gloss)
     if is_finished(out, settings):
         return
-    _prepare(out)
-    _mark(out, settings, finished=False)
+    _prepare_folder(out)
+    _write_settings(out, settings, finished=False)
     figure = make_figure(seed)
-    ring = _ring(figure, settings)
+    ring = _make_cameras(figure, settings)
     names = [f"{index:02d}" for index in range(cameras)]
     write_calibration(out, names, ring)
     workers = min(4, os.cpu_count() or 1, cameras)
@@ -103,35 +102,35 @@ def make_synthetic(
                 job.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-    _mark(out, settings, finished=True)
+    _write_settings(out, settings, finished=True)
 
 
 def is_finished(out: Path | str, settings: SynthSettings) -> bool:
-    """Whether ``out`` holds the whole capture of these settings already."""
-    return _marker(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
+    """Whether ``out`` holds a finished capture of these settings."""
+    return _read_settings(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
 
 
-def _marker(out: Path) -> dict[str, object] | None:
-    """Content of synth.json; None where there is none, or it is no such file."""
+def _read_settings(out: Path) -> dict[str, object] | None:
+    """Content of synth.json; None where it is missing or invalid."""
     try:
-        content = json.loads((out / MARKER).read_text(encoding="utf-8"))
+        content = json.loads((out / SETTINGS_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) and "version" in content else None
 
 
-def _mark(out: Path, settings: SynthSettings, *, finished: bool) -> None:
+def _write_settings(out: Path, settings: SynthSettings, *, finished: bool) -> None:
     content = {"version": VERSION, **asdict(settings), "finished": finished}
-    write_text_atomically(out / MARKER, json.dumps(content, indent=1) + "\n")
+    write_text_atomically(out / SETTINGS_NAME, json.dumps(content, indent=1) + "\n")
 
 
-def _prepare(out: Path) -> None:
-    """Make the folder; remove what an older synthetic capture left, since stale frames would mix with new ones."""
+def _prepare_folder(out: Path) -> None:
+    """Make the folder; remove an older synthetic capture, whose frames would mix with the new ones."""
     if out.exists() and not out.is_dir():
-        raise UserError(f"{out}: expected a folder, got a file; name another place")
-    if out.is_dir() and any(out.iterdir()) and _marker(out) is None:
+        raise UserError(f"{out}: expected a folder, got a file; name another folder")
+    if out.is_dir() and any(out.iterdir()) and _read_settings(out) is None:
         raise UserError(
-            f"{out}: expected an empty folder or a synthetic capture ({MARKER}), got other files; name another place"
+            f"{out}: expected an empty folder or a synthetic capture ({SETTINGS_NAME}), got other files; name another"
         )
     out.mkdir(parents=True, exist_ok=True)
     for name in ("images", "masks", "truth"):
@@ -140,31 +139,31 @@ def _prepare(out: Path) -> None:
 
 
 def _phase(frame: int, frames: int) -> float:
-    """Turns of the gait: whole cycles over the capture, so that its end meets its beginning."""
+    """Phase in cycles of the gait: whole cycles over the capture, so that its end meets its start."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 
-def _ring(figure: Figure, settings: SynthSettings) -> list[Camera]:
-    """Cameras that look at the figure's middle; one focal length, the longest that never cuts the figure."""
+def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
+    """Cameras facing the figure's centre, with the longest common focal length that never crops the figure."""
     unit = np.eye(3)
-    poses = [pose(figure, step / 48) for step in range(48)]
+    poses = [pose_figure(figure, step / 48) for step in range(48)]
     target, up = np.array([0.0, 0.0, 0.88]), np.array([0.0, 0.0, 1.0])
-    views, reach = [], 0.0
+    views, largest_span = [], 0.0
     for index in range(settings.cameras):
         angle = 2 * np.pi * index / settings.cameras
-        place = np.array(
+        position = np.array(
             [
                 RING_RADIUS * np.cos(angle),
                 RING_RADIUS * np.sin(angle),
                 RING_HEIGHTS[index % len(RING_HEIGHTS)],
             ]
         )
-        view = look_at(place, target, up, unit, settings.size, settings.size)
-        spans = np.stack([extent(parts, view) for parts in poses])
-        low, high = spans[..., 0].min(0), spans[..., 1].max(0)
-        reach = max(reach, float((high - low).max()))
+        view = look_at(position, target, up, unit, settings.size, settings.size)
+        extents = np.stack([projected_extent(parts, view) for parts in poses])
+        low, high = extents[..., 0].min(0), extents[..., 1].max(0)
+        largest_span = max(largest_span, float((high - low).max()))
         views.append((view, (low + high) / 2))
-    focal = FILLED * settings.size / reach
+    focal = FILL * settings.size / largest_span
     cameras = []
     for view, middle in views:
         centre = settings.size / 2 - focal * middle
@@ -180,12 +179,12 @@ def _write_camera(
     plate = render_plate(camera, 2 * np.pi * figure.start)
     _write_image(out / "truth" / "bgs" / f"{name}.png", np.round(255 * plate).astype(np.uint8)[..., ::-1])
     for frame in range(settings.frames):
-        parts = pose(figure, _phase(frame, settings.frames))
-        _write_picture(out, f"{name}/{frame:06d}", render_figure(parts, camera, plate, settings.gloss))
+        parts = pose_figure(figure, _phase(frame, settings.frames))
+        _write_frame(out, f"{name}/{frame:06d}", render_figure(parts, camera, plate, settings.gloss))
         advance()
 
 
-def _write_picture(out: Path, stem: str, picture: Picture) -> None:
+def _write_frame(out: Path, stem: str, picture: RenderedFigure) -> None:
     _write_image(out / "images" / f"{stem}.jpg", picture.rgb[..., ::-1])
     _write_image(out / "masks" / f"{stem}.png", picture.mask)
     _write_image(out / "truth" / "depth" / f"{stem}.png", picture.depth)

@@ -1,4 +1,4 @@
-"""Colours of a surface as a function of the place within its own part, so that they move with the limb."""
+"""Surface colours as functions of the position in the part's own coordinates, so that they move with the part."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ class Pattern:
     """Two colours and the rule that mixes them.
 
     Attributes:
-        kind: stripes run slanted through the part; hoops lie across its axis; checks and dots go
-            around its axis; noise mixes softly.
+        kind: stripes are oblique to the part's axis, hoops across it; checks and dots go around it; noise is smooth.
         first, second: RGB in [0, 1].
-        period: metres along the part's axis after which the pattern repeats.
-        around: repeats once around the axis (checks and dots).
-        phase: radians, shifts the pattern.
-        badge: a disc of this radius in metres on the front and the back, 0 for none.
+        period: period along the part's axis in metres.
+        around: number of repetitions around the axis (checks and dots).
+        phase: shift of the pattern in radians.
+        badge: radius in metres of a disc on the front and the back, 0 for none.
+        badge_height: height of the disc's centre along the axis in metres.
         badge_colour: RGB in [0, 1].
     """
 
@@ -42,46 +42,46 @@ class Pattern:
 
     def colours(self, xyz: Array) -> Array:
         """(N, 3) RGB in [0, 1] at the part's own coordinates ``xyz`` (N, 3) in metres, axis along z."""
-        share = self._share(xyz)[:, None]
-        colours = np.asarray(self.first) * (1 - share) + np.asarray(self.second) * share
+        weight = self._second_weight(xyz)[:, None]
+        colours = np.asarray(self.first) * (1 - weight) + np.asarray(self.second) * weight
         if self.badge:
             distance = np.hypot(xyz[:, 1], xyz[:, 2] - self.badge_height)
             for radius, colour in ((self.badge, self.badge_colour), (0.55 * self.badge, self.second)):
                 inside = np.clip((radius - distance) / 0.004 + 0.5, 0, 1)[:, None]
                 colours += (np.asarray(colour) - colours) * inside
-        return colours * self._shade(xyz)[:, None]
+        return colours * self._brightness(xyz)[:, None]
 
-    def _share(self, xyz: Array) -> Array:
-        """How much of the second colour, in [0, 1]."""
-        turn = 2 * np.pi / self.period
+    def _second_weight(self, xyz: Array) -> Array:
+        """Weight of the second colour in [0, 1]."""
+        frequency = 2 * np.pi / self.period
         x, y, z = xyz.T
         if self.kind == "plain":
             return np.zeros(len(xyz))
         if self.kind == "noise":
-            waves = np.sin(turn * (0.8 * x + 0.3 * y + 0.5 * z) + self.phase)
-            waves += np.sin(turn * (-0.4 * x + 0.7 * y + 0.6 * z) + 2.1 * self.phase)
-            waves += np.sin(turn * (0.3 * x - 0.6 * y + 0.9 * z) + 3.7 * self.phase)
+            waves = np.sin(frequency * (0.8 * x + 0.3 * y + 0.5 * z) + self.phase)
+            waves += np.sin(frequency * (-0.4 * x + 0.7 * y + 0.6 * z) + 2.1 * self.phase)
+            waves += np.sin(frequency * (0.3 * x - 0.6 * y + 0.9 * z) + 3.7 * self.phase)
             return np.clip(0.5 + 0.55 * waves, 0, 1)
         if self.kind == "stripes":
-            return _crisp(np.sin(turn * (0.25 * x + 0.5 * y + 0.83 * z) + self.phase))
-        along = np.sin(turn * z + self.phase)
+            return _sharpen(np.sin(frequency * (0.25 * x + 0.5 * y + 0.83 * z) + self.phase))
+        along = np.sin(frequency * z + self.phase)
         if self.kind == "hoops":
-            return _crisp(along)
+            return _sharpen(along)
         waves = along * np.sin(self.around * np.arctan2(y, x) + self.phase)
-        return _crisp(waves) if self.kind == "checks" else _crisp(np.abs(waves) - 0.45)
+        return _sharpen(waves) if self.kind == "checks" else _sharpen(np.abs(waves) - 0.45)
 
-    def _shade(self, xyz: Array) -> Array:
-        """Slow changes of brightness, so that no large patch is without features."""
+    def _brightness(self, xyz: Array) -> Array:
+        """Smooth variation, so that no large patch is without features."""
         return 0.95 + 0.05 * np.sin(xyz @ np.array([23.0, 31.0, 27.0]) + self.phase)
 
 
-def _crisp(waves: Array) -> Array:
-    """A sine made an edge that is soft over about a tenth of the period."""
+def _sharpen(waves: Array) -> Array:
+    """Turn a sine into edges that are soft over about a tenth of the period."""
     return np.clip(0.5 + 2.5 * waves, 0, 1)
 
 
 def hsv(hue: float, saturation: float, value: float) -> Colour:
-    """RGB in [0, 1]; the hue counts in turns and wraps."""
+    """RGB in [0, 1]; the hue is in turns and wraps."""
     return colorsys.hsv_to_rgb(hue % 1.0, saturation, value)
 
 
@@ -104,7 +104,7 @@ class Wardrobe:
 
 
 def choose_wardrobe(rng: np.random.Generator) -> Wardrobe:
-    """A harmony of three hues over all clothes, drawn from ``rng``."""
+    """Clothes in three matching hues, drawn from ``rng``."""
     hue = float(rng.uniform())
     warm, cool, third = hsv(hue, 0.72, 0.9), hsv(hue + 0.45, 0.75, 0.55), hsv(hue + 0.17, 0.7, 0.95)
     pale = hsv(hue + 0.08, 0.12, 0.97)

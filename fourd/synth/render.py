@@ -1,4 +1,4 @@
-"""Exact pictures of the figure: every ray meets every part by formula, several rays a pixel."""
+"""Ray tracing of the figure with analytic intersections and supersampling."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 SAMPLES = 3
-"""Rays along each side of a pixel; odd, so that one goes through its centre, where depth is told."""
+"""Rays along each side of a pixel; odd, so that one goes through the centre, where depth is defined."""
 
 BAND_SAMPLES = 1 << 20
-"""Rays at work at once, which bounds memory for large pictures."""
+"""Rays traced at once, which bounds the memory for large pictures."""
 
 KEY_LIGHT = np.array([0.45, 0.35, 0.82]) / np.linalg.norm([0.45, 0.35, 0.82])
 FILL_LIGHT = np.array([-0.7, -0.5, 0.35]) / np.linalg.norm([-0.7, -0.5, 0.35])
@@ -26,40 +26,40 @@ SHININESS = 28.0
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
-    """Attributes: rgb (H, W, 3) uint8; mask (H, W) uint8, the share of covered rays; depth (H, W) uint16 in mm."""
+class RenderedFigure:
+    """rgb (H, W, 3) uint8; mask (H, W) uint8, the share of rays that hit; depth (H, W) uint16 in millimetres."""
 
     rgb: NDArray[np.uint8]
     mask: NDArray[np.uint8]
     depth: NDArray[np.uint16]
 
 
-def render_figure(parts: Sequence[Part], camera: Camera, plate: Array, gloss: float) -> Picture:
-    """The figure before ``plate`` (H, W, 3), RGB in [0, 1]. ``gloss`` is the strength of the highlights in [0, 1]."""
+def render_figure(parts: Sequence[Part], camera: Camera, plate: Array, gloss: float) -> RenderedFigure:
+    """The figure in front of ``plate`` (H, W, 3), RGB in [0, 1]; ``gloss`` is the strength of highlights in [0, 1]."""
     height, width = camera.height, camera.width
     rgb, coverage, depth = plate.copy(), np.zeros((height, width)), np.zeros((height, width))
-    boxes = [_box(part, camera) for part in parts]
+    boxes = [_bounding_box(part, camera) for part in parts]
     left, top = min(box[0] for box in boxes), min(box[1] for box in boxes)
     right, bottom = max(box[2] for box in boxes), max(box[3] for box in boxes)
     rows = max(1, BAND_SAMPLES // max((right - left) * SAMPLES**2, 1))
     for start in range(top, bottom, rows):
         band = (left, start, right, min(start + rows, bottom))
         colour, hit, distance = _trace(parts, boxes, camera, band, gloss)
-        here = np.s_[start : band[3], left:right]
-        share = _averaged(hit)
-        rgb[here] = _averaged(colour) + (1 - share)[..., None] * rgb[here]
-        coverage[here] = share
+        rows_of_band = np.s_[start : band[3], left:right]
+        band_coverage = _average_samples(hit)
+        rgb[rows_of_band] = _average_samples(colour) + (1 - band_coverage)[..., None] * rgb[rows_of_band]
+        coverage[rows_of_band] = band_coverage
         centres = np.s_[SAMPLES // 2 :: SAMPLES, SAMPLES // 2 :: SAMPLES]
-        depth[here] = np.where(hit[centres] > 0, distance[centres], 0)
-    return Picture(
+        depth[rows_of_band] = np.where(hit[centres] > 0, distance[centres], 0)
+    return RenderedFigure(
         _as_uint8(rgb), _as_uint8(coverage), np.clip(np.round(1000 * depth), 0, np.iinfo(np.uint16).max).astype("u2")
     )
 
 
 def render_plate(camera: Camera, hue_shift: float) -> Array:
-    """(H, W, 3) RGB in [0, 1] of the empty studio: a tiled floor and a round wall of 6 m, shifted in tint."""
+    """(H, W, 3) RGB in [0, 1] of the empty studio: a tiled floor and a round wall with a radius of 6 m."""
     sides = np.arange(camera.width * SAMPLES), np.arange(camera.height * SAMPLES)
-    u, v = _sights(camera, *((side + 0.5) / SAMPLES for side in sides))
+    u, v = _pixel_rays(camera, *((side + 0.5) / SAMPLES for side in sides))
     rotation = camera.rotation
     x, y, z = (u[None, :] * rotation[0, k] + v[:, None] * rotation[1, k] + rotation[2, k] for k in range(3))
     eye = camera.centre
@@ -74,45 +74,45 @@ def render_plate(camera: Camera, hue_shift: float) -> Array:
     backdrop = 0.36 + 0.07 * np.clip(z, 0, 4) + ring
     light = np.where(floor < wall, ground, backdrop)
     tint = np.where(floor < wall, 0.06, -0.07) * (1 + 0.3 * np.sin(hue_shift))
-    return _averaged(np.stack([light * (1 + tint), light, light * (1 - tint)], axis=-1))
+    return _average_samples(np.stack([light * (1 + tint), light, light * (1 - tint)], axis=-1))
 
 
 def _trace(
     parts: Sequence[Part], boxes: Sequence[Box], camera: Camera, band: Box, gloss: float
 ) -> tuple[Array, Array, Array]:
-    """Colour times hit (h, w, 3), hit 0 or 1 (h, w), depth in metres (h, w) of the rays of a band of pixels."""
+    """For the rays of a band of pixels: colour times hit (h, w, 3), hit 0 or 1 (h, w), depth in metres (h, w)."""
     left, top, right, bottom = band
-    u, v = _sights(
+    u, v = _pixel_rays(
         camera,
         left + (np.arange((right - left) * SAMPLES) + 0.5) / SAMPLES,
         top + (np.arange((bottom - top) * SAMPLES) + 0.5) / SAMPLES,
     )
     nearest = np.full((len(v), len(u)), np.inf)
-    owner = np.full(nearest.shape, -1, dtype=np.int16)
+    part_index = np.full(nearest.shape, -1, dtype=np.int16)
     windows = []
     for index, (part, box) in enumerate(zip(parts, boxes, strict=True)):
         rows = slice(*(SAMPLES * (min(max(edge, top), bottom) - top) for edge in (box[1], box[3])))
         columns = slice(SAMPLES * (box[0] - left), SAMPLES * (box[2] - left))
         windows.append((rows, columns))
-        t = _meet(part, camera, u[columns], v[rows])
+        t = _intersect(part, camera, u[columns], v[rows])
         closer = t < nearest[rows, columns]
         np.copyto(nearest[rows, columns], t, where=closer)
-        np.copyto(owner[rows, columns], np.int16(index), where=closer)
+        np.copyto(part_index[rows, columns], np.int16(index), where=closer)
     colour = np.zeros((*nearest.shape, 3))
     for index, (part, (rows, columns)) in enumerate(zip(parts, windows, strict=True)):
-        i, j = np.nonzero(owner[rows, columns] == index)
+        i, j = np.nonzero(part_index[rows, columns] == index)
         if len(i):
             i, j = i + rows.start, j + columns.start
-            sight = np.stack([u[j], v[i], np.ones(len(i))], axis=1) @ camera.rotation
-            colour[i, j] = _shade(part, camera.centre, sight, nearest[i, j], gloss)
-    return colour, (owner >= 0).astype(np.float64), nearest
+            direction = np.stack([u[j], v[i], np.ones(len(i))], axis=1) @ camera.rotation
+            colour[i, j] = _shade(part, camera.centre, direction, nearest[i, j], gloss)
+    return colour, (part_index >= 0).astype(np.float64), nearest
 
 
-def _meet(part: Part, camera: Camera, u: Array, v: Array) -> Array:
+def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
     """(len(v), len(u)) camera depth at which rays (u, v, 1) enter the part, inf where they miss it.
 
-    In the part's own axes, with the stretch taken out, it is a rounded cone: the first of
-    its two spheres' and its mantle's entries is the hull's, since the hull is convex.
+    In the part's unscaled axes the part is a convex rounded cone, and the entry is the first of the entries of its two
+    spheres and of its lateral surface.
     """
     to_part = (part.frame / part.stretch).T
     eye = to_part @ (camera.centre - part.origin)
@@ -121,12 +121,12 @@ def _meet(part: Part, camera: Camera, u: Array, v: Array) -> Array:
     square = x * x + y * y + z * z
     first, second = part.radii
     across = eye[0] * x + eye[1] * y + eye[2] * z
-    t = _entry(square, across, float(eye @ eye) - first * first)
+    t = _enter_sphere(square, across, float(eye @ eye) - first * first)
     if part.length == 0:
         return t
     length, taper = part.length, first - second
     beyond = eye - [0, 0, length]
-    t = np.minimum(t, _entry(square, across - length * z, float(beyond @ beyond) - second * second))
+    t = np.minimum(t, _enter_sphere(square, across - length * z, float(beyond @ beyond) - second * second))
     span = length * length - taper * taper
     if span <= 0:
         return t
@@ -136,81 +136,81 @@ def _meet(part: Part, camera: Camera, u: Array, v: Array) -> Array:
     c0 = span * float(eye @ eye) - axial * axial + 2 * axial * taper * first - (length * first) ** 2
     root = c1 * c1 - c0 * c2
     with np.errstate(divide="ignore", invalid="ignore"):
-        mantle = (-np.sqrt(root) - c1) / c2
-        height = axial - first * taper + mantle * drift
+        lateral = (-np.sqrt(root) - c1) / c2
+        height = axial - first * taper + lateral * drift
     valid = (root > 0) & (height > 0) & (height < span)
-    return np.where(valid & (mantle < t), mantle, t)
+    return np.where(valid & (lateral < t), lateral, t)
 
 
-def _entry(square: Array, across: Array, excess: float) -> Array:
-    """First root of ``square t^2 + 2 across t + excess``, inf where there is none."""
+def _enter_sphere(square: Array, across: Array, excess: float) -> Array:
+    """The smaller root of ``square t^2 + 2 across t + excess``, inf where there is none."""
     root = across * across - square * excess
     return np.where(root > 0, (-across - np.sqrt(np.maximum(root, 0))) / square, np.inf)
 
 
-def _shade(part: Part, eye: Array, sight: Array, t: Array, gloss: float) -> Array:
-    """(N, 3) RGB of the part where rays ``eye + t sight`` enter it."""
-    place = (eye - part.origin + sight * t[:, None]) @ part.frame
-    normal = _normals(part, place / part.stretch) / part.stretch @ part.frame.T
+def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> Array:
+    """(N, 3) RGB of the part where rays ``eye + t direction`` enter it."""
+    local = (eye - part.origin + direction * t[:, None]) @ part.frame
+    normal = _normals(part, local / part.stretch) / part.stretch @ part.frame.T
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     key = np.maximum(normal @ KEY_LIGHT, 0)
     fill = np.maximum(normal @ FILL_LIGHT, 0)
     light = 0.46 + 0.1 * normal[:, 2] + 0.46 * key + 0.16 * fill
-    half = KEY_LIGHT - sight / np.linalg.norm(sight, axis=1, keepdims=True)
+    half = KEY_LIGHT - direction / np.linalg.norm(direction, axis=1, keepdims=True)
     half /= np.linalg.norm(half, axis=1, keepdims=True)
     highlight = gloss * np.maximum((normal * half).sum(1), 0) ** SHININESS * (key > 0)
-    colours = part.pattern.colours(place) * light[:, None]
+    colours = part.pattern.colours(local) * light[:, None]
     return np.clip(colours + highlight[:, None], 0, 1)
 
 
-def _normals(part: Part, place: Array) -> Array:
-    """(N, 3) outward, not unit, on the round shape: away from the axis point whose sphere touches there."""
-    normal = place.copy()
+def _normals(part: Part, local: Array) -> Array:
+    """(N, 3) outward normals of the unscaled part, not normalised: from the centre of the sphere tangent there."""
+    normal = local.copy()
     if part.length > 0:
         sine = (part.radii[0] - part.radii[1]) / part.length
         tangent = sine / np.sqrt(max(1 - sine * sine, 1e-9))
-        normal[:, 2] -= np.clip(place[:, 2] - np.hypot(place[:, 0], place[:, 1]) * tangent, 0, part.length)
+        normal[:, 2] -= np.clip(local[:, 2] - np.hypot(local[:, 0], local[:, 1]) * tangent, 0, part.length)
     return normal
 
 
-def _box(part: Part, camera: Camera) -> Box:
-    """Pixels (left, top, right, bottom), the ends not included, that hold the part's image within the picture.
+def _bounding_box(part: Part, camera: Camera) -> Box:
+    """Pixels (left, top, right, bottom), ends excluded, that contain the part's image within the picture.
 
-    A sphere's image lies in that of the square cone about it: exact bounds per axis.
+    The bounds of a sphere's image are exact along each axis.
     """
     k = camera.intrinsics
     edges: list[list[float]] = [[], []]
     for centre, radius in part.spheres():
-        place = camera.rotation @ centre + camera.translation
+        position = camera.rotation @ centre + camera.translation
         for axis in (0, 1):
-            angle = np.arctan2(place[axis], place[2])
-            spread = np.arcsin(min(radius / np.hypot(place[axis], place[2]), 1.0))
-            edges[axis] += [k[axis, axis] * np.tan(angle + sign * spread) + k[axis, 2] for sign in (-1, 1)]
+            angle = np.arctan2(position[axis], position[2])
+            half_angle = np.arcsin(min(radius / np.hypot(position[axis], position[2]), 1.0))
+            edges[axis] += [k[axis, axis] * np.tan(angle + sign * half_angle) + k[axis, 2] for sign in (-1, 1)]
     left, right = np.clip([np.floor(min(edges[0])), np.ceil(max(edges[0]))], 0, camera.width).astype(int)
     top, bottom = np.clip([np.floor(min(edges[1])), np.ceil(max(edges[1]))], 0, camera.height).astype(int)
     return int(left), int(top), int(right), int(bottom)
 
 
-def extent(parts: Sequence[Part], camera: Camera) -> Array:
-    """(2, 2) least and greatest image coordinates of the parts in units of the focal length: rows x and y."""
+def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
+    """(2, 2) minimum and maximum image coordinates of the parts in units of the focal length: rows x and y."""
     spans = []
     for part in parts:
         for centre, radius in part.spheres():
-            place = camera.rotation @ centre + camera.translation
-            angles = np.arctan2(place[:2], place[2])
-            spread = np.arcsin(np.minimum(radius / np.hypot(place[:2], place[2]), 1.0))
-            spans.append(np.tan(np.stack([angles - spread, angles + spread], axis=1)))
+            position = camera.rotation @ centre + camera.translation
+            angles = np.arctan2(position[:2], position[2])
+            half_angles = np.arcsin(np.minimum(radius / np.hypot(position[:2], position[2]), 1.0))
+            spans.append(np.tan(np.stack([angles - half_angles, angles + half_angles], axis=1)))
     return np.stack([np.min(spans, axis=0)[:, 0], np.max(spans, axis=0)[:, 1]], axis=1)
 
 
-def _sights(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Pixel coordinates as (u, v) of rays (u, v, 1) in the camera's axes, whose parameter is depth."""
+def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
+    """Components u of columns and v of rows for the rays (u, v, 1) in camera axes, whose parameter is depth."""
     k = camera.intrinsics
     return (x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1]
 
 
-def _averaged(samples: Array) -> Array:
-    """Means over each pixel's rays: (h S, w S, ...) to (h, w, ...)."""
+def _average_samples(samples: Array) -> Array:
+    """Mean over each pixel's rays: (h S, w S, ...) to (h, w, ...)."""
     height, width = samples.shape[0] // SAMPLES, samples.shape[1] // SAMPLES
     tiles: Array = samples.reshape(height, SAMPLES, width, SAMPLES, *samples.shape[2:])
     return np.asarray(tiles.mean(axis=(1, 3)), dtype=np.float64)

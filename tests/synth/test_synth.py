@@ -1,4 +1,4 @@
-"""The synthetic capture: its truth is true, its settings decide every byte, and it spoils no folder."""
+"""Synthetic captures: true ground truth, bytes determined by the settings, and no damage to other folders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.cli.main import main
 from fourd.errors import UserError
 from fourd.synth import make_synthetic
 from fourd.synth import render as render_module
-from fourd.synth.figure import Part, make_figure, pose
+from fourd.synth.figure import Part, make_figure, pose_figure
 from fourd.synth.patterns import Pattern
 from fourd.synth.render import render_figure
 
@@ -40,15 +40,15 @@ def _depth(folder: Path, camera: str, frame: int) -> NDArray[np.float64]:
     return depth.astype(np.float64) / 1000
 
 
-def _lift(camera: Camera, depth: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unproject(camera: Camera, depth: NDArray[np.float64]) -> NDArray[np.float64]:
     """World points of the pixels that have depth."""
     i, j = np.nonzero(depth)
     rays = np.stack([j + 0.5, i + 0.5, np.ones(len(i))], axis=1) @ np.linalg.inv(camera.intrinsics).T
     return (rays * depth[i, j, None] - camera.translation) @ camera.rotation
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(folder: Path, tmp_path: Path) -> None:
-    """Catches randomness that the seed does not reach, and threads that share state."""
+def test_bytes_depend_on_the_seed_alone(folder: Path, tmp_path: Path) -> None:
+    """Catches randomness that ignores the seed, and threads that share state."""
     make_synthetic(tmp_path / "same", **SMALL)
     make_synthetic(tmp_path / "other", **SMALL, seed=1)
     first, same, other = _contents(folder), _contents(tmp_path / "same"), _contents(tmp_path / "other")
@@ -57,8 +57,8 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not(folder: Pa
     assert all(first[name] != other[name] for name in first if name.startswith(("images", "masks", "truth/depth")))
 
 
-def test_the_capture_opens_with_every_camera_and_frame(folder: Path) -> None:
-    """Catches a layout that the reader does not take."""
+def test_capture_opens_with_every_camera_and_frame(folder: Path) -> None:
+    """Catches a layout that the reader refuses."""
     capture = open_capture(folder)
     assert capture.names == ("00", "01", "02", "03")
     assert capture.frame_count == SMALL["frames"]
@@ -67,8 +67,8 @@ def test_the_capture_opens_with_every_camera_and_frame(folder: Path) -> None:
     assert (folder / "truth" / "bgs" / "03.png").exists()
 
 
-def test_the_mask_agrees_with_depth_and_with_the_plate(folder: Path) -> None:
-    """Catches a mask, a depth and a picture that show different poses."""
+def test_mask_depth_and_picture_agree(folder: Path) -> None:
+    """Catches a mask, a depth map and a picture of different poses."""
     capture = open_capture(folder)
     for camera, name in enumerate(capture.names):
         plate = cv2.imread(str(folder / "truth" / "bgs" / f"{name}.png"))[..., ::-1].astype(int)
@@ -78,18 +78,18 @@ def test_the_mask_agrees_with_depth_and_with_the_plate(folder: Path) -> None:
             assert (depth[mask == 0] == 0).all()
             far = cv2.dilate(mask, np.ones((17, 17), np.uint8)) == 0
             difference = np.abs(capture.image(camera, frame).astype(int) - plate)
-            assert difference[far].max() <= 16, "more than JPEG's ringing"
+            assert difference[far].max() <= 16, "more than JPEG artefacts"
             assert difference[mask == 255].mean() > 30
 
 
-def test_depth_of_one_camera_lies_on_the_surface_that_others_see(tmp_path: Path) -> None:
-    """Catches depth along the ray instead of along z, half-pixel shifts, and cameras that do not fit their pictures."""
+def test_depth_is_consistent_between_cameras(tmp_path: Path) -> None:
+    """Catches depth along the ray instead of z, half-pixel shifts, and cameras that do not fit their pictures."""
     folder = tmp_path / "capture"
     make_synthetic(folder, frames=1, cameras=16, size=96)
     capture = open_capture(folder)
     for frame in range(capture.frame_count):
         for source, target in ((0, 1), (1, 2), (9, 8)):
-            xyz = _lift(capture.cameras[source], _depth(folder, capture.names[source], frame))
+            xyz = _unproject(capture.cameras[source], _depth(folder, capture.names[source], frame))
             camera = capture.cameras[target]
             pixels, z = camera.project(xyz)
             depth = _depth(folder, capture.names[target], frame)
@@ -105,8 +105,8 @@ def test_depth_of_one_camera_lies_on_the_surface_that_others_see(tmp_path: Path)
             assert np.median(np.abs(z[visible] - seen[visible])) < 0.5 * pixel
 
 
-def test_the_figure_fills_the_picture_and_is_never_cut(folder: Path) -> None:
-    """Catches a framing that loses a hand or makes the figure tiny."""
+def test_figure_fills_the_picture_and_is_never_cropped(folder: Path) -> None:
+    """Catches a framing that crops a hand or makes the figure small."""
     capture = open_capture(folder)
     for camera in range(len(capture.names)):
         for frame in range(capture.frame_count):
@@ -115,32 +115,32 @@ def test_the_figure_fills_the_picture_and_is_never_cut(folder: Path) -> None:
             assert (mask > 0).any(axis=1).mean() > 0.5
 
 
-def test_the_figure_moves_fast_and_the_gait_meets_its_beginning() -> None:
-    """Catches a still figure, and a loop with a jump in it."""
+def test_figure_moves_and_the_gait_is_a_loop() -> None:
+    """Catches a static figure, and a loop with a jump."""
     figure = make_figure(5)
-    places = np.stack([[part.origin for part in pose(figure, phase)] for phase in np.arange(25) / 24])
-    assert np.linalg.norm(places[1:] - places[:-1], axis=-1).max(axis=1).min() > 0.05
-    assert np.linalg.norm(np.diff(places, axis=0), axis=-1).max() < 0.35
-    np.testing.assert_allclose(places[0], places[-1], atol=1e-9)
+    positions = np.stack([[part.origin for part in pose_figure(figure, phase)] for phase in np.arange(25) / 24])
+    assert np.linalg.norm(positions[1:] - positions[:-1], axis=-1).max(axis=1).min() > 0.05
+    assert np.linalg.norm(np.diff(positions, axis=0), axis=-1).max() < 0.35
+    np.testing.assert_allclose(positions[0], positions[-1], atol=1e-9)
 
 
-def test_the_figure_stands_on_the_floor_or_above() -> None:
-    """Catches feet under the floor."""
+def test_figure_stays_above_the_floor() -> None:
+    """Catches feet below the floor."""
     for seed in range(4):
         figure = make_figure(seed)
         for phase in np.arange(24) / 24:
-            lowest = min(c[2] - radius for part in pose(figure, phase) for c, radius in part.spheres())
+            lowest = min(c[2] - radius for part in pose_figure(figure, phase) for c, radius in part.spheres())
             assert -0.01 < lowest < 0.25
 
 
-def _camera(size: int) -> Camera:
+def _test_camera(size: int) -> Camera:
     intrinsics = np.array([[1.1 * size, 0, 0.47 * size], [0, 1.1 * size, 0.52 * size], [0, 0, 1]])
     return look_at(
         np.array([2.0, 0.4, 0.9]), np.array([0, 0.1, 0.05]), np.array([0.0, 0.0, 1.0]), intrinsics, size, size
     )
 
 
-def _part(rng: np.random.Generator, length: float) -> Part:
+def _random_part(rng: np.random.Generator, length: float) -> Part:
     frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     frame *= np.sign(np.linalg.det(frame))
     radii = (0.3, 0.3) if length == 0 else (float(rng.uniform(0.1, 0.35)), float(rng.uniform(0.1, 0.35)))
@@ -148,44 +148,44 @@ def _part(rng: np.random.Generator, length: float) -> Part:
     return Part(frame, rng.uniform(-0.15, 0.15, size=3), stretch, length, radii, Pattern("plain", (1, 1, 1), (0, 0, 0)))
 
 
-def _distance(part: Part, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Least over many spheres along the axis of the distance to each, in the part's round shape."""
-    place = (xyz - part.origin) @ part.frame / part.stretch
+def _signed_distance(part: Part, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Minimum distance to many spheres along the axis, in the part's unscaled shape."""
+    local = (xyz - part.origin) @ part.frame / part.stretch
     share = np.linspace(0, 1, 401)[:, None]
-    along = place[None, :, 2] - share * part.length
+    along = local[None, :, 2] - share * part.length
     radius = part.radii[0] * (1 - share) + part.radii[1] * share
-    return np.min(np.sqrt((place[:, :2] ** 2).sum(1) + along**2) - radius, axis=0)
+    return np.min(np.sqrt((local[:, :2] ** 2).sum(1) + along**2) - radius, axis=0)
 
 
 @pytest.mark.parametrize("length", [0.0, 0.1, 0.6])
-def test_entries_lie_on_the_rounded_cone(rng: np.random.Generator, length: float) -> None:
-    """Catches a wrong root or a lost cap, for any view, also along the axis and when one sphere holds the other."""
-    camera = _camera(48)
+def test_intersections_lie_on_the_rounded_cone(rng: np.random.Generator, length: float) -> None:
+    """Catches a wrong root or a missing cap, in any view, along the axis, and when one sphere contains the other."""
+    camera = _test_camera(48)
     for _ in range(20):
-        part = _part(rng, length)
+        part = _random_part(rng, length)
         picture = render_figure([part], camera, np.zeros((48, 48, 3)), 0.0)
-        xyz = _lift(camera, picture.depth / 1000.0)
+        xyz = _unproject(camera, picture.depth / 1000.0)
         assert len(xyz) > 8
-        assert np.abs(_distance(part, xyz)).max() < 0.003
+        assert np.abs(_signed_distance(part, xyz)).max() < 0.003
         towards = xyz + (camera.centre - xyz) * np.linspace(0.01, 0.5, 20)[:, None, None]
-        assert _distance(part, towards.reshape(-1, 3)).min() > -0.003
+        assert _signed_distance(part, towards.reshape(-1, 3)).min() > -0.003
 
 
-def test_the_soft_mask_is_the_coverage(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_soft_mask_is_the_coverage(monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a mask that is thresholded, or sampled off the pixel's centre."""
-    camera, plate = _camera(40), np.zeros((40, 40, 3))
+    camera, plate = _test_camera(40), np.zeros((40, 40, 3))
     ball = Part(np.eye(3), np.zeros(3), np.ones(3), 0.0, (0.4, 0.4), Pattern("plain", (1, 1, 1), (0, 0, 0)))
     mask = render_figure([ball], camera, plate, 0.0).mask
     monkeypatch.setattr(render_module, "SAMPLES", 15)
-    finer = render_figure([ball], camera, plate, 0.0).mask
+    fine_mask = render_figure([ball], camera, plate, 0.0).mask
     assert ((mask > 0) & (mask < 255)).sum() > 40
-    assert np.abs(mask.astype(int) - finer).max() < 0.2 * 255
-    assert abs(float(mask.mean()) - float(finer.mean())) < 0.3
+    assert np.abs(mask.astype(int) - fine_mask).max() < 0.2 * 255
+    assert abs(float(mask.mean()) - float(fine_mask.mean())) < 0.3
 
 
-def test_bands_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches seams where a large picture is traced in bands."""
-    parts, camera = pose(make_figure(0), 0.3), _camera(64)
+def test_bands_have_no_seams(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches seams between the bands in which large pictures are traced."""
+    parts, camera = pose_figure(make_figure(0), 0.3), _test_camera(64)
     plate = np.full((64, 64, 3), 0.4)
     whole = render_figure(parts, camera, plate, 0.3)
     monkeypatch.setattr(render_module, "BAND_SAMPLES", 64 * 9 * 5)
@@ -194,10 +194,10 @@ def test_bands_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_gloss_brightens_and_depends_on_the_view() -> None:
-    """Catches highlights that are missing or painted on."""
+    """Catches highlights that are missing or fixed to the surface."""
     ball = Part(np.eye(3), np.zeros(3), np.ones(3), 0.0, (0.4, 0.4), Pattern("plain", (0.3, 0.3, 0.3), (0, 0, 0)))
     plate = np.zeros((48, 48, 3))
-    camera = _camera(48)
+    camera = _test_camera(48)
     matte, glossy = (render_figure([ball], camera, plate, gloss).rgb.astype(int) for gloss in (0.0, 0.5))
     assert (glossy >= matte).all()
     assert (glossy - matte).max() > 80
@@ -205,15 +205,15 @@ def test_gloss_brightens_and_depends_on_the_view() -> None:
     depth = render_figure([ball], camera, plate, 0.0).depth / 1000.0
     spot = np.zeros_like(depth)
     spot[i, j] = depth[i, j]
-    place = _lift(camera, spot)
+    xyz = _unproject(camera, spot)
     other = look_at(np.array([1.2, 1.7, 0.5]), np.zeros(3), np.array([0.0, 0.0, 1.0]), camera.intrinsics, 48, 48)
-    x, y = np.floor(other.project(place)[0][0]).astype(int)
+    x, y = np.floor(other.project(xyz)[0][0]).astype(int)
     glow = [render_figure([ball], other, plate, gloss).rgb[y, x].astype(int).sum() for gloss in (0.0, 0.5)]
     assert glow[1] - glow[0] < 0.5 * (glossy - matte)[i, j].sum()
 
 
-def test_a_finished_capture_is_kept_and_other_settings_replace_it(tmp_path: Path) -> None:
-    """Catches work done twice, and stale frames of a longer capture among new ones."""
+def test_finished_captures_are_kept_until_settings_change(tmp_path: Path) -> None:
+    """Catches repeated work, and stale frames of a longer capture among new ones."""
     out = tmp_path / "capture"
     make_synthetic(out, frames=2, cameras=3, size=32)
     before = (out / "images" / "00" / "000000.jpg").stat().st_mtime_ns
@@ -223,8 +223,8 @@ def test_a_finished_capture_is_kept_and_other_settings_replace_it(tmp_path: Path
     assert open_capture(out).total_frames == 1
 
 
-def test_a_folder_of_the_users_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a generator that writes among, or removes, the user's own files."""
+def test_other_folders_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a generator that writes among the user's own files, or removes them."""
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "mine.txt").write_text("mine")
     assert main(["synth", str(tmp_path), "--frames", "1", "--size", "32"]) == 2
@@ -235,16 +235,16 @@ def test_a_folder_of_the_users_is_left_alone(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("option", "value"), [("frames", "0"), ("cameras", "2"), ("size", "31"), ("gloss", "1.5"), ("gloss", "nan")]
 )
-def test_numbers_out_of_range_are_named(
+def test_numbers_out_of_range_are_refused(
     option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a range that is not checked before files are written."""
+    """Catches a range that is checked after files are written."""
     assert main(["synth", str(tmp_path / "out"), f"--{option}", value]) == 2
     assert f"--{option}: expected" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_a_file_in_the_way_is_named(tmp_path: Path) -> None:
+def test_file_instead_of_a_folder_is_refused(tmp_path: Path) -> None:
     """Catches a traceback where OUT is a file."""
     (tmp_path / "out").write_text("")
     with pytest.raises(UserError, match="expected a folder, got a file"):
