@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from safetensors.torch import load_file
-from scipy.spatial import cKDTree
 
 from fourd.background.contraction import Contraction
 from fourd.background.plates import PlateView, read_plates
@@ -45,7 +44,7 @@ from fourd.training.views import ViewStore
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """What was measured on the capture before training; all in world units."""
+    """Measurements of the capture before training, in world units."""
 
     lower: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Lower corner of the bounds."""
@@ -56,7 +55,7 @@ class SceneConfig:
     frame_count: int = 1
     """Frames of the whole capture."""
     reach: float = 1.0
-    """Distance from the middle of the bounds to the farthest camera: a background keeps its shape so far."""
+    """Distance from the centre of the bounds to the farthest camera. Contracted space is undistorted within it."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +70,14 @@ class RunConfig:
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder that was opened: the capture it belongs to and who is held out.
+    """An open run folder.
 
     Attributes:
         folder: the run's folder.
         config: its config.yaml.
         capture: the selected views and frames of the capture, training and test.
-        training, test: indices into ``capture.cameras``.
+        training: indices of the training cameras in ``capture.cameras``.
+        test: indices of the held-out cameras.
     """
 
     folder: Path
@@ -88,7 +88,7 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds: view angles are measured from here."""
+        """(3,) centre of the bounds, where angles between cameras are measured."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
@@ -96,7 +96,7 @@ class Run:
         return self.folder / CHECKPOINTS
 
     def new_model(self) -> PointModel:
-        """An untrained model, the same for the same config."""
+        """An untrained model, reproducible from the config."""
         torch.manual_seed(self.config.train.seed)
         scene = self.config.scene
         return PointModel(
@@ -108,57 +108,58 @@ class Run:
         )
 
     def new_refinement(self) -> Refinement | None:
-        """Corrections of the capture's cameras, none as yet; None where the config asks for none."""
+        """Identity corrections of the training cameras; None where the config enables none."""
         refine = self.config.train.refine
         if not (refine.cameras or refine.colours):
             return None
         return Refinement(refine, self.capture.cameras, self.training, self.focus)
 
     def contraction(self) -> Contraction:
-        """The space that a background lies in."""
+        """The contraction of space for the background."""
         x, y, z = (float(value) for value in self.focus)
         return Contraction((x, y, z), self.config.scene.reach)
 
     def background(self, saved: Path | None) -> StaticBackground | None:
-        """A full scene's background, from the points ``saved`` by a checkpoint or else as seeded; None of an object."""
+        """A full scene's background, with points from the checkpoint folder ``saved`` or else initial ones; None for an
+        object."""
         if self.config.train.scene != "full":
             return None
-        seeded = read_ply(self.folder / BACKGROUND / POINTS)
+        initial = read_ply(self.folder / BACKGROUND / POINTS)
         plates = dict(zip(self.training, read_run_plates(self.capture, self.training, self.folder), strict=True))
         torch.manual_seed(self.config.train.seed + 1)
-        fresh = create_background(seeded, plates, self.config.train, self.contraction())
+        background = create_background(initial, plates, self.config.train, self.contraction())
         if self.config.train.background.shadow:
             scene = self.config.scene
-            fresh.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)
+            background.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)
         if saved is not None:
-            fresh.points = FramePoints.from_tensors(load_file(saved / f"{BACKGROUND}.safetensors"))
-        return fresh
+            background.points = FramePoints.from_tensors(load_file(saved / f"{BACKGROUND}.safetensors"))
+        return background
 
     def view_store(self) -> ViewStore:
-        """Training pictures by the config's crop and memory bound."""
+        """Training images, with the config's crop and cache size."""
         train = self.config.train
         return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
 
     def frame_store(self, saved: Path | None) -> FrameStore:
-        """Points of every frame: those that a checkpoint ``saved``, else the first points."""
+        """Points of all frames, from the checkpoint folder ``saved`` or else the initial points."""
         scratch = Scratch(self.folder / SCRATCH)
         budget_mb = self.config.train.memory_mb // 2
-        return FrameStore(scratch, self.capture.frame_count, self.carved, budget_mb, saved)
+        return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved)
 
-    def carved(self, frame: int) -> FramePoints:
-        """Points of a frame as carved, at most as many as the config asks for; neighbours lie side by side."""
+    def initial_points(self, frame: int) -> FramePoints:
+        """Initial points of a frame, at most ``config.train.points``, in Morton order."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
         xyz = read_ply(self.folder / HULL / f"{number:06d}.ply").xyz[: train.points]
         spacing = torch.full((len(xyz),), self.config.scene.spacing)
         explicit = train.model.sh == "explicit" and train.model.appearance != "ibr"
-        placed = torch.from_numpy(xyz[morton_order(xyz)])
-        return FramePoints.initial(placed, spacing, train.model.radius_start, explicit_sh=explicit)
+        ordered = torch.from_numpy(xyz[morton_order(xyz)])
+        return FramePoints.initial(ordered, spacing, train.model.radius_start, explicit_sh=explicit)
 
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """A run with its newest good checkpoint loaded."""
+    """A run with its newest intact checkpoint."""
 
     run: Run
     step: int
@@ -168,7 +169,7 @@ class TrainedRun:
 
 
 def open_run(folder: Path) -> Run:
-    """Open a run folder and its capture. Raises UserError when either is not what it should be."""
+    """Open a run folder and its capture. Raises UserError if one of them is missing or invalid."""
     path = folder / CONFIG_NAME
     if not path.is_file():
         raise UserError(f"{folder}: expected a run (a folder with {CONFIG_NAME}), got none; make one with fourd train")
@@ -179,12 +180,12 @@ def open_run(folder: Path) -> Run:
 
 
 def load_run(folder: Path) -> TrainedRun:
-    """Open a run and load its newest good checkpoint, for evaluation, rendering and export."""
+    """Open a run and load its newest intact checkpoint, for evaluation, rendering and export."""
     run = open_run(folder)
     found, note = latest_checkpoint(run.checkpoints)
     if found is None:
         raise UserError(
-            f"{folder}: expected a trained run, got no good checkpoint {note}; go on with fourd train --resume"
+            f"{folder}: expected a trained run, got no intact checkpoint {note}; resume with fourd train --resume"
         )
     step, tensors, _ = load_checkpoint(found)
     model = run.new_model()
@@ -213,23 +214,12 @@ def read_run_plates(
 
 
 def points_folder(checkpoint: Path) -> Path:
-    """Where the points of a checkpoint file lie."""
+    """The folder of the points that belong to a checkpoint file."""
     return checkpoint.with_suffix(".points")
 
 
 def drop_stale_points(checkpoints: Path) -> None:
-    """Remove points whose checkpoint file is gone or was never finished."""
+    """Remove folders of points without their checkpoint file, which was deleted or never completed."""
     for folder in checkpoints.glob("*.points"):
         if not folder.with_suffix(".safetensors").exists():
             shutil.rmtree(folder)
-
-
-def mean_spacing(xyz: NDArray[np.float32]) -> float:
-    """Mean distance from a point to its fourth-nearest neighbour over two: the spacing of an even sheet.
-
-    The nearest neighbour alone would depend on how even the sampling is.
-    """
-    if xyz.shape[0] < 6:
-        return 0.01
-    distances, _ = cKDTree(xyz).query(xyz[:4096], k=5)
-    return float(distances[:, 1:].mean() / 1.2)

@@ -110,7 +110,7 @@ def test_folders_in_use_are_refused(ball_capture: Path, tmp_path: Path) -> None:
     create_run(ball_capture, tmp_path / "run", SMALL)
     with pytest.raises(UserError, match="got a run; add --resume"):
         create_run(ball_capture, tmp_path / "run", SMALL)
-    with pytest.raises(UserError, match="expected a trained run, got no good checkpoint"):
+    with pytest.raises(UserError, match="expected a trained run, got no intact checkpoint"):
         load_run(tmp_path / "run")
 
 
@@ -121,7 +121,7 @@ def test_points_from_the_user_s_files(ball_capture: Path, tmp_path: Path) -> Non
         xyz = rng.normal(0, 0.2, (2000, 3)).astype(np.float32)
         write_ply(tmp_path / "mine" / f"{frame:06d}.ply", xyz, np.zeros((2000, 3), np.uint8))
     run = create_run(ball_capture, tmp_path / "run", SMALL, tmp_path / "mine")
-    first = run.carved(0).xyz.numpy()
+    first = run.initial_points(0).xyz.numpy()
     assert len(first) == SMALL.points
     mine = read_ply(tmp_path / "mine" / "000000.ply").xyz
     assert {tuple(point) for point in first.tolist()} <= {tuple(point) for point in mine.tolist()}

@@ -14,7 +14,8 @@ from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.losses.lpips import load_lpips
-from fourd.training.run import Run, RunConfig, SceneConfig, mean_spacing, open_run
+from fourd.training.points.spacing import mean_spacing
+from fourd.training.run import Run, RunConfig, SceneConfig, open_run
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
 
 

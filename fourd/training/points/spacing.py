@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 NEIGHBOURS = 4
+DEFAULT_SPACING = 0.01
+"""World units, for clouds of too few points."""
+MAX_SAMPLES = 4096
 MEAN_NEIGHBOUR_DISTANCE = 1.2
 """Mean distance to the four nearest neighbours of points spread evenly over a surface, in units of their spacing."""
 
@@ -15,6 +18,17 @@ def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = Non
     """(M,) spacing at the points ``rows`` (M,) of (N, 3), or at all of them, as if spread evenly over a surface."""
     queried = xyz if rows is None else xyz[rows]
     if len(xyz) <= NEIGHBOURS:
-        return np.full(len(queried), 0.01, np.float32)
+        return np.full(len(queried), DEFAULT_SPACING, np.float32)
     distances, _ = cKDTree(xyz).query(queried, k=NEIGHBOURS + 1, workers=-1)
     return np.maximum(distances[:, 1:].mean(axis=1) / MEAN_NEIGHBOUR_DISTANCE, 1e-6).astype(np.float32)
+
+
+def mean_spacing(xyz: NDArray[np.float32]) -> float:
+    """Mean spacing at the first 4,096 of points (N, 3).
+
+    The nearest neighbour alone would depend on how evenly the points are spread.
+    """
+    if len(xyz) <= NEIGHBOURS + 1:
+        return DEFAULT_SPACING
+    distances, _ = cKDTree(xyz).query(xyz[:MAX_SAMPLES], k=NEIGHBOURS + 1)
+    return float(distances[:, 1:].mean() / MEAN_NEIGHBOUR_DISTANCE)
