@@ -30,13 +30,17 @@ class DisplaySettings:
     density_scale: float = 1.0
 
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """``frame`` with scaled radii and densities; the same object where both factors are 1."""
+        """``frame`` with scaled radii and densities; the same object where both factors are 1.
+
+        A scaled frame names no background, because its last points differ from the background's.
+        """
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame
         max_radius = float(np.finfo(np.float16).max)
         radius = np.minimum(frame.radius.astype(np.float32) * self.point_scale, max_radius)
         density = np.minimum(frame.density.astype(np.float32) * self.density_scale, 1.0)
-        return replace(frame, radius=radius.astype(np.float16), density=density.astype(np.float16))
+        arrays = {"radius": radius.astype(np.float16), "density": density.astype(np.float16)}
+        return replace(frame, **arrays, background=None, has_shadow=False)
 
 
 @dataclass(frozen=True, eq=False)

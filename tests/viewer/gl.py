@@ -1,4 +1,4 @@
-"""A context without a window for the tests of this room."""
+"""OpenGL contexts without a window, for the tests of the viewer."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from fourd.viewer.rendering.renderers import Renderer
 
 
 def contexts() -> Iterator[moderngl.Context]:
-    """One context; skips where there is none. It must have no error at the end."""
+    """Yield one context, and assert that it ends without a GL error; skip where OpenGL is not available."""
     try:
         context = offscreen_context()
     except UserError as error:
-        pytest.skip(f"no OpenGL here: {error}")
+        pytest.skip(f"OpenGL is not available: {error}")
     yield context
     assert context.error == "GL_NO_ERROR"
     context.release()
 
 
 def require_gl() -> None:
-    """Skips where there is no context to be had."""
+    """Skip where OpenGL is not available."""
     try:
         offscreen_context().release()
     except UserError as error:
-        pytest.skip(f"no OpenGL here: {error}")
+        pytest.skip(f"OpenGL is not available: {error}")
 
 
-def drawn(renderer: Renderer, request: RenderRequest, context: moderngl.Context) -> NDArray[np.float32]:
-    """The picture (H, W, 4) in floats, row 0 at the top."""
+def render(renderer: Renderer, request: RenderRequest, context: moderngl.Context) -> NDArray[np.float32]:
+    """The image (H, W, 4) float32, row 0 at the top."""
     canvas = Canvas(context, "f1" if renderer.name == "cpu" else "f4")
     renderer.draw(request, canvas, wait=True)
-    picture = canvas.read_rgba32f()
+    image = canvas.read_rgba32f()
     canvas.release()
-    return picture
+    return image

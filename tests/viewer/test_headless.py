@@ -25,8 +25,8 @@ from fourd.viewer.rendering.offscreen import OffscreenRenderer
 from fourd.viewer.rendering.renderers import RENDERERS
 from tests.baking.scenes import manifest, random_frame
 from tests.viewer.gl import require_gl
+from tests.viewer.scenes import write_shells
 from tests.viewer.screen import screen
-from tests.viewer.shells import write_shells
 
 FRAMES = 4
 
@@ -163,7 +163,7 @@ def test_scenes_that_cannot_be_shown(scene: Path, tmp_path: Path, capsys: pytest
 
 
 def test_positions_that_are_not_finite(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches NaN that is drawn as if it were a place."""
+    """Catches NaN that is render as if it were a place."""
     with zipfile.ZipFile(scene) as old, zipfile.ZipFile(tmp_path / "nan.4dv", "w", zipfile.ZIP_STORED) as new:
         for name in old.namelist():
             content = old.read(name)

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from tests.viewer.scenes import write_shells
 from tests.viewer.screen import Screen, Viewer, screen, set_dpi
-from tests.viewer.shells import write_shells
 
 SIZE = (900, 700)
 
@@ -248,7 +248,7 @@ def test_a_minimised_window_does_nothing(viewer: Viewer) -> None:
 
 
 def test_a_dense_screen_has_a_larger_panel_and_as_sharp_a_picture(scene: Path, tmp_path: Path) -> None:
-    """Catches text of half its size, and a picture drawn at half the pixels, where the system asks for 200%."""
+    """Catches text of half its size, and a picture render at half the pixels, where the system asks for 200%."""
     with screen(2000, 1500) as dense:
         set_dpi(dense.display, 192)
         viewer = Viewer(dense, tmp_path, str(scene), "--size", "900", "700")

@@ -1,4 +1,4 @@
-"""What is drawn, in which order, and by which renderer."""
+"""Display settings, depth orders and the choice of the renderer."""
 
 from __future__ import annotations
 
@@ -27,36 +27,36 @@ MANIFEST = manifest(VIEWS)
 CAMERAS = ring(5, radius=0.8)
 
 
-def shot_of(camera: int = 0, frame: BakedFrame | None = None) -> RenderRequest:
-    """A request from one of the cameras, which stand close: many points lie outside their pictures."""
+def make_request(camera: int = 0, frame: BakedFrame | None = None) -> RenderRequest:
+    """A request for one of the cameras, which are close to the points: many lie outside their images."""
     return RenderRequest(
         random_frame(500, VIEWS, seed=1) if frame is None else frame, CAMERAS[camera], MANIFEST, DisplaySettings()
     )
 
 
-def exact(request: RenderRequest) -> NDArray[np.uint32]:
+def exact_order(request: RenderRequest) -> NDArray[np.uint32]:
     return DepthSorter().sort(request.frame, request.camera, MANIFEST.near)
 
 
-def fits(order: DepthOrder, request: RenderRequest) -> bool:
+def is_current(order: DepthOrder, request: RenderRequest) -> bool:
     return order.frame is request.frame and order.camera is request.camera
 
 
 def eventually(condition: Callable[[], bool]) -> None:
-    """Let other threads go on until it holds."""
+    """Wait for other threads until the condition holds."""
     for _ in range(500):
         if condition():
             return
         time.sleep(0.002)
-    raise AssertionError("it never came")
+    raise AssertionError("the condition never held")
 
 
 def assert_orders(order: DepthOrder, request: RenderRequest) -> None:
-    """The order is the request's: all that it sees is there, nearest first."""
-    assert fits(order, request)
-    seen = exact(request)
-    assert 0 < len(seen) < request.frame.point_count
-    np.testing.assert_array_equal(order.points[np.isin(order.points, seen)], seen)
+    """Assert that the order is the request's and has all visible points, nearest first."""
+    assert is_current(order, request)
+    visible = exact_order(request)
+    assert 0 < len(visible) < request.frame.point_count
+    np.testing.assert_array_equal(order.points[np.isin(order.points, visible)], visible)
     assert len(np.unique(order.points)) == len(order.points)
     depths = request.camera.project(request.frame.xyz)[1][order.points]
     assert (np.diff(depths) > -1e-5).all()
@@ -70,14 +70,14 @@ def orders() -> Iterator[BackgroundOrders]:
     made.release()
 
 
-def test_a_look_of_no_scales_gives_the_frame_itself() -> None:
-    """Catches arrays that are copied and uploaded again for every picture."""
+def test_scales_of_1_return_the_same_frame() -> None:
+    """Catches arrays that are copied and uploaded for every image."""
     frame = random_frame(20, VIEWS, seed=2)
     assert DisplaySettings(layers=3, background=(1, 0, 0)).scale_points(frame) is frame
 
 
-def test_a_look_scales_radii_and_densities_and_nothing_else() -> None:
-    """Catches scales on the wrong array, densities above 1, and radii that overflow to infinity and vanish."""
+def test_scales_change_only_radii_and_densities() -> None:
+    """Catches scales on the wrong array, densities above 1, and radii that overflow to infinity."""
     frame = random_frame(200, VIEWS, seed=2)
     frame.radius[:3] = (0.0, 0.5, 60000.0)
     scaled = DisplaySettings(point_scale=2.0, density_scale=1.5).scale_points(frame)
@@ -91,8 +91,8 @@ def test_a_look_scales_radii_and_densities_and_nothing_else() -> None:
     np.testing.assert_array_equal(frame.radius[3:], random_frame(200, VIEWS, seed=2).radius[3:])
 
 
-def test_one_scale_alone_leaves_the_other_array() -> None:
-    """Catches a scale that is scale_points only where the other is set too, and rounding of what is not scaled."""
+def test_each_scale_works_alone() -> None:
+    """Catches a scale without effect unless both are set, and rounding of the array that is not scaled."""
     frame = random_frame(50, VIEWS, seed=3)
     larger, denser = (
         DisplaySettings(point_scale=0.5).scale_points(frame),
@@ -105,20 +105,20 @@ def test_one_scale_alone_leaves_the_other_array() -> None:
 
 
 @pytest.mark.parametrize("wait", [True, False])
-def test_exact_orders_are_the_shots_own(wait: bool) -> None:
-    """Catches an order kept for another frame or camera."""
+def test_exact_orders_match_the_request(wait: bool) -> None:
+    """Catches an order reused for another frame or camera."""
     frames = [random_frame(points, VIEWS, seed=points) for points in (500, 300)]
     orders = ExactOrders()
     for camera, frame in [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]:
-        request = shot_of(camera, frames[frame])
+        request = make_request(camera, frames[frame])
         order = orders.order(request, wait)
-        assert fits(order, request)
-        np.testing.assert_array_equal(order.points, exact(request))
+        assert is_current(order, request)
+        np.testing.assert_array_equal(order.points, exact_order(request))
 
 
 def test_exact_orders_sort_once() -> None:
-    """Catches sorting for every picture while nothing moves, and a settings that is taken for a move."""
-    request, orders = shot_of(), ExactOrders()
+    """Catches sorting for every image of an unchanged view, and after a change of settings."""
+    request, orders = make_request(), ExactOrders()
     order = orders.order(request, True)
     assert orders.order(request, False) is order
     assert orders.order(replace(request, settings=DisplaySettings(layers=3)), False) is order
@@ -127,62 +127,62 @@ def test_exact_orders_sort_once() -> None:
     assert orders.order(request, False) is not order
 
 
-def test_an_order_outlives_the_next_one() -> None:
-    """Catches indices in memory that the next sorting writes over, while they are still drawn."""
+def test_an_order_stays_valid_after_the_next_sort() -> None:
+    """Catches indices in memory that the next sort overwrites while they are drawn."""
     orders = ExactOrders()
-    first = orders.order(shot_of(0), True)
+    first = orders.order(make_request(0), True)
     kept = first.points.copy()
-    orders.order(shot_of(1), True)
+    orders.order(make_request(1), True)
     np.testing.assert_array_equal(first.points, kept)
 
 
-def test_frames_of_a_file_are_ordered(tmp_path: Path, orders: BackgroundOrders) -> None:
-    """Catches a sorter that wants arrays it may write to: those of a file are read-only."""
+def test_frames_of_a_file_are_sorted(tmp_path: Path, orders: BackgroundOrders) -> None:
+    """Catches a sorter that needs writable arrays: those of a file are read-only."""
     write_scene(tmp_path / "scene.4dv", views=VIEWS)
     reader = SceneReader(tmp_path / "scene.4dv")
     request = RenderRequest(reader.read(1), CAMERAS[2], reader.manifest, DisplaySettings())
-    np.testing.assert_array_equal(ExactOrders().order(request, True).points, exact(request))
+    np.testing.assert_array_equal(ExactOrders().order(request, True).points, exact_order(request))
     assert_orders(orders.order(request, True), request)
     reader.close()
 
 
-def test_waiting_gives_the_shots_own_order(orders: BackgroundOrders) -> None:
-    """Catches a screenshot or a video drawn with the order of the picture before."""
+def test_waiting_returns_the_order_of_the_request(orders: BackgroundOrders) -> None:
+    """Catches a screenshot or video drawn with the order of the previous image."""
     frames = [random_frame(points, VIEWS, seed=points) for points in (500, 300)]
     for number in range(30):
-        request = shot_of(number % 5, frames[number // 3 % 2])
+        request = make_request(number % 5, frames[number // 3 % 2])
         assert_orders(orders.order(request, True), request)
 
 
-def test_the_first_order_is_the_shots_own(orders: BackgroundOrders) -> None:
-    """Catches a first picture without points, or a crash because there is no order yet."""
-    request = shot_of()
+def test_the_first_order_is_that_of_the_request(orders: BackgroundOrders) -> None:
+    """Catches a first image without points, or a crash because there is no order yet."""
+    request = make_request()
     assert_orders(orders.order(request, False), request)
 
 
-def test_points_beside_and_before_the_picture_are_ordered_too(orders: BackgroundOrders) -> None:
-    """Catches holes at the border while the viewer turns or moves before the next order comes."""
-    request = shot_of()
+def test_background_orders_include_points_around_the_image(orders: BackgroundOrders) -> None:
+    """Catches holes at the border while the camera moves and the next order is not there yet."""
+    request = make_request()
     points = orders.order(request, True).points
     pixels, depths = request.camera.project(request.frame.xyz)
     size = request.camera.width
     near = (pixels > -0.5 * size).all(axis=1) & (pixels < 1.5 * size).all(axis=1) & (depths > MANIFEST.near)
-    assert near.sum() > len(exact(request))
+    assert near.sum() > len(exact_order(request))
     assert np.isin(np.flatnonzero(near), points).all()
 
 
 class GatedSorter:
-    """The sorter, made to wait."""
+    """A sorter that waits for a gate."""
 
     gate: ClassVar[threading.Event]
-    begun: ClassVar[threading.Event]
+    has_started: ClassVar[threading.Event]
     sorted: ClassVar[list[BakedFrame]]
 
     def __init__(self) -> None:
         self._sorter = DepthSorter()
 
     def sort(self, frame: BakedFrame, camera: Camera, near: float) -> NDArray[np.uint32]:
-        self.begun.set()
+        self.has_started.set()
         assert self.gate.wait(10)
         self.sorted.append(frame)
         return self._sorter.sort(frame, camera, near)
@@ -190,34 +190,34 @@ class GatedSorter:
 
 @pytest.fixture
 def gated(monkeypatch: pytest.MonkeyPatch) -> type[GatedSorter]:
-    """Makes BackgroundOrders sort when the gate is open."""
-    GatedSorter.gate, GatedSorter.begun, GatedSorter.sorted = threading.Event(), threading.Event(), []
+    """Replaces the sorter of BackgroundOrders."""
+    GatedSorter.gate, GatedSorter.has_started, GatedSorter.sorted = threading.Event(), threading.Event(), []
     GatedSorter.gate.set()
     monkeypatch.setattr("fourd.viewer.gl.depth_order.DepthSorter", GatedSorter)
     return GatedSorter
 
 
-def test_later_orders_are_not_waited_for(gated: type[GatedSorter]) -> None:
-    """Catches pictures that wait for sorting, shots that queue up, and an order that never catches up."""
-    shots = [shot_of(0, random_frame(100 + number, VIEWS, seed=number)) for number in range(4)]
+def test_images_do_not_wait_for_later_orders(gated: type[GatedSorter]) -> None:
+    """Catches images that wait for sorting, requests that queue up, and an order that stays stale."""
+    requests = [make_request(0, random_frame(100 + number, VIEWS, seed=number)) for number in range(4)]
     orders = BackgroundOrders()
-    first = orders.order(shots[0], False)
+    first = orders.order(requests[0], False)
     gated.gate.clear()
-    gated.begun.clear()
-    assert orders.order(shots[1], False) is first
-    assert gated.begun.wait(10)
-    assert orders.order(shots[2], False) is first
-    assert orders.order(shots[3], False) is first
+    gated.has_started.clear()
+    assert orders.order(requests[1], False) is first
+    assert gated.has_started.wait(10)
+    assert orders.order(requests[2], False) is first
+    assert orders.order(requests[3], False) is first
     gated.gate.set()
-    eventually(lambda: fits(orders.order(shots[3], False), shots[3]))
-    assert_orders(orders.order(shots[3], False), shots[3])
-    assert [id(frame) for frame in gated.sorted] == [id(shots[number].frame) for number in (0, 1, 3)]
+    eventually(lambda: is_current(orders.order(requests[3], False), requests[3]))
+    assert_orders(orders.order(requests[3], False), requests[3])
+    assert [id(frame) for frame in gated.sorted] == [id(requests[number].frame) for number in (0, 1, 3)]
     orders.release()
 
 
-def test_nothing_is_sorted_while_nothing_moves(gated: type[GatedSorter]) -> None:
-    """Catches a thread that sorts the same request without end."""
-    orders, request = BackgroundOrders(), shot_of()
+def test_an_unchanged_request_is_sorted_once(gated: type[GatedSorter]) -> None:
+    """Catches a thread that sorts the same request endlessly."""
+    orders, request = BackgroundOrders(), make_request()
     order = orders.order(request, True)
     for _ in range(10):
         assert orders.order(request, False) is order
@@ -226,25 +226,25 @@ def test_nothing_is_sorted_while_nothing_moves(gated: type[GatedSorter]) -> None
     orders.release()
 
 
-@pytest.mark.parametrize("asked", [False, True])
-def test_release_ends_the_thread(asked: bool) -> None:
-    """Catches a thread that stays with every change of the renderer."""
+@pytest.mark.parametrize("has_order", [False, True])
+def test_release_stops_the_thread(has_order: bool) -> None:
+    """Catches a thread that leaks with every change of the renderer."""
     before = set(threading.enumerate())
     orders = BackgroundOrders()
     assert len(set(threading.enumerate()) - before) == 1
-    if asked:
-        orders.order(shot_of(), False)
+    if has_order:
+        orders.order(make_request(), False)
     orders.release()
     assert set(threading.enumerate()) <= before
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 @pytest.mark.parametrize("wait", [True, False])
-@pytest.mark.parametrize("earlier", [False, True])
-def test_an_error_of_the_thread_reaches_the_caller(earlier: bool, wait: bool) -> None:
-    """Catches a viewer that waits for ever, or shows an old order for ever, after the thread has died."""
-    orders, request = BackgroundOrders(), shot_of()
-    if earlier:
+@pytest.mark.parametrize("has_order", [False, True])
+def test_an_error_in_the_thread_reaches_the_caller(has_order: bool, wait: bool) -> None:
+    """Catches a viewer that waits, or keeps an old order, forever after the thread has failed."""
+    orders, request = BackgroundOrders(), make_request()
+    if has_order:
         orders.order(request, True)
     bad = replace(request, camera=replace(request.camera, distortion=np.array([0.1, 0, 0, 0])))
 
@@ -262,7 +262,7 @@ def test_an_error_of_the_thread_reaches_the_caller(earlier: bool, wait: bool) ->
 
 
 @pytest.mark.parametrize(
-    ("wanted", "driver", "name"),
+    ("requested", "driver", "name"),
     [
         ("auto", None, "cpu"),
         ("auto", "llvmpipe (LLVM 17.0.6, 256 bits)", "cpu"),
@@ -281,19 +281,19 @@ def test_an_error_of_the_thread_reaches_the_caller(earlier: bool, wait: bool) ->
         ("dual", "Apple M2", "dual"),
     ],
 )
-def test_the_renderer_suits_the_driver(
-    wanted: RendererName | Literal["auto"], driver: str | None, name: RendererName
+def test_the_chosen_renderer_suits_the_driver(
+    requested: RendererName | Literal["auto"], driver: str | None, name: RendererName
 ) -> None:
-    """Catches a GPU left idle, a GL drawn by the CPU where our kernel is faster, and a wish that is not granted."""
-    chosen = choose_renderer(wanted, driver)
-    assert chosen.name == name
-    assert chosen.reason
-    if wanted == "auto" and driver is not None:
-        assert driver in chosen.reason
+    """Catches an unused GPU, software GL where the native kernel is faster, and an ignored request."""
+    choice = choose_renderer(requested, driver)
+    assert choice.name == name
+    assert choice.reason
+    if requested == "auto" and driver is not None:
+        assert driver in choice.reason
 
 
-@pytest.mark.parametrize("wanted", [name for name in RENDERERS if name != "cpu"])
-def test_a_renderer_without_gl_is_refused(wanted: RendererName) -> None:
-    """Catches a wish that is silently replaced, or that fails deep inside GL."""
-    with pytest.raises(UserError, match=f"--renderer: expected cpu.*got {wanted}; add --renderer cpu"):
-        choose_renderer(wanted, None)
+@pytest.mark.parametrize("requested", [name for name in RENDERERS if name != "cpu"])
+def test_a_gl_renderer_without_gl_raises(requested: RendererName) -> None:
+    """Catches a request that is silently replaced, or that fails inside GL."""
+    with pytest.raises(UserError, match=f"--renderer: expected cpu.*got {requested}; add --renderer cpu"):
+        choose_renderer(requested, None)

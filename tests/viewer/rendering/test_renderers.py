@@ -1,4 +1,4 @@
-"""Every renderer against the reference, at the same camera."""
+"""All renderers against the torch reference."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from fourd.viewer.gl.frame_textures import Precision
 from fourd.viewer.gl.passes import release_framebuffer
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 from tests.baking.scenes import manifest, random_frame, ring
-from tests.viewer.gl import contexts, drawn
-from tests.viewer.shells import solid
+from tests.viewer.gl import contexts, render
+from tests.viewer.scenes import shell_frame
 
 EXACT: tuple[RendererName, ...] = ("peel", "dual", "cpu")
 LAYERS = 12
-BACKGROUND = (0.2, 0.4, 0.8)  # whole bytes: the same for every renderer
+BACKGROUND = (0.2, 0.4, 0.8)  # exact in bytes, so that all renderers agree
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def context() -> Iterator[moderngl.Context]:
 
 @pytest.fixture
 def make(context: moderngl.Context) -> Iterator[object]:
-    """Makes renderers, and releases them."""
+    """A factory of renderers, which are released after the test."""
     made: list[Renderer] = []
 
     def make_one(name: RendererName, precision: Precision = "float16") -> Renderer:
@@ -54,11 +54,11 @@ def make(context: moderngl.Context) -> Iterator[object]:
 
 
 def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.float32]:
-    """(H, W, 3) by the torch reference, over the background."""
+    """(H, W, 3) of the torch reference, over the background."""
     frame, settings = request.frame, request.settings
     colours = shade_reference(frame, request.camera, request.manifest)
     arrays = (frame.xyz, colours, frame.radius.astype(np.float32), frame.density.astype(np.float32))
-    picture = render_points(
+    rendered = render_points(
         *(torch.from_numpy(array.copy()) for array in arrays),
         request.camera,
         layers=layers or settings.layers,
@@ -66,11 +66,11 @@ def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.f
         background=torch.tensor(settings.background),
         backend="reference",
     )
-    return picture.features.clamp(0, 1).numpy()
+    return rendered.features.clamp(0, 1).numpy()
 
 
 def require_parity(name: str, got: NDArray[np.float32], truth: NDArray[np.float32]) -> None:
-    """Exact renderers: the acceptance bounds. Sorted: 40 dB."""
+    """Assert the error bounds of the exact renderers, or 40 dB for sorted."""
     difference = np.abs(got[..., :3] - truth)
     if name == "sorted":
         assert -10 * np.log10(np.square(difference).mean() + 1e-12) >= 40
@@ -83,7 +83,7 @@ def small_camera(index: int, width: int = 96, height: int = 64) -> Camera:
     return ring(5, size=64)[index].crop(-(width - 64) // 2, -(height - 64) // 2, width, height)
 
 
-def shot_of(
+def make_request(
     frame: BakedFrame, camera: Camera, settings: DisplaySettings | None = None, views: int = 6
 ) -> RenderRequest:
     return RenderRequest(frame, camera, manifest(views), settings or DisplaySettings(LAYERS, BACKGROUND))
@@ -91,118 +91,122 @@ def shot_of(
 
 @pytest.mark.parametrize("name", RENDERERS)
 @pytest.mark.parametrize("index", range(3))
-def test_a_solid_object(name: RendererName, index: int, make, context: moderngl.Context) -> None:
-    """Catches any of: a flipped picture, a wrong falloff, views or harmonics mixed up, a background that is lost."""
-    request = shot_of(solid(3000, seed=index), small_camera(index))
-    require_parity(name, drawn(make(name), request, context), reference(request))
+def test_shell_matches_reference(name: RendererName, index: int, make, context: moderngl.Context) -> None:
+    """Catches a flipped image, a wrong falloff, swapped source views or SH terms, and a missing background."""
+    request = make_request(shell_frame(3000, seed=index), small_camera(index))
+    require_parity(name, render(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("layers", [1, 2, 5, 12, 15])
-def test_a_fog_of_more_layers_than_k(name: RendererName, layers: int, make, context: moderngl.Context) -> None:
-    """Catches layers from the back among the K nearest, one too many for an odd K, and a peeling that ends early."""
+def test_only_the_k_nearest_layers_are_composited(
+    name: RendererName, layers: int, make, context: moderngl.Context
+) -> None:
+    """Catches far layers among the K nearest, an extra layer for odd K, and peeling that stops early."""
     frame = random_frame(3000, 6, seed=layers)
     thin = replace(frame, density=(frame.density * np.float16(0.3)).astype(np.float16))
-    request = shot_of(thin, small_camera(1), DisplaySettings(layers, (0.8, 0.2, 0.4)))
-    require_parity(name, drawn(make(name), request, context), reference(request))
+    request = make_request(thin, small_camera(1), DisplaySettings(layers, (0.8, 0.2, 0.4)))
+    require_parity(name, render(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", EXACT)
-def test_ties_are_taken_by_index(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches points of one depth that are lost, drawn twice or in another order."""
+def test_depth_ties_are_ordered_by_index(name: RendererName, make, context: moderngl.Context) -> None:
+    """Catches points of equal depth that are lost, drawn twice or in another order."""
     camera = Camera(np.array([[60.0, 0, 48], [0, 60, 32], [0, 0, 1]]), np.eye(3), np.array([0.0, 0, 3]), 96, 64)
     frame = random_frame(2000, 6, seed=3)
     flat = frame.xyz.copy()
     flat[:, 2] = np.round(flat[:, 2] * 2) / 2
-    request = shot_of(replace(frame, xyz=flat), camera)
-    require_parity(name, drawn(make(name), request, context), reference(request))
+    request = make_request(replace(frame, xyz=flat), camera)
+    require_parity(name, render(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
-def test_big_near_points_and_points_across_the_near_plane(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches sprites cut to a driver's largest size, points lost whose centre is out of sight, and points behind."""
-    frame = solid(1500, seed=8)
+def test_large_points_near_the_camera(name: RendererName, make, context: moderngl.Context) -> None:
+    """Catches sprites clamped to the driver's maximum, culled off-screen centres, and points behind the camera."""
+    frame = shell_frame(1500, seed=8)
     camera = small_camera(2)
-    ahead = np.linspace(-0.3, 0.9, 40)[:, None] * camera.forward
-    beside = np.random.default_rng(5).normal(0, 0.15, (40, 3))
-    xyz = np.concatenate([frame.xyz, (camera.centre + ahead + beside).astype(np.float32)])[-1500:]
-    request = shot_of(replace(frame, xyz=np.ascontiguousarray(xyz)), camera)
+    along = np.linspace(-0.3, 0.9, 40)[:, None] * camera.forward
+    noise = np.random.default_rng(5).normal(0, 0.15, (40, 3))
+    xyz = np.concatenate([frame.xyz, (camera.centre + along + noise).astype(np.float32)])[-1500:]
+    request = make_request(replace(frame, xyz=np.ascontiguousarray(xyz)), camera)
     depth = request.frame.xyz.astype(np.float64) @ camera.forward + camera.translation[2]
     assert (depth < 0).any()
-    assert (camera.intrinsics[1, 1] * 0.08 / depth.clip(0.01) > 128).any(), "no point is larger than a sprite may be"
-    # Sorted composites every layer, so that is what it is held to.
+    assert (camera.intrinsics[1, 1] * 0.08 / depth.clip(0.01) > 128).any(), "no point exceeds the maximum sprite size"
+    # Sorted composites all layers, so its reference does too.
     truth = reference(request, layers=64 if name == "sorted" else LAYERS)
-    require_parity(name, drawn(make(name), request, context), truth)
+    require_parity(name, render(make(name), request, context), truth)
 
 
 @pytest.mark.parametrize("name", ["sorted", "peel", "dual"])
-def test_centres_beside_the_picture(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches sprites that vanish as soon as their centre leaves the picture."""
-    request = shot_of(solid(400, seed=9), small_camera(0).crop(60, 20, 24, 24))
-    require_parity(name, drawn(make(name), request, context), reference(request))
+def test_discs_with_centres_outside_the_image(name: RendererName, make, context: moderngl.Context) -> None:
+    """Catches sprites that vanish when their centre leaves the image."""
+    request = make_request(shell_frame(400, seed=9), small_camera(0).crop(60, 20, 24, 24))
+    require_parity(name, render(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
 @pytest.mark.parametrize("points", [0, 1])
-def test_hardly_any_points(name: RendererName, points: int, make, context: moderngl.Context) -> None:
-    """Catches draw calls of nothing, and a picture that keeps what was there before."""
+def test_frames_of_zero_or_one_points(name: RendererName, points: int, make, context: moderngl.Context) -> None:
+    """Catches empty draw calls, and an image that keeps the previous content."""
     renderer = make(name)
-    request = shot_of(random_frame(points, 6, seed=2), small_camera(0))
-    require_parity(name, drawn(renderer, request, context), reference(request))
-    drawn(renderer, shot_of(solid(500, seed=1), small_camera(0)), context)
-    require_parity(name, drawn(renderer, request, context), reference(request))
+    request = make_request(random_frame(points, 6, seed=2), small_camera(0))
+    require_parity(name, render(renderer, request, context), reference(request))
+    render(renderer, make_request(shell_frame(500, seed=1), small_camera(0)), context)
+    require_parity(name, render(renderer, request, context), reference(request))
 
 
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("name", RENDERERS)
-def test_points_with_numbers_that_are_not_finite_are_left_out(name: RendererName, make, context) -> None:
-    """Catches NaN that spreads over the picture, where a caller brings arrays of their own."""
-    frame = solid(1000, seed=4)
+def test_points_with_invalid_values_are_culled(name: RendererName, make, context) -> None:
+    """Catches NaN and infinity that spread over the image when a caller passes unchecked arrays."""
+    frame = shell_frame(1000, seed=4)
     xyz, radius = frame.xyz.copy(), frame.radius.copy()
     xyz[::7] = np.nan
     xyz[1::7, 1] = np.inf
     radius[2::7] = 0
-    request = shot_of(replace(frame, xyz=xyz, radius=radius), small_camera(1))
-    require_parity(name, drawn(make(name), request, context), reference(request))
+    request = make_request(replace(frame, xyz=xyz, radius=radius), small_camera(1))
+    require_parity(name, render(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_scenes_without_source_views(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches a division by the number of views where there is none."""
-    frame = solid(800, seed=6)
+    """Catches a division by the count of views where it is 0."""
+    frame = shell_frame(800, seed=6)
     bare = replace(frame, blend_weights=frame.blend_weights[:, :0], rgb=frame.rgb[:, :0])
-    described = replace(manifest(2), source_names=(), source_cameras=(), sh_base=0.5, other_names=(), other_cameras=())
-    request = RenderRequest(bare, small_camera(0), described, DisplaySettings(LAYERS))
-    require_parity(name, drawn(make(name), request, context), reference(request))
+    without_views = replace(
+        manifest(2), source_names=(), source_cameras=(), sh_base=0.5, other_names=(), other_cameras=()
+    )
+    request = RenderRequest(bare, small_camera(0), without_views, DisplaySettings(LAYERS))
+    require_parity(name, render(make(name), request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", RENDERERS)
-def test_one_renderer_draws_frames_and_sizes_in_turn(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches textures, orders and colours of the picture before that are kept for the next."""
+def test_a_renderer_draws_different_frames_and_sizes(name: RendererName, make, context: moderngl.Context) -> None:
+    """Catches textures, depth orders and colours of the previous image in the next."""
     renderer = make(name)
     for seed, size in ((1, (96, 64)), (2, (40, 80)), (1, (96, 64)), (3, (130, 50))):
-        request = shot_of(solid(600 + 700 * seed, seed), small_camera(seed, *size))
-        require_parity(name, drawn(renderer, request, context), reference(request))
+        request = make_request(shell_frame(600 + 700 * seed, seed), small_camera(seed, *size))
+        require_parity(name, render(renderer, request, context), reference(request))
 
 
 @pytest.mark.parametrize("name", ["peel", "dual"])
-def test_float32_is_nearer_to_the_reference_than_float16(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches a precision that is asked for and not used."""
-    request = shot_of(solid(2000, seed=12), small_camera(0))
+def test_float32_is_more_exact_than_float16(name: RendererName, make, context: moderngl.Context) -> None:
+    """Catches a precision parameter without effect."""
+    request = make_request(shell_frame(2000, seed=12), small_camera(0))
     truth = reference(request)
     half, single = (
-        np.abs(drawn(make(name, precision), request, context)[..., :3] - truth).mean()
+        np.abs(render(make(name, precision), request, context)[..., :3] - truth).mean()
         for precision in ("float16", "float32")
     )
     assert single < half / 4
 
 
-def test_an_order_from_the_background_is_exact_at_rest(make, context: moderngl.Context) -> None:
-    """Catches an order that never catches up with the camera."""
+def test_background_order_becomes_exact_when_the_camera_stops(make, context: moderngl.Context) -> None:
+    """Catches a depth order that stays stale."""
     renderer = make("sorted")
-    frame = solid(2000, seed=7)
+    frame = shell_frame(2000, seed=7)
     for index in range(4):
-        request = shot_of(frame, small_camera(index))
+        request = make_request(frame, small_camera(index))
         canvas = Canvas(context)
         renderer.draw(request, canvas)
         for _ in range(1000):
@@ -211,11 +215,11 @@ def test_an_order_from_the_background_is_exact_at_rest(make, context: moderngl.C
             renderer.draw(request, canvas)
         canvas.release()
         assert renderer.stale_images == 0
-        require_parity("sorted", drawn(renderer, request, context), reference(request))
+        require_parity("sorted", render(renderer, request, context), reference(request))
 
 
-def test_a_scene_that_no_texture_holds_is_told(context: moderngl.Context) -> None:
-    """Catches a driver's error, or half a scene, where the arrays are larger than its textures."""
+def test_arrays_above_the_texture_limit_raise(context: moderngl.Context) -> None:
+    """Catches a driver error, or a partial scene, where the arrays exceed the largest texture."""
     from fourd.viewer.gl.frame_textures import ArrayTexture
     from fourd.viewer.gl.shaders import TEXELS_PER_ROW
 
@@ -227,33 +231,33 @@ def test_a_scene_that_no_texture_holds_is_told(context: moderngl.Context) -> Non
 
 
 @pytest.mark.parametrize("name", RENDERERS)
-def test_renderers_give_back_their_gl_objects(name: RendererName, context: moderngl.Context) -> None:
-    """Catches textures, buffers, programs and framebuffers that pile up with every scene that is opened."""
-    request = shot_of(solid(300, seed=1), small_camera(0))
+def test_renderers_release_their_gl_objects(name: RendererName, context: moderngl.Context) -> None:
+    """Catches textures, buffers, programs and framebuffers that leak with every opened scene."""
+    request = make_request(shell_frame(300, seed=1), small_camera(0))
 
     def open_and_close() -> None:
         renderer = make_renderer(name, context)
-        drawn(renderer, request, context)
+        render(renderer, request, context)
         renderer.release()
         gc.collect()
 
     open_and_close()
-    before = objects_in_use(context)
+    before = count_gl_objects(context)
     for _ in range(5):
         open_and_close()
-    after = objects_in_use(context)
-    assert after.pop("glIsProgram") <= before.pop("glIsProgram") + 1, "the one in use goes when the next is used"
+    after = count_gl_objects(context)
+    assert after.pop("glIsProgram") <= before.pop("glIsProgram") + 1, "the program in use is deleted later"
     assert after == before
 
 
-def objects_in_use(context: moderngl.Context) -> dict[str, int]:
-    """How many names of each kind stand for an object."""
+def count_gl_objects(context: moderngl.Context) -> dict[str, int]:
+    """Counts of live GL objects by kind."""
     newest = context.texture((1, 1), 4)
     framebuffer = context.framebuffer([newest])
     last = 64 + max(newest.glo, framebuffer.glo)
     release_framebuffer(context, framebuffer)
     newest.release()
-    asked = (
+    queries = (
         GL.glIsTexture,
         GL.glIsBuffer,
         GL.glIsFramebuffer,
@@ -262,34 +266,34 @@ def objects_in_use(context: moderngl.Context) -> dict[str, int]:
         GL.glIsProgram,
         GL.glIsQuery,
     )
-    return {ask.__name__: sum(bool(ask(name)) for name in range(1, last)) for ask in asked}
+    return {query.__name__: sum(bool(query(name)) for name in range(1, last)) for query in queries}
 
 
-def test_the_manifest_s_own_terms_reach_the_shader(make, context: moderngl.Context) -> None:
-    """Catches constants of the shader where the manifest has others: range, base, near and neighbours."""
-    described: SceneManifest = replace(manifest(6), sh_range=0.4, sh_base=0.1, near=2.6, neighbours=2)
-    request = RenderRequest(solid(2000, seed=3), small_camera(1), described, DisplaySettings(LAYERS))
+def test_manifest_constants_reach_the_shader(make, context: moderngl.Context) -> None:
+    """Catches hard-coded values of sh_range, sh_base, near and neighbours in the shader."""
+    changed: SceneManifest = replace(manifest(6), sh_range=0.4, sh_base=0.1, near=2.6, neighbours=2)
+    request = RenderRequest(shell_frame(2000, seed=3), small_camera(1), changed, DisplaySettings(LAYERS))
     truth = reference(request)
     for name in RENDERERS:
-        require_parity(name, drawn(make(name), request, context), truth)
+        require_parity(name, render(make(name), request, context), truth)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RENDERERS)
-def test_a_thousand_frames_leave_no_objects_behind(name: RendererName, context: moderngl.Context) -> None:
-    """Catches an object a picture that is never deleted, and sizes that grow with what was drawn before."""
+def test_a_thousand_images_leak_nothing(name: RendererName, context: moderngl.Context) -> None:
+    """Catches GL objects that leak per image, and memory that grows with the images drawn."""
     renderer, canvas = make_renderer(name, context), Canvas(context)
-    frames = [solid(200 + 10 * number, seed=number) for number in range(5)]
+    frames = [shell_frame(200 + 10 * number, seed=number) for number in range(5)]
 
-    def play(pictures: int) -> None:
-        for number in range(pictures):
+    def play(count: int) -> None:
+        for number in range(count):
             camera = small_camera(number % 5, 40 + 8 * (number % 3), 40)
-            renderer.draw(shot_of(frames[number % len(frames)], camera), canvas, wait=number % 2 == 0)
+            renderer.draw(make_request(frames[number % len(frames)], camera), canvas, wait=number % 2 == 0)
 
     play(30)
-    before, memory = objects_in_use(context), resident_bytes()
+    before, memory = count_gl_objects(context), resident_bytes()
     play(1000)
-    assert objects_in_use(context) == before
+    assert count_gl_objects(context) == before
     assert resident_bytes() - memory < 32 << 20
     renderer.release()
     canvas.release()

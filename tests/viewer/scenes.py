@@ -1,4 +1,4 @@
-"""Scenes of closed shells, whose inside cannot be seen."""
+"""Scenes of opaque spherical shells."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from fourd.baking import BakedFrame, SceneWriter
 from tests.baking.scenes import manifest, random_frame
 
 
-def solid(points: int, seed: int) -> BakedFrame:
-    """A closed shell of overlapping points, as scenes are; a transparent fog would have more layers than K."""
+def shell_frame(points: int, seed: int) -> BakedFrame:
+    """A closed shell of overlapping points; it hides its far side, so that few pixels have more than K layers."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(points, 3))
     frame = random_frame(points, 6, seed)
@@ -25,7 +25,7 @@ def solid(points: int, seed: int) -> BakedFrame:
 
 
 def write_shells(path: Path, frames: int, points: int = 3000) -> None:
-    """A scene of shells, another in every frame."""
+    """Write a scene with a different shell in every frame."""
     with SceneWriter(path, manifest(6, frames)) as writer:
         for index in range(frames):
-            writer.add_frame(index, solid(points, seed=index))
+            writer.add_frame(index, shell_frame(points, seed=index))
