@@ -1,4 +1,4 @@
-"""A screen of one's own, and a user at it: Xvfb, xdotool, and files dropped by the XDND protocol."""
+"""A virtual screen (Xvfb) with simulated input (xdotool) and files dropped by the XDND protocol."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-PATIENCE = 60.0
-"""Seconds that a slow machine may take for what is waited for."""
+TIMEOUT_SECONDS = 60.0
+"""Generous, for loaded machines."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +32,13 @@ class Screen:
         return {**os.environ, "DISPLAY": self.display, "XDG_SESSION_TYPE": "x11"}
 
     def xdotool(self, *words: str | int) -> str:
-        """Run xdotool; returns what it prints."""
+        """Run xdotool and return its output."""
         command = ["xdotool", *(str(word) for word in words)]
-        done = subprocess.run(command, env=self.environment(), capture_output=True, text=True, timeout=PATIENCE)
+        done = subprocess.run(command, env=self.environment(), capture_output=True, text=True, timeout=TIMEOUT_SECONDS)
         return done.stdout.strip()
 
     def picture(self) -> NDArray[np.uint8]:
-        """(H, W, 3) of the whole screen."""
+        """(H, W, 3) uint8 of the whole screen."""
         from Xlib import X
         from Xlib.display import Display
 
@@ -55,7 +55,7 @@ class Screen:
 
 @contextmanager
 def screen(width: int = 1280, height: int = 800, options: tuple[str, ...] = ()) -> Iterator[Screen]:
-    """A screen, with more options of Xvfb's; skips where the programs for it are missing."""
+    """Start a screen with extra options for Xvfb; skip where the programs are not installed."""
     for program in ("Xvfb", "xdotool"):
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")
@@ -79,8 +79,8 @@ def screen(width: int = 1280, height: int = 800, options: tuple[str, ...] = ()) 
         stderr=subprocess.DEVNULL,
     )
     os.close(writing)
-    with os.fdopen(reading) as told:
-        number = told.readline().strip()
+    with os.fdopen(reading) as pipe:
+        number = pipe.readline().strip()
     try:
         yield Screen(f":{number}")
     finally:
@@ -89,7 +89,7 @@ def screen(width: int = 1280, height: int = 800, options: tuple[str, ...] = ()) 
 
 
 class Viewer:
-    """`fourd view` in a process of its own, and its user."""
+    """A process of `fourd view` and the input of its user."""
 
     def __init__(self, screen: Screen, folder: Path, *words: str, variables: dict[str, str] | None = None) -> None:
         self.screen = screen
@@ -112,11 +112,11 @@ class Viewer:
         self.screen.xdotool("key", *names)
 
     def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1) -> None:
-        """Press, move in some steps, release: at a hand's pace, so that no step is lost."""
+        """Press, move in steps, release; slow enough that no event is merged."""
         self.screen.xdotool("mousemove", *start, "mousedown", button)
         for step in range(1, 6):
-            place = (first + (last - first) * step // 5 for first, last in zip(start, end, strict=True))
-            self.screen.xdotool("mousemove", *place, "sleep", "0.05")
+            position = (first + (last - first) * step // 5 for first, last in zip(start, end, strict=True))
+            self.screen.xdotool("mousemove", *position, "sleep", "0.05")
         self.screen.xdotool("mouseup", button)
 
     def click(self, x: int, y: int) -> None:
@@ -128,14 +128,14 @@ class Viewer:
         return self.screen.picture()
 
     def keep(self, name: str) -> NDArray[np.uint8]:
-        """The screen, also as a file to settings at."""
+        """The screen, also saved as a PNG for inspection."""
         picture = self.picture()
         Image.fromarray(picture).save(self.folder / f"{name}.png")
         return picture
 
     def until(self, found: Callable[[], object], what: str) -> str:
-        """Wait for something to be true; fails with the viewer's own words."""
-        end = time.monotonic() + PATIENCE
+        """Wait until ``found`` is true and return its value; fail with the viewer's log."""
+        end = time.monotonic() + TIMEOUT_SECONDS
         while time.monotonic() < end:
             result = found()
             if result:
@@ -143,18 +143,18 @@ class Viewer:
             if self.process.poll() is not None:
                 break
             time.sleep(0.05)
-        pytest.fail(f"expected {what}; the viewer said: {self.log} (its title: {self.title if self.window else ''})")
+        pytest.fail(f"expected {what}; the log: {self.log} (the title: {self.title if self.window else ''})")
 
     def drop(self, path: Path) -> None:
-        """Drop a file on the window, as a file manager does."""
+        """Drop a file on the window."""
         drop_file(self.screen.display, int(self.window), path)
 
     def close(self) -> int:
-        """Ask the window to close, as its button does; returns the exit code."""
+        """Close the window and return the exit code."""
         if self.process.poll() is None:
-            ask_to_close(self.screen.display, int(self.window))
+            send_close_event(self.screen.display, int(self.window))
         try:
-            return self.process.wait(PATIENCE)
+            return self.process.wait(TIMEOUT_SECONDS)
         finally:
             self.process.kill()
             self._log.close()
@@ -166,7 +166,7 @@ class Viewer:
 
 
 def set_dpi(display_name: str, dpi: int) -> None:
-    """Ask programs for larger text, as desktops do."""
+    """Set the screen's text resolution, as desktop environments do."""
     from Xlib import Xatom
     from Xlib.display import Display
 
@@ -177,8 +177,8 @@ def set_dpi(display_name: str, dpi: int) -> None:
     display.close()
 
 
-def ask_to_close(display_name: str, window_number: int) -> None:
-    """Send what a window manager sends when a window's close button is clicked."""
+def send_close_event(display_name: str, window_number: int) -> None:
+    """Send the event of a window's close button."""
     from Xlib.display import Display
 
     display = Display(display_name)
@@ -190,7 +190,7 @@ def ask_to_close(display_name: str, window_number: int) -> None:
 
 
 def drop_file(display_name: str, window_number: int, path: Path) -> None:
-    """Be the source of a drag that ends on the window (the XDND protocol, version 5)."""
+    """Drag a file onto the window and drop it (XDND protocol, version 5)."""
     from Xlib import X
     from Xlib.display import Display
     from Xlib.protocol.event import SelectionNotify
@@ -202,13 +202,13 @@ def drop_file(display_name: str, window_number: int, path: Path) -> None:
         target = display.create_resource_object("window", window_number)
         selection, uris = (display.intern_atom(name) for name in ("XdndSelection", "text/uri-list"))
         source.set_selection_owner(selection, X.CurrentTime)
-        place = target.get_geometry()
-        middle = (place.width // 2) << 16 | place.height // 2
+        geometry = target.get_geometry()
+        centre = (geometry.width // 2) << 16 | geometry.height // 2
         copy = display.intern_atom("XdndActionCopy")
         _send(display, target, "XdndEnter", [source.id, 5 << 24, uris, 0, 0])
-        _send(display, target, "XdndPosition", [source.id, 0, middle, X.CurrentTime, copy])
+        _send(display, target, "XdndPosition", [source.id, 0, centre, X.CurrentTime, copy])
         _send(display, target, "XdndDrop", [source.id, 0, X.CurrentTime, 0, 0])
-        end = time.monotonic() + PATIENCE
+        end = time.monotonic() + TIMEOUT_SECONDS
         finished = False
         while not finished and time.monotonic() < end:
             while not finished and display.pending_events():
@@ -228,7 +228,7 @@ def drop_file(display_name: str, window_number: int, path: Path) -> None:
                 finished = event.type == X.ClientMessage and event.client_type == display.intern_atom("XdndFinished")
             display.flush()
             time.sleep(0.01)
-        assert finished, "the window did not take what was dropped"
+        assert finished, "the window did not accept the file"
     finally:
         display.close()
 

@@ -1,4 +1,4 @@
-"""A viewer's state without its window: scenes opened and left, is_waiting for frames, and runs that go on training."""
+"""Sessions: opening and closing scenes, waiting for frames, and runs that continue to train."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def scene(tmp_path: Path) -> Path:
     return tmp_path / "one.4dv"
 
 
-def opened(session: Session, path: Path) -> LoadedScene:
+def open_scene(session: Session, path: Path) -> LoadedScene:
     session.open(path)
     found = session.take_opened(wait=True)
     assert found is not None, session.message
@@ -36,9 +36,9 @@ def opened(session: Session, path: Path) -> LoadedScene:
 
 
 def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path: Path) -> None:
-    """Catches a viewer that is left with nothing to show, and a message that does not name the file."""
+    """Catches a viewer without a scene, and a message that does not name the file."""
     session = Session(DisplaySettings())
-    opened(session, scene)
+    open_scene(session, scene)
     before = session.render_request(SIZE, wait=True)
     (tmp_path / "broken.4dv").write_bytes(b"no scene")
     session.open(tmp_path / "broken.4dv")
@@ -51,15 +51,15 @@ def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path
     session.close()
 
 
-def test_a_damaged_frame_keeps_the_one_before_it_and_says_so(scene: Path) -> None:
-    """Catches an empty picture, or an end, where one frame of many cannot be read."""
+def test_a_damaged_frame_keeps_the_previous_one_and_sets_a_message(scene: Path) -> None:
+    """Catches an empty image or a crash where one frame cannot be read."""
     content = bytearray(scene.read_bytes())
     frame = SceneReader(scene).read(2)
-    at = content.find(frame.xyz.tobytes())
-    content[at : at + 4] = np.float32(np.nan).tobytes()
+    offset = content.find(frame.xyz.tobytes())
+    content[offset : offset + 4] = np.float32(np.nan).tobytes()
     scene.write_bytes(bytes(content))
     session = Session(DisplaySettings())
-    opened(session, scene)
+    open_scene(session, scene)
     session.playback.seek(1)
     good = session.render_request(SIZE, wait=True)
     session.playback.seek(2)
@@ -77,39 +77,39 @@ def test_a_damaged_frame_keeps_the_one_before_it_and_says_so(scene: Path) -> Non
 
 
 class SlowSource:
-    """A disk that answers when it is told to."""
+    """A source that waits for an event before it reads."""
 
     def __init__(self) -> None:
         self.manifest = manifest(2, 3)
-        self.answers = threading.Event()
+        self.is_ready = threading.Event()
 
     def read(self, index: int):
-        self.answers.wait()
+        self.is_ready.wait()
         return random_frame(10 + index, 2, seed=index)
 
     def close(self) -> None:
         pass
 
 
-def test_a_slow_disk_is_waited_for_without_a_stop(tmp_path: Path) -> None:
-    """Catches a window that freezes until a frame is read, and time that runs on meanwhile."""
+def test_a_slow_source_does_not_block_the_viewer(tmp_path: Path) -> None:
+    """Catches a window that freezes until a frame is read, and playback that continues meanwhile."""
     source = SlowSource()
     session = Session(DisplaySettings())
     session.show(LoadedScene(tmp_path / "slow.4dv", source), LoadedScene(tmp_path, SlowSource()).initial_pose(SIZE))
     assert session.render_request(SIZE) is None
     assert session.is_waiting
     session.advance(0.05)
-    assert session.playback.frame == 0, "frames are skipped while none is there"
-    source.answers.set()
+    assert session.playback.frame == 0, "playback advances while no frame is there"
+    source.is_ready.set()
     assert session.render_request(SIZE, wait=True) is not None
     assert not session.is_waiting
     session.close()
 
 
-def test_what_does_not_change_is_the_same_object(scene: Path) -> None:
-    """Catches cameras and scaled frames made anew for every picture: renderers would sort and upload each time."""
+def test_unchanged_requests_reuse_their_objects(scene: Path) -> None:
+    """Catches new cameras and scaled frames for every image, which renderers would sort and upload."""
     session = Session(replace(DisplaySettings(), point_scale=1.5))
-    opened(session, scene)
+    open_scene(session, scene)
     one, other = session.render_request(SIZE, wait=True), session.render_request(SIZE, wait=True)
     assert one is not None
     assert other is not None
@@ -124,22 +124,22 @@ def test_what_does_not_change_is_the_same_object(scene: Path) -> None:
     session.close()
 
 
-def test_the_scene_s_layers_are_taken_unless_the_user_chose(tmp_path: Path) -> None:
-    """Catches K of the scene before, and a user's K that the next scene undoes."""
+def test_the_user_s_layers_override_the_scene_s(tmp_path: Path) -> None:
+    """Catches K of the previous scene, and a user's K that the next scene resets."""
     write_scene(tmp_path / "one.4dv")
     session = Session(DisplaySettings(layers=0))
-    opened(session, tmp_path / "one.4dv")
+    open_scene(session, tmp_path / "one.4dv")
     assert session.settings.layers == 12
     session.set_layers(5)
-    opened(session, tmp_path / "one.4dv")
+    open_scene(session, tmp_path / "one.4dv")
     assert session.settings.layers == 5
     session.close()
 
 
-def test_a_glide_ends_where_it_should_and_a_move_ends_it(scene: Path) -> None:
-    """Catches a glide that goes on after the user has taken over."""
+def test_transitions_end_exactly_and_input_ends_them(scene: Path) -> None:
+    """Catches a transition that continues after the user has moved the camera."""
     session = Session(DisplaySettings())
-    found = opened(session, scene)
+    found = open_scene(session, scene)
     end = found.camera_pose(3, SIZE)
     session.move_to(end)
     session.advance(TRANSITION_SECONDS / 2)
@@ -156,14 +156,12 @@ def test_a_glide_ends_where_it_should_and_a_move_ends_it(scene: Path) -> None:
     session.close()
 
 
-def test_a_run_is_shown_and_shown_again_when_it_has_learnt_more(
-    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Catches a run that stays at the checkpoint at which it was opened."""
+def test_a_run_shows_its_newest_checkpoint(ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a run that stays at the checkpoint of its opening."""
     monkeypatch.setattr("fourd.viewer.loaded_scene._CHECKPOINT_POLL_SECONDS", 0.0)
     run = trained_run(ball_capture, tmp_path / "run")
     session = Session(DisplaySettings())
-    found = opened(session, run.folder)
+    found = open_scene(session, run.folder)
     assert found.checkpoint == "00000006.safetensors"
     assert not session.advance(0)
     before = session.render_request(SIZE, wait=True)
@@ -172,15 +170,15 @@ def test_a_run_is_shown_and_shown_again_when_it_has_learnt_more(
         assert offscreen.render(before).max() > 30
     train(run, with_steps(SMALL, 12))
     assert session.advance(0)
-    assert session.render_request(SIZE) is not None, "what was there stays until the new one comes"
+    assert session.render_request(SIZE) is not None, "the previous frame stays until the new one is read"
     after = session.render_request(SIZE, wait=True)
     assert after is not None
     assert not np.array_equal(after.frame.sh, before.frame.sh)
     session.close()
 
 
-def test_a_run_s_frames_are_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a live view with other cameras, colours or shading than the file that is made of the run."""
+def test_a_run_s_frames_equal_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a live view with other cameras, colours or shading than the exported file."""
     from fourd.baking.bake import bake_run
     from fourd.training.run import load_run
     from tests.training.small import quiet
@@ -196,26 +194,26 @@ def test_a_run_s_frames_are_those_of_its_export(ball_capture: Path, tmp_path: Pa
     exported.close()
 
 
-def test_numbers_that_a_failed_training_leaves_are_told(
+def test_invalid_values_of_a_failed_training_raise(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches NaN from a run, which no file reader has looked at, in the kernels."""
+    """Catches NaN of a run, which no file reader has checked, in the kernels."""
     run = trained_run(ball_capture, tmp_path / "run")
     source = RunSource(run.folder)
 
-    def spoilt(*_: object):
+    def bake_invalid(*_: object):
         frame = random_frame(10, 2, seed=1)
         frame.radius[3] = np.nan
         return frame
 
-    monkeypatch.setattr("fourd.baking.bake.bake_frame", spoilt)
+    monkeypatch.setattr("fourd.baking.bake.bake_frame", bake_invalid)
     with pytest.raises(UserError, match="expected finite numbers, got others in radius of frame 0 at step 6"):
         source.read(0)
 
 
 @pytest.mark.slow
 def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None:
-    """Catches frames, threads, files and GL objects that pile up: 1,000 frames, and 100 scenes opened."""
+    """Catches leaks of frames, threads, files and GL objects: 1,000 images, and 100 scenes opened."""
     import os
 
     from fourd.training.memory import resident_bytes
@@ -223,22 +221,22 @@ def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None
     write_scene(tmp_path / "long.4dv", frames=50, points=4000)
     session = Session(DisplaySettings())
 
-    def play(pictures: int) -> None:
+    def play(count: int) -> None:
         with OffscreenRenderer("cpu") as offscreen:
-            for number in range(pictures):
+            for number in range(count):
                 session.playback.seek(number % 50)
                 request = session.render_request(SIZE, wait=True)
                 assert request is not None
                 offscreen.render(request)
 
-    opened(session, tmp_path / "long.4dv")
+    open_scene(session, tmp_path / "long.4dv")
     play(200)
     before = resident_bytes()
     play(1000)
     assert resident_bytes() - before < 32 << 20
     files, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
     for _ in range(100):
-        opened(session, tmp_path / "long.4dv")
+        open_scene(session, tmp_path / "long.4dv")
         play(1)
     assert resident_bytes() - before < 48 << 20
     assert len(os.listdir("/proc/self/fd")) == files

@@ -1,4 +1,4 @@
-"""The window, driven by mouse and keys on a virtual screen."""
+"""The window, operated by mouse and keys on a virtual screen."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def scene(tmp_path: Path) -> Path:
 @pytest.fixture
 def viewer(display: Screen, scene: Path, tmp_path: Path) -> Iterator[Viewer]:
     opened = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
-    opened.until(lambda: "ball.4dv" in opened.title and shown(opened) > 0.005, "the scene in its window")
+    opened.until(lambda: "ball.4dv" in opened.title and foreground_share(opened) > 0.005, "the scene in its window")
     hide_panel(opened)
     yield opened
     assert opened.close() == 0, opened.log
@@ -46,130 +46,131 @@ def hide_panel(viewer: Viewer) -> None:
     viewer.until(lambda: not viewer.picture()[15, 30].any(), "no panel")
 
 
-def seen(viewer: Viewer) -> NDArray[np.uint8]:
-    """The window."""
+def window_image(viewer: Viewer) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 of the window."""
     return viewer.picture()[: SIZE[1], : SIZE[0]]
 
 
-def settled(viewer: Viewer) -> NDArray[np.uint8]:
-    """What is seen when nothing moves any more."""
-    pictures = [seen(viewer)]
+def stable_image(viewer: Viewer) -> NDArray[np.uint8]:
+    """The window once two consecutive images are equal."""
+    images = [window_image(viewer)]
 
     def same_as_before() -> bool:
         time.sleep(0.3)
-        pictures.append(seen(viewer))
-        return np.array_equal(pictures[-1], pictures[-2])
+        images.append(window_image(viewer))
+        return np.array_equal(images[-1], images[-2])
 
-    viewer.until(same_as_before, "a picture that stays")
-    return pictures[-1]
-
-
-def shown(viewer: Viewer) -> float:
-    """The share of pixels that are not background."""
-    return float((seen(viewer).max(axis=2) > 30).mean())
+    viewer.until(same_as_before, "a stable image")
+    return images[-1]
 
 
-def middle(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(x, y) of the centre of what is not background; NaN where there is nothing else."""
+def foreground_share(viewer: Viewer) -> float:
+    """Share of pixels that differ from the background."""
+    return float((window_image(viewer).max(axis=2) > 30).mean())
+
+
+def centre(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """(x, y) mean position of the foreground pixels; NaN where there are none."""
     rows, columns = np.nonzero(picture.max(axis=2) > 30)
     if not len(rows):
         return np.full(2, np.nan)
     return np.array([columns.mean(), rows.mean()])
 
 
-def frame_of(viewer: Viewer) -> int:
+def current_frame(viewer: Viewer) -> int:
     return int(viewer.title.split("frame ")[1].split("/")[0])
 
 
 def pause_at(viewer: Viewer, key: str, frame: int) -> None:
-    """Stop playing, at a frame that Home or End reaches."""
+    """Pause at a frame that Home or End reaches."""
     viewer.key("space")
     viewer.until(lambda: "paused" in viewer.title, "a pause")
     viewer.key(key)
-    viewer.until(lambda: frame_of(viewer) == frame, f"frame {frame}")
+    viewer.until(lambda: current_frame(viewer) == frame, f"frame {frame}")
 
 
 def test_it_plays_pauses_and_steps(viewer: Viewer) -> None:
-    """Catches keys that do nothing, a pause that goes on, and a step that does not wrap at the end."""
-    first = frame_of(viewer)
-    viewer.until(lambda: frame_of(viewer) != first, "another frame while it plays")
+    """Catches keys without effect, playback during a pause, and a step that does not wrap."""
+    first = current_frame(viewer)
+    viewer.until(lambda: current_frame(viewer) != first, "another frame while it plays")
     pause_at(viewer, "Home", 1)
     viewer.key("Right")
-    viewer.until(lambda: frame_of(viewer) == 2, "frame 2")
+    viewer.until(lambda: current_frame(viewer) == 2, "frame 2")
     viewer.key("Left")
     viewer.key("Left")
-    viewer.until(lambda: frame_of(viewer) == 5, "frame 5, before the first")
+    viewer.until(lambda: current_frame(viewer) == 5, "frame 5, by wrapping")
     viewer.key("space")
-    viewer.until(lambda: "playing" in viewer.title, "playing on")
+    viewer.until(lambda: "playing" in viewer.title, "playback")
 
 
 def test_dragging_orbits_and_pans_and_the_wheel_dollies(viewer: Viewer) -> None:
-    """Catches buttons with another's meaning, and a scene that moves against the mouse."""
+    """Catches swapped buttons, and a scene that moves against the mouse."""
     pause_at(viewer, "Home", 1)
-    before = settled(viewer)
+    before = stable_image(viewer)
     viewer.drag((600, 350), (700, 380))
-    viewer.until(lambda: not np.array_equal(seen(viewer), before), "another view after a drag")
-    orbited = settled(viewer)
-    assert np.abs(middle(orbited) - middle(before)).max() < 20, "an orbit keeps the object where it is"
+    viewer.until(lambda: not np.array_equal(window_image(viewer), before), "another view after a drag")
+    orbited = stable_image(viewer)
+    assert np.abs(centre(orbited) - centre(before)).max() < 20, "an orbit keeps the object in place"
     viewer.drag((600, 350), (650, 390), button=3)
     viewer.until(
-        lambda: np.abs(middle(seen(viewer)) - middle(orbited) - (50, 40)).max() < 6, "the object under the mouse"
+        lambda: np.abs(centre(window_image(viewer)) - centre(orbited) - (50, 40)).max() < 6,
+        "the object under the mouse",
     )
-    settled(viewer)
-    area = shown(viewer)
+    stable_image(viewer)
+    area = foreground_share(viewer)
     viewer.screen.xdotool("mousemove", 600, 350, "click", 4, "click", 4)
-    viewer.until(lambda: shown(viewer) > 1.2 * area, "a larger object")
+    viewer.until(lambda: foreground_share(viewer) > 1.2 * area, "a larger object")
 
 
-def test_flying_moves_the_viewer(viewer: Viewer) -> None:
-    """Catches keys that are only seen when pressed, not while they are held."""
+def test_held_keys_fly(viewer: Viewer) -> None:
+    """Catches keys that act only when pressed, not while they are held."""
     pause_at(viewer, "Home", 1)
-    area = shown(viewer)
+    area = foreground_share(viewer)
     viewer.screen.xdotool("keydown", "w", "sleep", "0.4", "keyup", "w")
-    viewer.until(lambda: shown(viewer) > 1.1 * area, "a larger object when flying forward")
-    x = middle(settled(viewer))[0]
+    viewer.until(lambda: foreground_share(viewer) > 1.1 * area, "a larger object when flying forward")
+    x = centre(stable_image(viewer))[0]
     viewer.screen.xdotool("keydown", "d", "sleep", "0.3", "keyup", "d")
-    viewer.until(lambda: middle(seen(viewer))[0] < x - 5, "the object further left when flying right")
+    viewer.until(lambda: centre(window_image(viewer))[0] < x - 5, "the object further left when flying right")
 
 
-def test_keys_glide_to_the_capture_s_cameras_and_back(viewer: Viewer) -> None:
-    """Catches a jump that ends elsewhere, and a way back that does not lead to the first view."""
+def test_keys_move_to_capture_cameras_and_back(viewer: Viewer) -> None:
+    """Catches a transition to a wrong pose, and a key 0 that does not restore the initial view."""
     pause_at(viewer, "Home", 1)
-    first = settled(viewer)
+    first = stable_image(viewer)
     viewer.key("n")
-    viewer.until(lambda: not close(settled(viewer), first), "another camera's view")
+    viewer.until(lambda: not close(stable_image(viewer), first), "another camera's view")
     viewer.key("0")
-    viewer.until(lambda: close(seen(viewer), first), "the first view again")
+    viewer.until(lambda: close(window_image(viewer), first), "the initial view")
 
 
 def close(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> bool:
     return one.shape == other.shape and float(np.abs(one.astype(float) - other).mean()) < 0.5
 
 
-def test_every_renderer_shows_the_same_and_resizing_keeps_it(viewer: Viewer) -> None:
-    """Catches a renderer whose picture is turned or scaled in the window, and one that stays at its first size."""
+def test_all_renderers_show_the_same_image_at_all_sizes(viewer: Viewer) -> None:
+    """Catches an image that is flipped or scaled in the window, or keeps the initial size."""
     pause_at(viewer, "Home", 1)
-    pictures = {"cpu": settled(viewer)}
+    images = {"cpu": stable_image(viewer)}
     for name in ("sorted", "peel", "dual"):
         viewer.key("r")
         viewer.until(lambda name=name: viewer.title.endswith(f"- {name}"), f"renderer {name}")
-        viewer.until(lambda: close(seen(viewer), pictures["cpu"]), f"the same picture by {name}")
+        viewer.until(lambda: close(window_image(viewer), images["cpu"]), f"the same image by {name}")
     viewer.screen.xdotool("windowsize", viewer.window, 1100, 500)
     viewer.until(lambda: float((viewer.picture()[:500, :1100].max(axis=2) > 30).mean()) > 0.005, "a picture")
-    viewer.until(lambda: abs(middle(viewer.picture()[:500, :1100])[1] - 250) < 40, "the object at the new middle")
+    viewer.until(lambda: abs(centre(viewer.picture()[:500, :1100])[1] - 250) < 40, "the object at the new centre")
 
 
 def test_a_broken_file_leaves_the_open_scene(viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a crash, silence, or an empty window where a file that is dropped cannot be opened."""
+    """Catches a crash, a missing message, or an empty window after an invalid file is dropped."""
     pause_at(viewer, "Home", 1)
-    before = settled(viewer)
+    before = stable_image(viewer)
     broken = tmp_path / "broken.4dv"
     broken.write_bytes(b"PK\x03\x04 but no more")
     viewer.drop(broken)
     message = slice(SIZE[1] - 60, SIZE[1] - 5)
-    viewer.until(lambda: seen(viewer)[message].max() > 150, "a message at the bottom")
+    viewer.until(lambda: window_image(viewer)[message].max() > 150, "a message at the bottom")
     viewer.keep("message")
-    assert close(seen(viewer)[: SIZE[1] - 120], before[: SIZE[1] - 120])
+    assert close(window_image(viewer)[: SIZE[1] - 120], before[: SIZE[1] - 120])
     other = tmp_path / "other.4dv"
     write_shells(other, frames=2)
     viewer.drop(other)
@@ -177,52 +178,52 @@ def test_a_broken_file_leaves_the_open_scene(viewer: Viewer, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["sorted", "dual"])
-def test_scenes_are_changed_under_a_gl_renderer(name: str, viewer: Viewer, scene: Path, tmp_path: Path) -> None:
-    """Catches GL objects of the scene before that are still in use when they are gone."""
+def test_gl_renderers_survive_a_change_of_scene(name: str, viewer: Viewer, scene: Path, tmp_path: Path) -> None:
+    """Catches deleted GL objects of the previous scene that are still in use."""
     other = tmp_path / "other.4dv"
     write_shells(other, frames=2)
     viewer.until(lambda: viewer.key("r") or viewer.title.endswith(f"- {name}"), f"renderer {name}")
     for path in (other, scene, other):
         viewer.drop(path)
         viewer.until(lambda path=path: path.name in viewer.title, path.name)
-        viewer.until(lambda: shown(viewer) > 0.005, "the scene")
+        viewer.until(lambda: foreground_share(viewer) > 0.005, "the scene")
 
 
 def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, tmp_path: Path) -> None:
-    """Catches pictures with the panel in them, and a view that is forgotten when the window closes."""
+    """Catches screenshots that include the panel, and a view that is lost when the window closes."""
     first = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
-    first.until(lambda: shown(first) > 0.005, "the scene")
+    first.until(lambda: foreground_share(first) > 0.005, "the scene")
     pause_at(first, "Home", 1)
     first.drag((600, 350), (640, 330))
     first.key("F12")
     first.until(lambda: (tmp_path / "ball-001.png").exists(), "a screenshot")
-    taken = np.asarray(Image.open(tmp_path / "ball-001.png"))
-    assert taken.shape == (SIZE[1], SIZE[0], 3)
-    assert not taken[:30, :200].any(), "the panel is in it"
+    screenshot = np.asarray(Image.open(tmp_path / "ball-001.png"))
+    assert screenshot.shape == (SIZE[1], SIZE[0], 3)
+    assert not screenshot[:30, :200].any(), "the screenshot includes the panel"
     hide_panel(first)
-    first.until(lambda: close(seen(first)[:600], taken[:600]), "the picture of the window")
+    first.until(lambda: close(window_image(first)[:600], screenshot[:600]), "the picture of the window")
     first.key("F9")
     first.drag((600, 350), (700, 350))
     first.key("F9")
     first.until(lambda: (tmp_path / "ball-001.path.json").exists(), "a recorded path")
-    left = settled(first)[:600]
+    last_view = stable_image(first)[:600]
     assert first.close() == 0
     again = Viewer(display, tmp_path, str(scene), "--size", str(SIZE[0]), str(SIZE[1]))
-    again.until(lambda: shown(again) > 0.005, "the scene")
+    again.until(lambda: foreground_share(again) > 0.005, "the scene")
     hide_panel(again)
     pause_at(again, "Home", 1)
-    again.until(lambda: close(seen(again)[:600], left), "the view that was left")
+    again.until(lambda: close(window_image(again)[:600], last_view), "the saved view")
     again.key("Tab")
     again.until(lambda: again.picture()[15, 30].any(), "the panel")
     again.click(40, 104)
     again.until(lambda: "playing" in again.title, "playing, after a click on the panel's button")
     again.key("F10")
-    again.until(lambda: not (tmp_path / "ball-001.mp4").exists(), "no video of a path of another time")
+    again.until(lambda: not (tmp_path / "ball-001.mp4").exists(), "no video of a path of an earlier session")
     assert again.close() == 0
 
 
 def test_a_recorded_path_becomes_a_video(viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a video of another length or size than what was recorded."""
+    """Catches a video of another length or size than the recording."""
     import av
 
     viewer.key("F9")
@@ -232,23 +233,23 @@ def test_a_recorded_path_becomes_a_video(viewer: Viewer, tmp_path: Path) -> None
     viewer.key("F10")
     viewer.until(lambda: (tmp_path / "ball-001.mp4").exists(), "a video")
     with av.open(str(tmp_path / "ball-001.mp4")) as video:
-        pictures = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
+        images = [frame.to_ndarray(format="rgb24") for frame in video.decode(video=0)]
     text = (tmp_path / "ball-001.path.json").read_text()
-    assert len(pictures) == text.count('"frame"')
-    assert pictures[0].shape == (SIZE[1], SIZE[0], 3)
-    assert not np.array_equal(pictures[0], pictures[-1])
+    assert len(images) == text.count('"frame"')
+    assert images[0].shape == (SIZE[1], SIZE[0], 3)
+    assert not np.array_equal(images[0], images[-1])
 
 
-def test_a_minimised_window_does_nothing(viewer: Viewer) -> None:
-    """Catches a loop that goes on drawing, or spins, where nothing can be seen."""
+def test_a_minimised_window_comes_back(viewer: Viewer) -> None:
+    """Catches an event loop that fails or stops while the window is hidden."""
     viewer.screen.xdotool("windowunmap", viewer.window)
     viewer.until(lambda: not viewer.screen.xdotool("search", "--onlyvisible", "--name", "^fourd"), "no window")
     viewer.screen.xdotool("windowmap", viewer.window)
-    viewer.until(lambda: shown(viewer) > 0.005, "the window again")
+    viewer.until(lambda: foreground_share(viewer) > 0.005, "the window again")
 
 
-def test_a_dense_screen_has_a_larger_panel_and_as_sharp_a_picture(scene: Path, tmp_path: Path) -> None:
-    """Catches text of half its size, and a picture render at half the pixels, where the system asks for 200%."""
+def test_a_dense_display_scales_the_panel_and_the_image(scene: Path, tmp_path: Path) -> None:
+    """Catches text at half size, and an image at half resolution, on a display scaled to 200%."""
     with screen(2000, 1500) as dense:
         set_dpi(dense.display, 192)
         viewer = Viewer(dense, tmp_path, str(scene), "--size", "900", "700")
@@ -263,10 +264,10 @@ def test_a_dense_screen_has_a_larger_panel_and_as_sharp_a_picture(scene: Path, t
 
 @pytest.mark.parametrize("name", ["cpu", "sorted", "peel", "dual"])
 def test_opengl_3_3_is_enough(name: str, display: Screen, scene: Path, tmp_path: Path) -> None:
-    """Catches what only newer versions have: old laptops have 3.3, and macOS ends at 4.1."""
+    """Catches features of newer versions: old laptops have 3.3, and macOS has 4.1."""
     old = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
     viewer = Viewer(display, tmp_path, str(scene), "--size", "900", "700", "--renderer", name, variables=old)
-    viewer.until(lambda: viewer.title.endswith(f"- {name}") and shown(viewer) > 0.005, "the scene")
+    viewer.until(lambda: viewer.title.endswith(f"- {name}") and foreground_share(viewer) > 0.005, "the scene")
     hide_panel(viewer)
-    viewer.until(lambda: 0.02 < shown(viewer) < 0.9, "the scene without the panel")
+    viewer.until(lambda: 0.02 < foreground_share(viewer) < 0.9, "the scene without the panel")
     assert viewer.close() == 0, viewer.log

@@ -1,4 +1,4 @@
-"""Camera paths: they settings at the scene, loop, and pass where they should."""
+"""Camera paths: direction, looping and interpolation."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from tests.captures import ring_cameras
 
 
 @pytest.mark.parametrize("make", [orbit, spiral])
-def test_paths_look_at_the_focus_and_loop(make: Callable[..., list[Camera]]) -> None:
-    """Catches a path that turns its back, tilts, jumps at its end, or flies through the scene."""
+def test_paths_face_the_focus_and_loop(make: Callable[..., list[Camera]]) -> None:
+    """Catches a path that faces away, rolls, jumps at its end, or passes through the scene."""
     cameras = ring_cameras(10, 64)
     path = make(cameras, 60, focus=[0.0, 0, 0])
     assert len(path) == 60
@@ -38,7 +38,7 @@ def test_paths_look_at_the_focus_and_loop(make: Callable[..., list[Camera]]) -> 
 
 
 def test_interpolation_passes_through_the_cameras() -> None:
-    """Catches a spline that cuts corners: the capture's own views must appear."""
+    """Catches a spline that misses the cameras of the capture."""
     cameras = ring_cameras(6, 64)
     path = interpolate(cameras, 240)
     centres = np.array([camera.centre for camera in path])
@@ -48,17 +48,17 @@ def test_interpolation_passes_through_the_cameras() -> None:
         assert np.allclose(camera.rotation @ camera.rotation.T, np.eye(3), atol=1e-9)
 
 
-def test_focus_and_order_are_found() -> None:
-    """Catches a focus on the wrong side, and a flight that zigzags."""
+def test_focus_and_order_of_a_ring() -> None:
+    """Catches a focus on the wrong side, and a path that zigzags."""
     cameras = ring_cameras(8, 64)
     assert np.abs(estimate_focus(cameras)).max() < 0.05
     order = order_by_azimuth([cameras[index] for index in (3, 0, 6, 1, 7, 2, 5, 4)])
-    places = [(3, 0, 6, 1, 7, 2, 5, 4)[index] for index in order]
-    assert {abs(a - b) for a, b in itertools.pairwise(places)} <= {1, 7}
+    positions = [(3, 0, 6, 1, 7, 2, 5, 4)[index] for index in order]
+    assert {abs(a - b) for a, b in itertools.pairwise(positions)} <= {1, 7}
 
 
-def test_fitting_keeps_the_whole_view() -> None:
-    """Catches stretched pixels and cropped heads when a video has another shape."""
+def test_fit_camera_keeps_the_whole_image() -> None:
+    """Catches distortion and cropping when a video has another aspect ratio."""
     camera = fit_camera(ring_cameras(1, 64)[0], 200, 100)
     assert (camera.width, camera.height) == (200, 100)
     assert camera.intrinsics[0, 0] == camera.intrinsics[1, 1]

@@ -1,4 +1,4 @@
-"""Poses: they see what capture cameras see, and move as they are dragged."""
+"""Poses: conversion from capture cameras, and motion by mouse and keys."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ SIZE = (160, 90)
 SHIFTS = [(0.0, 0.0), (5.5, -3.25)]
 
 
-def capture(width: int, height: int, shift: tuple[float, float] = (0.0, 0.0), aspect: float = 1.0) -> Camera:
-    """A camera that looks past the origin; its principal point lies off the centre, its pixels may be oblong."""
+def capture_camera(width: int, height: int, shift: tuple[float, float] = (0.0, 0.0), aspect: float = 1.0) -> Camera:
+    """A camera with an off-centre principal point; ``aspect`` 1 makes square pixels. Its axis misses the origin."""
     focal = 1.3 * height
     intrinsics = np.array(
         [[aspect * focal, 0, width / 2 + shift[0]], [0, focal, height / 2 + shift[1]], [0, 0, 1.0]],
@@ -33,21 +33,21 @@ def capture(width: int, height: int, shift: tuple[float, float] = (0.0, 0.0), as
     return look_at(np.array([2.0, -1.5, 0.7]), np.array([0.1, 0.2, 0.3]), UP, intrinsics, width, height)
 
 
-def viewer(seed: int = 0, offset: tuple[float, float] = (0.04, -0.02)) -> Pose:
-    """Somewhere around the origin, level, with an eccentric principal point."""
+def make_pose(seed: int = 0, offset: tuple[float, float] = (0.04, -0.02)) -> Pose:
+    """A pose around the origin, without roll, with an off-centre principal point."""
     rng = np.random.default_rng(seed)
     pose = pose_facing(rng.uniform([2, 2, -1], [3, 3, 1]), rng.uniform(-0.2, 0.2, 3), UP, 0.9)
     return Pose(pose.pivot, pose.rotation, pose.distance, pose.field_of_view, UP, offset)
 
 
-def rolled(pose: Pose, degrees: float) -> Pose:
-    """The same pose with its head tilted."""
+def roll_pose(pose: Pose, degrees: float) -> Pose:
+    """The pose rotated about its viewing axis."""
     roll = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
     return Pose(pose.pivot, roll @ pose.rotation, pose.distance, pose.field_of_view, pose.up, pose.offset)
 
 
-def pixel(pose: Pose, point: Array) -> Array:
-    """Where a point is seen in a picture of SIZE."""
+def project(pose: Pose, point: Array) -> Array:
+    """(2,) pixel of a point in an image of SIZE."""
     pixels, depths = pose.camera(*SIZE).project(point[None])
     assert depths[0] > 0
     return pixels[0]
@@ -60,9 +60,9 @@ def assert_rotation(rotation: Array) -> None:
 
 @pytest.mark.parametrize("shift", SHIFTS)
 @pytest.mark.parametrize("size", [(64, 48), (48, 64)])
-def test_a_capture_camera_comes_back(size: tuple[int, int], shift: tuple[float, float]) -> None:
-    """Catches a jump between a capture's picture and the viewer's: a lost principal point, or a field of view."""
-    camera = capture(*size, shift)
+def test_a_capture_camera_survives_the_round_trip(size: tuple[int, int], shift: tuple[float, float]) -> None:
+    """Catches a lost principal point or a changed field of view."""
+    camera = capture_camera(*size, shift)
     again = pose_from_camera(camera, (0.0, 0.0, 0.0), UP, size).camera(*size)
     assert (again.width, again.height) == size
     np.testing.assert_allclose(again.intrinsics, camera.intrinsics, rtol=1e-12)
@@ -72,9 +72,9 @@ def test_a_capture_camera_comes_back(size: tuple[int, int], shift: tuple[float, 
 
 @pytest.mark.parametrize("shift", SHIFTS)
 @pytest.mark.parametrize("size", [(128, 96), (300, 48), (40, 90), (33, 17)])
-def test_another_shape_shows_all_of_a_capture_camera(size: tuple[int, int], shift: tuple[float, float]) -> None:
-    """Catches cropped heads in a window of another shape, a picture that is too small, and one off the middle."""
-    low, high = corners_seen(capture(64, 48, shift), size)
+def test_other_aspect_ratios_contain_the_capture_image(size: tuple[int, int], shift: tuple[float, float]) -> None:
+    """Catches an image that is cropped, too small or off-centre in a window of another aspect ratio."""
+    low, high = image_rectangle(capture_camera(64, 48, shift), size)
     assert (low > -1e-9).all()
     assert (high < np.array(size) + 1e-9).all()
     assert np.abs(low + high - size).max() < 1e-9
@@ -82,15 +82,15 @@ def test_another_shape_shows_all_of_a_capture_camera(size: tuple[int, int], shif
 
 
 @pytest.mark.parametrize("aspect", [0.8, 1.25])
-def test_oblong_pixels_cut_nothing_off(aspect: float) -> None:
-    """Catches a focal length taken from one axis where the other sees wider."""
-    low, high = corners_seen(capture(64, 48, aspect=aspect), (64, 48))
+def test_non_square_pixels_are_not_cropped(aspect: float) -> None:
+    """Catches a focal length of the axis with the smaller field of view."""
+    low, high = image_rectangle(capture_camera(64, 48, aspect=aspect), (64, 48))
     assert (low > -1e-9).all()
     assert (high < np.array((64, 48)) + 1e-9).all()
 
 
-def corners_seen(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array]:
-    """The rectangle, low and high, in which the pose of a camera sees the camera's picture."""
+def image_rectangle(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array]:
+    """Corners, low and high, of the camera's image in the image of its pose."""
     corners = np.array([[x, y, 1.0] for x in (0, camera.width) for y in (0, camera.height)])
     rays = 2.0 * corners @ np.linalg.inv(camera.intrinsics).T
     points = (rays - camera.translation) @ camera.rotation
@@ -98,58 +98,58 @@ def corners_seen(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array]:
     return pixels.min(axis=0), pixels.max(axis=0)
 
 
-def test_the_pivot_is_where_the_view_passes_the_focus() -> None:
-    """Catches orbits round a point beside the subject, or at another depth."""
-    camera, focus = capture(64, 48), np.array([0.3, -0.4, 0.1])
+def test_the_pivot_is_the_axis_point_nearest_to_the_focus() -> None:
+    """Catches orbits about a point off the axis, or at another depth than the focus."""
+    camera, focus = capture_camera(64, 48), np.array([0.3, -0.4, 0.1])
     pose = pose_from_camera(camera, focus, UP, (64, 48))
     assert abs((focus - pose.pivot) @ camera.forward) < 1e-12
     np.testing.assert_allclose(np.cross(pose.pivot - camera.centre, camera.forward), 0, atol=1e-12)
     np.testing.assert_allclose(pose.eye, camera.centre, atol=1e-12)
 
 
-@pytest.mark.parametrize("ahead", [-3.0, 0.0, 1e-9, np.nan])
-def test_a_focus_that_is_not_ahead(ahead: float) -> None:
-    """Catches a viewer that is turned about or stands in its pivot, where a camera looks away from the scene."""
-    camera = capture(64, 48)
-    pose = pose_from_camera(camera, camera.centre + ahead * camera.forward, UP, (64, 48))
+@pytest.mark.parametrize("depth", [-3.0, 0.0, 1e-9, np.nan])
+def test_a_focus_behind_the_camera_is_replaced(depth: float) -> None:
+    """Catches a reversed pose, or one at its pivot, where a camera faces away from the scene."""
+    camera = capture_camera(64, 48)
+    pose = pose_from_camera(camera, camera.centre + depth * camera.forward, UP, (64, 48))
     assert pose.distance > 0.1
     assert (pose.pivot - camera.centre) @ camera.forward > 0
     np.testing.assert_allclose(pose.camera(64, 48).translation, camera.translation, atol=1e-12)
 
 
-def test_facing_looks_at_the_pivot_with_up_on_top() -> None:
-    """Catches a start that looks away or stands on its head."""
+def test_pose_facing_is_centred_and_upright() -> None:
+    """Catches a pose that faces away or is upside down."""
     eye, pivot = np.array([1.0, 2.0, 3.0]), np.array([0.2, 0.1, -0.3])
     pose = pose_facing(eye, pivot, UP, 0.8)
     np.testing.assert_allclose(pose.eye, eye, atol=1e-12)
-    np.testing.assert_allclose(pixel(pose, pivot), np.array(SIZE) / 2, atol=1e-9)
-    assert pixel(pose, pivot + 0.1 * UP)[1] < SIZE[1] / 2
+    np.testing.assert_allclose(project(pose, pivot), np.array(SIZE) / 2, atol=1e-9)
+    assert project(pose, pivot + 0.1 * UP)[1] < SIZE[1] / 2
 
 
-def test_orbits_keep_the_pivot_in_its_pixel() -> None:
-    """Catches a turn about the eye or the origin, and a drift away from the pivot."""
+def test_orbits_keep_the_pivot_in_its_project() -> None:
+    """Catches rotation about the eye or the origin, and drift away from the pivot."""
     rng = np.random.default_rng(1)
-    pose = viewer()
-    place = pixel(pose, pose.pivot)
+    pose = make_pose()
+    start = project(pose, pose.pivot)
     for right, down in rng.uniform(-1, 1, (50, 2)):
         turned = pose.orbit(right, down)
-        assert np.abs(pixel(turned, pose.pivot) - place).max() < 1e-6
+        assert np.abs(project(turned, pose.pivot) - start).max() < 1e-6
         assert np.linalg.norm(turned.eye - pose.pivot) == pytest.approx(pose.distance)
         pose = turned
 
 
-def test_orbits_drag_what_is_in_front_of_the_pivot_with_the_mouse() -> None:
-    """Catches an axis turned the wrong way round, and the two mixed up."""
-    pose = viewer()
+def test_orbits_move_points_in_front_of_the_pivot_with_the_mouse() -> None:
+    """Catches an axis of the wrong sign, and swapped axes."""
+    pose = make_pose()
     point = pose.pivot - 0.3 * pose.distance * pose.rotation[2]
-    before = pixel(pose, point)
-    right, down = pixel(pose.orbit(0.05, 0), point) - before, pixel(pose.orbit(0, 0.05), point) - before
+    before = project(pose, point)
+    right, down = project(pose.orbit(0.05, 0), point) - before, project(pose.orbit(0, 0.05), point) - before
     assert right[0] > 1 > abs(right[1])
     assert down[1] > 1 > abs(down[0])
 
 
-def test_an_orbit_turns_by_the_asked_angle() -> None:
-    """Catches half or double angles, and degrees taken for radians."""
+def test_orbits_rotate_by_the_given_angle() -> None:
+    """Catches half or double angles, and degrees used as radians."""
     pose = pose_facing(np.array([3.0, 0.0, 0.0]), np.zeros(3), UP, 0.9)
     np.testing.assert_allclose(pose.orbit(0.4, 0).eye, 3 * np.array([np.cos(0.4), -np.sin(0.4), 0]), atol=1e-12)
     np.testing.assert_allclose(pose.orbit(0, 0.4).eye, 3 * np.array([np.cos(0.4), 0, np.sin(0.4)]), atol=1e-12)
@@ -158,9 +158,9 @@ def test_an_orbit_turns_by_the_asked_angle() -> None:
 
 @pytest.mark.parametrize("down", [0.03, -0.03, 2.0, -2.0])
 @pytest.mark.parametrize("roll", [0.0, 5.0])
-def test_orbits_never_pass_a_pole(roll: float, down: float) -> None:
-    """Catches a picture that stands on its head after a long drag, also from a camera that is a little tilted."""
-    pose = rolled(viewer(), roll)
+def test_orbits_stop_at_the_poles(roll: float, down: float) -> None:
+    """Catches an image that is upside down after a long drag, including from a camera with roll."""
+    pose = roll_pose(make_pose(), roll)
     for _ in range(200):
         pose = pose.orbit(0.01, down)
         assert -pose.rotation[1] @ UP > 0
@@ -168,8 +168,8 @@ def test_orbits_never_pass_a_pole(roll: float, down: float) -> None:
     assert -np.sign(down) * pose.rotation[2] @ UP > 0.98
 
 
-def test_a_viewer_at_a_pole_is_not_thrown_away_from_it() -> None:
-    """Catches a camera on the ceiling that jumps at its first touch, or that cannot be turned any more."""
+def test_a_pose_at_a_pole_can_leave_it_smoothly() -> None:
+    """Catches a ceiling camera that jumps at the first drag, or cannot be rotated."""
     straight_down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     pose = Pose(np.zeros(3), straight_down, 2.0, 0.9, UP)
     np.testing.assert_allclose(pose.orbit(0, 0.1).rotation, straight_down, atol=1e-9)
@@ -179,9 +179,9 @@ def test_a_viewer_at_a_pole_is_not_thrown_away_from_it() -> None:
     assert_rotation(pose.orbit(0.3, 0).rotation)
 
 
-def test_thousands_of_turns_leave_a_rotation() -> None:
-    """Catches rounding that adds up until the camera is refused."""
-    pose = viewer()
+def test_thousands_of_orbits_keep_a_valid_rotation() -> None:
+    """Catches rounding that accumulates until the camera is rejected."""
+    pose = make_pose()
     for right, down in np.random.default_rng(2).normal(0, 0.3, (2000, 2)):
         pose = pose.orbit(right, down)
     assert_rotation(pose.rotation)
@@ -190,19 +190,19 @@ def test_thousands_of_turns_leave_a_rotation() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
-def test_pans_drag_the_pivot_with_the_mouse(scale: float) -> None:
-    """Catches pans of a fixed speed, which are lost in large scenes, and the wrong direction."""
-    pose = viewer().dolly(scale)
+def test_pans_move_the_pivot_with_the_mouse(scale: float) -> None:
+    """Catches pans at a fixed speed in world units, and a wrong direction."""
+    pose = make_pose().dolly(scale)
     moved = pose.pan(0.25, -0.1)
-    step = pixel(moved, pose.pivot) - pixel(pose, pose.pivot)
+    step = project(moved, pose.pivot) - project(pose, pose.pivot)
     np.testing.assert_allclose(step, [0.25 * SIZE[1], -0.1 * SIZE[1]], atol=1e-6)
     np.testing.assert_array_equal(moved.rotation, pose.rotation)
     assert moved.distance == pose.distance
 
 
-def test_dollies_come_nearer_without_passing_the_pivot() -> None:
-    """Catches a dolly that moves the pivot, goes through it, or gets stuck at 0 or infinity."""
-    pose = viewer()
+def test_dollies_do_not_pass_the_pivot() -> None:
+    """Catches a dolly that moves the pivot, passes through it, or stays at 0 or infinity."""
+    pose = make_pose()
     nearer = pose.dolly(0.5)
     np.testing.assert_allclose(nearer.eye, (pose.eye + pose.pivot) / 2, atol=1e-12)
     np.testing.assert_array_equal(nearer.pivot, pose.pivot)
@@ -215,9 +215,9 @@ def test_dollies_come_nearer_without_passing_the_pivot() -> None:
         assert (end.dolly(1 / factor).distance < end.distance) == (factor > 1)
 
 
-def test_flights_follow_the_viewers_own_axes() -> None:
-    """Catches keys that move along the world's axes, up and down the wrong way, and a pivot left behind."""
-    pose, point = viewer(), np.array([0.1, -0.2, 0.3])
+def test_flying_follows_the_axes_of_the_pose() -> None:
+    """Catches motion along the world's axes, swapped up and down, and a pivot that stays."""
+    pose, point = make_pose(), np.array([0.1, -0.2, 0.3])
     moved = pose.fly(0.3, 0.2, 0.1)
     before, after = (
         camera.rotation @ point + camera.translation for camera in (pose.camera(*SIZE), moved.camera(9, 9))
@@ -227,21 +227,21 @@ def test_flights_follow_the_viewers_own_axes() -> None:
     assert moved.distance == pose.distance
 
 
-def test_the_field_of_view_stays_in_its_range() -> None:
-    """Catches a slider's end that gives a focal length of 0 or infinity, and a view that moves while it widens."""
-    pose = viewer()
+def test_the_field_of_view_is_clamped() -> None:
+    """Catches a focal length of 0 or infinity, and a pivot that moves in the image."""
+    pose = make_pose()
     assert pose.with_field_of_view(0.0).field_of_view == MIN_FIELD_OF_VIEW
     assert pose.with_field_of_view(10.0).field_of_view == MAX_FIELD_OF_VIEW
     assert pose.with_field_of_view(1.2).field_of_view == 1.2
     for angle in (0.0, 1.2, 10.0):
         np.testing.assert_allclose(
-            pixel(pose.with_field_of_view(angle), pose.pivot), pixel(pose, pose.pivot), atol=1e-9
+            project(pose.with_field_of_view(angle), pose.pivot), project(pose, pose.pivot), atol=1e-9
         )
 
 
-def test_a_glide_begins_and_ends_exactly() -> None:
-    """Catches a jump at either end of a glide."""
-    start, end = viewer(1), viewer(2, offset=(-0.1, 0.05)).with_field_of_view(0.5).dolly(3)
+def test_interpolation_is_exact_at_both_ends() -> None:
+    """Catches a jump at either end of a transition."""
+    start, end = make_pose(1), make_pose(2, offset=(-0.1, 0.05)).with_field_of_view(0.5).dolly(3)
     first, last = interpolate_poses(start, end, 0.0), interpolate_poses(start, end, 1.0)
     for pose, expected in ((first, start), (last, end)):
         got, wanted = pose.camera(*SIZE), expected.camera(*SIZE)
@@ -253,12 +253,12 @@ def test_a_glide_begins_and_ends_exactly() -> None:
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 1.0, np.pi])
-def test_a_glide_stays_a_view_on_its_way(turn: float) -> None:
-    """Catches NaN between equal or opposite directions, a time past the end, and a way that turns back."""
-    start = viewer()
+def test_interpolated_poses_are_valid(turn: float) -> None:
+    """Catches NaN between equal or opposite directions, extrapolation, and motion that reverses."""
+    start = make_pose()
     end = start.orbit(turn, 0.2).dolly(1e4)
-    shares = [*np.linspace(0, 1, 21), np.nextafter(1, 0)]
-    poses = [interpolate_poses(start, end, float(share)) for share in shares]
+    fractions = [*np.linspace(0, 1, 21), np.nextafter(1, 0)]
+    poses = [interpolate_poses(start, end, float(fraction)) for fraction in fractions]
     for pose in poses:
         pose.camera(*SIZE)
         assert_rotation(pose.rotation)

@@ -1,4 +1,4 @@
-"""Recorded camera paths and remembered views, and what broken files do to them."""
+"""Recorded camera paths and saved views, and damaged files of both."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from fourd.errors import UserError
-from fourd.viewer.navigation import saved_views as remembered
+from fourd.viewer.navigation import saved_views
 from fourd.viewer.navigation.pose import Pose, pose_facing
 from fourd.viewer.navigation.recorded_path import (
     RECORDED_FPS,
@@ -25,11 +25,11 @@ from fourd.viewer.navigation.saved_views import SavedViews, pose_from_json, pose
 Content = dict[str, Any]
 
 
-def viewer(seed: int, across: float = 0.0) -> Pose:
-    """A random place; ``across`` becomes the pivot's x."""
+def make_pose(seed: int, pivot_x: float = 0.0) -> Pose:
+    """A random pose."""
     rng = np.random.default_rng(seed)
     up = np.array([0.6, 0.0, 0.8])
-    pose = pose_facing(rng.uniform(2, 3, 3), np.array([across, *rng.normal(size=2)]), up, rng.uniform(0.3, 1.2))
+    pose = pose_facing(rng.uniform(2, 3, 3), np.array([pivot_x, *rng.normal(size=2)]), up, rng.uniform(0.3, 1.2))
     return Pose(pose.pivot, pose.rotation, pose.distance, pose.field_of_view, up, (rng.normal(), 0.25))
 
 
@@ -43,33 +43,33 @@ def assert_same(got: Pose | None, expected: Pose) -> None:
     assert (got.distance, got.field_of_view) == (expected.distance, expected.field_of_view)
 
 
-def first_stop(**changes: Any) -> Callable[[Content], None]:
-    """A change of a file's first stop; None takes a key away."""
+def change_first_sample(**changes: Any) -> Callable[[Content], None]:
+    """A change of the first sample in a file; None removes a key."""
 
     def change(content: Content) -> None:
-        stop = content["stops"][0]
+        sample = content["stops"][0]
         for key, value in changes.items():
-            stop.pop(key) if value is None else stop.update({key: value})
+            sample.pop(key) if value is None else sample.update({key: value})
 
     return change
 
 
-def test_a_flight_comes_back_as_it_was_saved(tmp_path: Path) -> None:
-    """Catches rounded numbers, frames and poses out of step, and a pace that is lost."""
-    flight = RecordedPath(tuple(PathSample(viewer(seed), 7 * seed % 5) for seed in range(20)), fps=24.5)
-    flight.save(tmp_path / "new folder" / "a.path.json")
-    again = load_recorded_path(tmp_path / "new folder" / "a.path.json")
-    assert again.fps == 24.5
-    assert len(again.samples) == 20
-    for got, expected in zip(again.samples, flight.samples, strict=True):
+def test_a_recorded_path_survives_the_round_trip(tmp_path: Path) -> None:
+    """Catches rounded numbers, frames paired with other poses, and a lost frame rate."""
+    recorded = RecordedPath(tuple(PathSample(make_pose(seed), 7 * seed % 5) for seed in range(20)), fps=24.5)
+    recorded.save(tmp_path / "new folder" / "a.path.json")
+    loaded = load_recorded_path(tmp_path / "new folder" / "a.path.json")
+    assert loaded.fps == 24.5
+    assert len(loaded.samples) == 20
+    for got, expected in zip(loaded.samples, recorded.samples, strict=True):
         assert got.frame == expected.frame
         assert_same(got.pose, expected.pose)
     assert len(list((tmp_path / "new folder").iterdir())) == 1
 
 
 @pytest.mark.parametrize("ticks", ["fast", "even", "slow", "uneven"])
-def test_a_recording_has_an_even_pace(ticks: str) -> None:
-    """Catches a flight that plays too fast or too slow where pictures came at another pace, or unevenly."""
+def test_recordings_have_a_constant_rate(ticks: str) -> None:
+    """Catches a path that plays too fast or too slow when images came at another or a varying rate."""
     rng = np.random.default_rng(5)
     steps = {
         "fast": [1 / 240] * 720,
@@ -81,24 +81,24 @@ def test_a_recording_has_an_even_pace(ticks: str) -> None:
     time = 0.0
     for number, step in enumerate(steps):
         time += step
-        recorder.advance(step, viewer(0, across=time), number)
-    stops = recorder.path().samples
+        recorder.advance(step, make_pose(0, pivot_x=time), number)
+    samples = recorder.path().samples
     assert recorder.path().fps == RECORDED_FPS == 30
     assert recorder.seconds == pytest.approx(time)
-    assert abs(len(stops) - 30 * time) <= 1
-    late = np.array([stop.pose.pivot[0] for stop in stops]) - np.arange(len(stops)) / 30
-    assert late.min() > -1e-9
-    assert late.max() < max(steps) + 1e-9
-    assert all(stop.pose.pivot[0] == pytest.approx(sum(steps[: stop.frame + 1])) for stop in stops)
+    assert abs(len(samples) - 30 * time) <= 1
+    delays = np.array([sample.pose.pivot[0] for sample in samples]) - np.arange(len(samples)) / 30
+    assert delays.min() > -1e-9
+    assert delays.max() < max(steps) + 1e-9
+    assert all(sample.pose.pivot[0] == pytest.approx(sum(steps[: sample.frame + 1])) for sample in samples)
 
 
-def test_nothing_recorded_is_nothing() -> None:
-    """Catches a stop at the moment in which the button is pressed, before any time has passed."""
+def test_an_empty_recording_has_no_samples() -> None:
+    """Catches a sample at time 0, before any time has passed."""
     recorder = PathRecorder()
     assert recorder.path().samples == ()
-    recorder.advance(0.0, viewer(0), 0)
+    recorder.advance(0.0, make_pose(0), 0)
     assert recorder.path().samples == ()
-    recorder.advance(1e-6, viewer(0), 0)
+    recorder.advance(1e-6, make_pose(0), 0)
     assert len(recorder.path().samples) == 1
 
 
@@ -112,7 +112,7 @@ CHANGES: dict[str, Callable[[Content], Any]] = {
     "stops null": lambda content: content.update(stops=None),
     "stops text": lambda content: content.update(stops="stop"),
     "stops by name": lambda content: content.update(stops={"first": content["stops"][0]}),
-    "a number as stop": lambda content: content["stops"].append(4),
+    "number as stop": lambda content: content["stops"].append(4),
     "fps missing": lambda content: content.pop("fps"),
     "fps 0": lambda content: content.update(fps=0),
     "fps negative": lambda content: content.update(fps=-30),
@@ -120,39 +120,39 @@ CHANGES: dict[str, Callable[[Content], Any]] = {
     "fps infinite": lambda content: content.update(fps=float("inf")),
     "fps text": lambda content: content.update(fps="fast"),
     "fps huge": lambda content: content.update(fps=10**400),
-    "frame missing": first_stop(frame=None),
-    "frame text": first_stop(frame="first"),
-    "frame NaN": first_stop(frame=float("nan")),
-    "frame infinite": first_stop(frame=float("inf")),
-    "frame a list": first_stop(frame=[1]),
-    "pivot missing": first_stop(pivot=None),
-    "pivot NaN": first_stop(pivot=[0, float("nan"), 0]),
-    "pivot of two": first_stop(pivot=[0, 1]),
-    "pivot ragged": first_stop(pivot=[0, [1], 2]),
-    "pivot by name": first_stop(pivot={"x": 1}),
-    "distance 0": first_stop(distance=0),
-    "distance infinite": first_stop(distance=float("inf")),
-    "distance huge": first_stop(distance=10**400),
-    "rotation that is none": first_stop(rotation=[[1, 0, 0], [0, 2, 0], [0, 0, 1]]),
-    "rotation mirrored": first_stop(rotation=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
-    "rotation flat": first_stop(rotation=[1, 0, 0, 0, 1, 0, 0, 0, 1]),
-    "field of view 0": first_stop(field_of_view=0.0),
-    "field of view in degrees": first_stop(field_of_view=50),
-    "up of no length": first_stop(up=[0, 0, 0]),
-    "offset missing": first_stop(offset=None),
-    "offset of three": first_stop(offset=[0, 0, 0]),
+    "frame missing": change_first_sample(frame=None),
+    "frame text": change_first_sample(frame="first"),
+    "frame NaN": change_first_sample(frame=float("nan")),
+    "frame infinite": change_first_sample(frame=float("inf")),
+    "frame a list": change_first_sample(frame=[1]),
+    "pivot missing": change_first_sample(pivot=None),
+    "pivot NaN": change_first_sample(pivot=[0, float("nan"), 0]),
+    "pivot of two": change_first_sample(pivot=[0, 1]),
+    "pivot ragged": change_first_sample(pivot=[0, [1], 2]),
+    "pivot by name": change_first_sample(pivot={"x": 1}),
+    "distance 0": change_first_sample(distance=0),
+    "distance infinite": change_first_sample(distance=float("inf")),
+    "distance huge": change_first_sample(distance=10**400),
+    "rotation that scales": change_first_sample(rotation=[[1, 0, 0], [0, 2, 0], [0, 0, 1]]),
+    "rotation mirrored": change_first_sample(rotation=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+    "rotation flat": change_first_sample(rotation=[1, 0, 0, 0, 1, 0, 0, 0, 1]),
+    "field of view 0": change_first_sample(field_of_view=0.0),
+    "field of view in degrees": change_first_sample(field_of_view=50),
+    "up of zero length": change_first_sample(up=[0, 0, 0]),
+    "offset missing": change_first_sample(offset=None),
+    "offset of three": change_first_sample(offset=[0, 0, 0]),
 }
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_spoilt_flight_is_told_in_one_line(tmp_path: Path, name: str) -> None:
-    """Catches a traceback, a hang or a broken picture from a file that somebody has edited."""
+def test_an_invalid_path_file_raises_a_user_error(tmp_path: Path, name: str) -> None:
+    """Catches a traceback, a hang or a wrong image from an edited file."""
     path = tmp_path / "a.path.json"
-    RecordedPath((PathSample(viewer(1), 0), PathSample(viewer(2), 1))).save(path)
+    RecordedPath((PathSample(make_pose(1), 0), PathSample(make_pose(2), 1))).save(path)
     content = json.loads(path.read_text())
     CHANGES[name](content)
     path.write_text(json.dumps(content))
-    assert_refused(path)
+    assert_rejected(path)
 
 
 @pytest.mark.parametrize(
@@ -160,20 +160,20 @@ def test_a_spoilt_flight_is_told_in_one_line(tmp_path: Path, name: str) -> None:
     [b"", b"{", b"\xff\xfe\x00", b"null", b"[]", b"3", b'"fourd-path"', b"[" * 100_000, b"PK\x03\x04"],
     ids=["empty", "cut short", "bytes", "null", "list", "number", "text", "nested", "zip"],
 )
-def test_another_file_is_told_in_one_line(tmp_path: Path, content: bytes) -> None:
-    """Catches a traceback where --path names a file of another kind."""
+def test_a_file_of_another_kind_raises_a_user_error(tmp_path: Path, content: bytes) -> None:
+    """Catches a traceback where --path names another kind of file."""
     path = tmp_path / "a.path.json"
     path.write_bytes(content)
-    assert_refused(path)
+    assert_rejected(path)
 
 
-def test_no_file_and_a_folder_are_told_in_one_line(tmp_path: Path) -> None:
-    """Catches the operating system's error where a name is mistyped."""
-    assert_refused(tmp_path)
-    assert_refused(tmp_path / "nothing.path.json")
+def test_a_missing_file_and_a_folder_raise_a_user_error(tmp_path: Path) -> None:
+    """Catches a bare OSError where a name is mistyped."""
+    assert_rejected(tmp_path)
+    assert_rejected(tmp_path / "nothing.path.json")
 
 
-def assert_refused(path: Path) -> None:
+def assert_rejected(path: Path) -> None:
     with pytest.raises(UserError) as raised:
         load_recorded_path(path)
     message = str(raised.value)
@@ -181,26 +181,26 @@ def assert_refused(path: Path) -> None:
     assert "\n" not in message
 
 
-def test_a_pose_from_a_file_is_checked() -> None:
-    """Catches a view that was never one, and an error of another kind than the one that is promised."""
-    for content in (None, 3, [], {}, "pose", {**pose_to_json(viewer(0)), "up": "z"}):
+def test_invalid_poses_raise_a_value_error() -> None:
+    """Catches an invalid pose, and an exception of another type than documented."""
+    for content in (None, 3, [], {}, "pose", {**pose_to_json(make_pose(0)), "up": "z"}):
         with pytest.raises(ValueError, match=r"expected|could not convert"):
             pose_from_json(content)
 
 
-def test_a_view_is_remembered_by_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches views of one scene shown in another, old ones that stay, and names that depend on the folder."""
+def test_views_are_saved_by_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches views of another scene, old views that remain, and keys that depend on the working directory."""
     views = SavedViews(tmp_path / "state" / "fourd" / "views.json")
     one, other = tmp_path / "one.4dv", tmp_path / "other.4dv"
     assert views.load(one) is None
-    views.save(one, viewer(1))
-    views.save(other, viewer(2))
-    views.save(one, viewer(3))
+    views.save(one, make_pose(1))
+    views.save(other, make_pose(2))
+    views.save(one, make_pose(3))
     monkeypatch.chdir(tmp_path)
-    for memory in (views, SavedViews(tmp_path / "state" / "fourd" / "views.json")):
-        assert_same(memory.load(one), viewer(3))
-        assert_same(memory.load(Path("other.4dv")), viewer(2))
-        assert memory.load(tmp_path / "third.4dv") is None
+    for saved in (views, SavedViews(tmp_path / "state" / "fourd" / "views.json")):
+        assert_same(saved.load(one), make_pose(3))
+        assert_same(saved.load(Path("other.4dv")), make_pose(2))
+        assert saved.load(tmp_path / "third.4dv") is None
 
 
 @pytest.mark.parametrize(
@@ -208,14 +208,14 @@ def test_a_view_is_remembered_by_scene(tmp_path: Path, monkeypatch: pytest.Monke
     [b"", b"{", b"\xff\xfe\x00", b"null", b"[]", b"3", b"[" * 100_000],
     ids=["empty", "cut short", "bytes", "null", "list", "number", "nested"],
 )
-def test_a_broken_file_costs_the_memory_alone(tmp_path: Path, content: bytes) -> None:
-    """Catches a viewer that does not start, or never remembers again, because of a broken file of its own."""
+def test_a_damaged_views_file_is_replaced(tmp_path: Path, content: bytes) -> None:
+    """Catches a viewer that does not start, or saves no views, because of a damaged file."""
     file, scene = tmp_path / "views.json", tmp_path / "scene.4dv"
     file.write_bytes(content)
     views = SavedViews(file)
     assert views.load(scene) is None
-    views.save(scene, viewer(1))
-    assert_same(views.load(scene), viewer(1))
+    views.save(scene, make_pose(1))
+    assert_same(views.load(scene), make_pose(1))
 
 
 @pytest.mark.parametrize(
@@ -230,34 +230,34 @@ def test_a_broken_file_costs_the_memory_alone(tmp_path: Path, content: bytes) ->
     ],
     ids=["negative", "huge", "NaN", "no rotation", "text", "null"],
 )
-def test_a_broken_view_is_none_and_the_others_stay(tmp_path: Path, change: Content) -> None:
-    """Catches one bad entry that takes the other scenes' views with it, or that is shown."""
+def test_an_invalid_view_is_ignored_and_the_others_stay(tmp_path: Path, change: Content) -> None:
+    """Catches one invalid entry that removes the other views, or that is used."""
     file = tmp_path / "views.json"
     views = SavedViews(file)
     for seed, name in enumerate(("bad.4dv", "good.4dv")):
-        views.save(tmp_path / name, viewer(seed))
+        views.save(tmp_path / name, make_pose(seed))
     content = json.loads(file.read_text())
     content[str((tmp_path / "bad.4dv").resolve())].update(change)
     file.write_text(json.dumps(content))
     assert views.load(tmp_path / "bad.4dv") is None
-    assert_same(views.load(tmp_path / "good.4dv"), viewer(1))
+    assert_same(views.load(tmp_path / "good.4dv"), make_pose(1))
 
 
-def test_a_place_that_cannot_be_written_costs_the_memory_alone(tmp_path: Path) -> None:
-    """Catches a viewer that fails as it closes, in a home without room for its state."""
+def test_an_unwritable_views_file_is_ignored(tmp_path: Path) -> None:
+    """Catches a viewer that fails on exit where its state cannot be written."""
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.json").mkdir()
-    for place in (tmp_path / "file" / "views.json", tmp_path / "folder.json"):
-        views = SavedViews(place)
-        views.save(tmp_path / "scene.4dv", viewer(1))
+    for path in (tmp_path / "file" / "views.json", tmp_path / "folder.json"):
+        views = SavedViews(path)
+        views.save(tmp_path / "scene.4dv", make_pose(1))
         assert views.load(tmp_path / "scene.4dv") is None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.json"]
 
 
-def test_the_scenes_seen_longest_ago_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a file that grows for ever, and a scene forgotten although it was seen just now."""
-    monkeypatch.setattr(remembered, "_MAX_SCENES", 3)
+def test_the_oldest_views_are_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a file that grows without limit, and a recent view that is dropped."""
+    monkeypatch.setattr(saved_views, "_MAX_SCENES", 3)
     views = SavedViews(tmp_path / "views.json")
     for name in ("a", "b", "c", "a", "d"):
-        views.save(tmp_path / name, viewer(0))
+        views.save(tmp_path / name, make_pose(0))
     assert [name for name in "abcd" if views.load(tmp_path / name) is not None] == ["a", "c", "d"]

@@ -13,18 +13,18 @@ from fourd.errors import UserError
 from fourd.viewer.output.video import write_video
 
 
-def pictures(count: int, height: int, width: int) -> Iterator[np.ndarray]:
+def make_images(count: int, height: int, width: int) -> Iterator[np.ndarray]:
     for index in range(count):
-        picture = np.zeros((height, width, 3), np.uint8)
-        picture[:, : width // 2] = (200, 40, 30)
-        picture[:, width // 2 :, index % 3] = 180
-        yield picture
+        image = np.zeros((height, width, 3), np.uint8)
+        image[:, : width // 2] = (200, 40, 30)
+        image[:, width // 2 :, index % 3] = 180
+        yield image
 
 
-def test_what_is_written_is_what_plays(tmp_path: Path) -> None:
-    """Catches swapped channels, wrong colour matrices, a wrong rate, and odd sizes that yuv420p refuses."""
+def test_videos_decode_to_the_written_images(tmp_path: Path) -> None:
+    """Catches swapped channels, wrong colour matrices, a wrong rate, and odd sizes, which yuv420p rejects."""
     path = tmp_path / "a.mp4"
-    assert write_video(path, pictures(7, 51, 65), 24) == 7
+    assert write_video(path, make_images(7, 51, 65), 24) == 7
     with av.open(str(path)) as container:
         stream = container.streams.video[0]
         assert float(stream.average_rate) == pytest.approx(24)
@@ -35,7 +35,7 @@ def test_what_is_written_is_what_plays(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_nothing_to_write_leaves_nothing(tmp_path: Path) -> None:
+def test_invalid_images_leave_no_file(tmp_path: Path) -> None:
     """Catches an empty file that no player opens."""
     with pytest.raises(UserError, match="expected at least one image"):
         write_video(tmp_path / "a.mp4", iter(()), 24)

@@ -1,4 +1,4 @@
-"""The clock over a scene's frames."""
+"""The playback clock."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from fourd.viewer.playback.clock import Playback
 
 
-def shown(playback: Playback, ticks: int, seconds: float) -> list[int]:
-    """The frames after each tick."""
+def advance(playback: Playback, ticks: int, seconds: float) -> list[int]:
+    """The frame after each tick."""
     frames = []
     for _ in range(ticks):
         playback.advance(seconds)
@@ -18,37 +18,37 @@ def shown(playback: Playback, ticks: int, seconds: float) -> list[int]:
     return frames
 
 
-def test_a_loop_shows_every_frame_equally_long() -> None:
-    """Catches a first or last frame that is skipped or shown twice where the loop closes."""
+def test_a_loop_shows_every_frame_for_the_same_time() -> None:
+    """Catches a first or last frame that is skipped or shown twice at the wrap."""
     playback = Playback(4, 10.0)
-    assert shown(playback, 16, 0.05) == [0, 1, 1, 2, 2, 3, 3, 0] * 2
+    assert advance(playback, 16, 0.05) == [0, 1, 1, 2, 2, 3, 3, 0] * 2
     assert playback.is_playing
 
 
 def test_a_loop_backwards() -> None:
-    """Catches negative frames, a direction that is not told, and a stop at the beginning."""
+    """Catches negative frames, a wrong direction, and a pause at the first frame."""
     playback = Playback(4, 10.0, speed=-2.0)
     playback.advance(0.025)
     assert playback.direction == -1
     assert playback.frame == 3
-    assert shown(playback, 8, 0.05) == [2, 1, 0, 3] * 2
+    assert advance(playback, 8, 0.05) == [2, 1, 0, 3] * 2
 
 
 @pytest.mark.parametrize(("speed", "end"), [(1.0, 4), (-1.0, 0)])
-def test_without_a_loop_it_stops_at_its_end(speed: float, end: int) -> None:
-    """Catches a run past the end, and a button that still says that it plays."""
+def test_without_loop_playback_pauses_at_the_end(speed: float, end: int) -> None:
+    """Catches frames past the end, and a clock that stays in the playing state."""
     playback = Playback(5, 10.0, speed=speed, is_looping=False)
     playback.seek(2)
-    assert set(shown(playback, 10, 0.125)) <= set(range(5))
+    assert set(advance(playback, 10, 0.125)) <= set(range(5))
     assert (playback.frame, playback.is_playing) == (end, False)
     playback.advance(1.0)
     assert playback.frame == end
 
 
-def test_the_last_frame_is_shown_for_its_time_before_the_stop() -> None:
-    """Catches a last frame that flashes by."""
+def test_the_last_frame_is_shown_for_its_full_duration() -> None:
+    """Catches a last frame that is shown too briefly before the pause."""
     playback = Playback(3, 8.0, is_looping=False)
-    assert shown(playback, 2, 0.125) == [1, 2]
+    assert advance(playback, 2, 0.125) == [1, 2]
     assert playback.is_playing
     playback.advance(0.0625)
     assert playback.is_playing
@@ -57,8 +57,8 @@ def test_the_last_frame_is_shown_for_its_time_before_the_stop() -> None:
 
 
 @pytest.mark.parametrize("speed", [0.1, 1.0, -3.7, 1e6])
-def test_long_and_tiny_ticks_stay_within_the_scene(speed: float) -> None:
-    """Catches a frame beyond the last where a remainder is rounded up to the number of frames."""
+def test_long_and_tiny_ticks_stay_in_range(speed: float) -> None:
+    """Catches a frame past the last where a remainder rounds up to the frame count."""
     playback = Playback(7, 30.0, speed=speed)
     for seconds in (1e-18, 1e-18, 1e5, 1e-9, 0.3, 1e-18):
         playback.advance(seconds)
@@ -66,7 +66,7 @@ def test_long_and_tiny_ticks_stay_within_the_scene(speed: float) -> None:
 
 
 def test_a_pause_holds_the_frame() -> None:
-    """Catches time that passes while paused and comes out as a jump."""
+    """Catches time that accumulates during a pause and causes a jump."""
     playback = Playback(5, 10.0)
     playback.advance(0.25)
     playback.toggle()
@@ -78,8 +78,8 @@ def test_a_pause_holds_the_frame() -> None:
 
 
 @pytest.mark.parametrize(("frame", "expected"), [(-3, 0), (0, 0), (2, 2), (4, 4), (99, 4)])
-def test_seeking_is_brought_into_range(frame: int, expected: int) -> None:
-    """Catches an index outside the scene from a slider, and a seek that pauses."""
+def test_seeking_clamps_to_the_scene(frame: int, expected: int) -> None:
+    """Catches an index outside the scene, and a seek that pauses."""
     playback = Playback(5, 10.0)
     playback.seek(frame)
     assert playback.frame == expected
@@ -88,7 +88,7 @@ def test_seeking_is_brought_into_range(frame: int, expected: int) -> None:
 
 @pytest.mark.parametrize(("start", "steps", "expected"), [(0, 1, 1), (0, -1, 4), (4, 1, 0), (2, -7, 0), (2, 10, 2)])
 def test_steps_pause_and_wrap(start: int, steps: int, expected: int) -> None:
-    """Catches a step that goes on playing or leaves the scene."""
+    """Catches a step that continues to play or leaves the scene."""
     playback = Playback(5, 10.0)
     playback.seek(start)
     playback.step(steps)
@@ -96,8 +96,8 @@ def test_steps_pause_and_wrap(start: int, steps: int, expected: int) -> None:
     assert not playback.is_playing
 
 
-def test_steps_begin_at_the_frame_that_is_seen() -> None:
-    """Catches a fraction of a frame that stays and makes the next steps uneven."""
+def test_steps_start_at_the_current_frame() -> None:
+    """Catches a fraction of a frame that remains and makes the next steps uneven."""
     playback = Playback(5, 10.0)
     playback.advance(0.19)
     playback.step(1)
@@ -106,19 +106,19 @@ def test_steps_begin_at_the_frame_that_is_seen() -> None:
     assert playback.frame == 0
 
 
-@pytest.mark.parametrize(("speed", "begin", "end"), [(1.0, 0, 4), (-1.0, 4, 0)])
-def test_play_at_the_end_begins_again(speed: float, begin: int, end: int) -> None:
-    """Catches a play button that seems dead at the end of a scene that does not loop."""
+@pytest.mark.parametrize(("speed", "start", "end"), [(1.0, 0, 4), (-1.0, 4, 0)])
+def test_play_at_the_end_restarts(speed: float, start: int, end: int) -> None:
+    """Catches a play button without effect at the end of a scene that does not loop."""
     playback = Playback(5, 10.0, speed=speed, is_looping=False)
     playback.seek(end)
     playback.advance(10.0)
     assert not playback.is_playing
     playback.toggle()
-    assert (playback.frame, playback.is_playing) == (begin, True)
+    assert (playback.frame, playback.is_playing) == (start, True)
 
 
-def test_play_elsewhere_goes_on() -> None:
-    """Catches a play button that always begins again."""
+def test_play_elsewhere_continues() -> None:
+    """Catches a play button that always restarts."""
     for is_looping, frame in ((True, 4), (False, 2)):
         playback = Playback(5, 10.0, is_playing=False, is_looping=is_looping)
         playback.seek(frame)
@@ -127,8 +127,8 @@ def test_play_elsewhere_goes_on() -> None:
 
 
 @pytest.mark.parametrize("speed", [1.0, 0.3, -1.0, -2.5])
-def test_the_next_frame_comes_when_it_is_announced(speed: float) -> None:
-    """Catches a viewer that sleeps through a frame, or wakes up without need."""
+def test_the_next_frame_comes_after_the_predicted_time(speed: float) -> None:
+    """Catches a viewer that sleeps through a frame, or wakes too early."""
     playback = Playback(5, 24.0, speed=speed)
     playback.seek(2)
     playback.advance(0.01)
@@ -146,8 +146,8 @@ def test_the_next_frame_comes_when_it_is_announced(speed: float) -> None:
     [Playback(5, 30.0, is_playing=False), Playback(5, 30.0, speed=0.0), Playback(1, 30.0)],
     ids=["paused", "speed 0", "one frame"],
 )
-def test_no_next_frame_is_infinitely_far(playback: Playback) -> None:
-    """Catches a division by a speed of 0, and a viewer that draws without end while nothing moves."""
+def test_without_a_next_frame_the_time_is_infinite(playback: Playback) -> None:
+    """Catches a division by a speed of 0, and a viewer that redraws an unchanged image."""
     assert playback.seconds_to_next_frame() == math.inf
     playback.advance(1e3)
     assert playback.frame == 0
@@ -155,7 +155,7 @@ def test_no_next_frame_is_infinitely_far(playback: Playback) -> None:
 
 @pytest.mark.parametrize("is_looping", [True, False])
 def test_a_single_frame_stays(is_looping: bool) -> None:
-    """Catches a scene of one frame that stops, wraps or divides by its length."""
+    """Catches a scene of one frame that pauses, wraps or divides by zero."""
     playback = Playback(1, 30.0, is_looping=is_looping)
     playback.advance(5.0)
     assert (playback.frame, playback.is_playing) == (0, True)
