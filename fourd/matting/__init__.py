@@ -1,1 +1,1 @@
-"""Masks and clean background plates from video."""
+"""Mattes and clean plates from video."""

@@ -1,7 +1,7 @@
-"""Mattes before a screen of one colour, which may be lit unevenly and bear shadows.
+"""Chroma keying: mattes in front of a screen of one colour, with tolerance for uneven light and shadows.
 
-Colours are taken apart into brightness Y and chroma (Cb, Cr). Light scales both alike, so that a pixel's chroma is
-held against the screen's at the pixel's own brightness. The subject is what differs from it.
+Colours are split into luma Y and chroma (Cb, Cr). Illumination scales both equally, so a pixel's chroma is compared
+with the screen's chroma scaled to the pixel's luma. Pixels that differ are the subject.
 """
 
 from __future__ import annotations
@@ -14,143 +14,145 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
-from fourd.matting.edges import BAND, cleaned, softened, unmixed
+from fourd.matting.edges import BAND, estimate_edge_alpha, remove_small_regions, soften_edge
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 DARKEST = 0.4
 BRIGHTEST = 1.4
-"""Light on the screen, of its median: beyond these a pixel's chroma need not follow its brightness."""
-LEAST_CHROMA = 28.0
-"""Of 128: of a weaker colour, noise and reflections on the subject are not told from the screen."""
-LEAST_SHARE = 0.5
-"""Of the pictures' borders, that must show one colour."""
+"""Range of the screen's illumination relative to its median in which chroma scales with luma."""
+MIN_CHROMA = 28.0
+"""Minimum chroma magnitude, of 128; weaker colours cannot be separated from noise and reflections on the subject."""
+MIN_BORDER_SHARE = 0.5
+"""Minimum share of the pictures' border pixels with the screen's hue."""
 BORDER = 0.08
-"""Of a picture's sides."""
-HUES = 72
-NEAR_HUE = 15.0
-"""Degrees."""
-WIDEST_SPREAD = 0.3
-USUAL_SPREAD = 0.15
+"""Width of the border relative to the shorter side."""
+HUE_BINS = 72
+HUE_TOLERANCE_DEG = 15.0
+MAX_SPREAD = 0.3
+DEFAULT_SPREAD = 0.15
 SUBJECT_DISTANCE = 0.4
-"""Least distance of the subject; 0 = the screen, 1 = grey: an edge's pixel that shows a little less than half of it."""
-SPREADS = 1.6
-"""The screen's spread, times this, is no subject yet."""
-MOST_SAMPLES = 20_000
-"""Border pixels a picture."""
+"""Minimum distance of subject pixels (0 = screen, 1 = grey): edge pixels with slightly less than half subject."""
+SPREAD_FACTOR = 1.6
+"""Minimum distance of subject pixels in multiples of the screen's spread."""
+MAX_SAMPLES = 20_000
+"""Border pixels sampled per picture."""
 
 
 @dataclass(frozen=True)
 class ScreenColour:
-    """A screen's colour.
+    """Colour of a screen.
 
     Attributes:
-        rgb: 0 to 255, in its usual light.
-        spread: distance (see :func:`distance`) that all but a hundredth of its pixels keep within.
+        rgb: median colour, 0 to 255.
+        spread: 99th percentile of its pixels' :func:`screen_distance`.
     """
 
     rgb: tuple[float, float, float]
-    spread: float = USUAL_SPREAD
+    spread: float = DEFAULT_SPREAD
 
 
 def find_screen(pictures: Sequence[Picture]) -> ScreenColour:
-    """The colour that most of the pictures' borders show, in whatever light.
+    """Estimate the screen's colour from the borders of pictures.
 
     Args:
-        pictures: (H, W, 3) uint8, at least one; of several cameras or moments before the same screen.
+        pictures: (H, W, 3) uint8, at least one; several cameras or frames of the same screen.
 
     Raises:
-        UserError: when no colour with enough chroma fills half of the borders.
+        UserError: if no hue with enough chroma covers half of the borders.
     """
     border = np.concatenate([_border(picture) for picture in pictures])
-    _, chroma = _taken_apart(border)
+    _, chroma = _luma_chroma(border)
     strength = np.linalg.norm(chroma, axis=-1)
-    coloured = strength > 0.5 * LEAST_CHROMA
+    coloured = strength > 0.5 * MIN_CHROMA
     hue = np.degrees(np.arctan2(chroma[:, 1], chroma[:, 0])) % 360
-    counts = np.bincount((hue[coloured] * HUES / 360).astype(int) % HUES, minlength=HUES)
-    commonest = (np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1)) + 0.5) * 360 / HUES
-    near = coloured & (np.abs((hue - commonest + 180) % 360 - 180) < NEAR_HUE)
-    share = float(near.mean())
-    if share < LEAST_SHARE:
-        raise _no_screen(f"borders of which at most {100 * share:.0f} % share one")
-    rgb = np.median(border[near], axis=0)
+    counts = np.bincount((hue[coloured] * HUE_BINS / 360).astype(int) % HUE_BINS, minlength=HUE_BINS)
+    dominant = (np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1)) + 0.5) * 360 / HUE_BINS
+    is_screen = coloured & (np.abs((hue - dominant + 180) % 360 - 180) < HUE_TOLERANCE_DEG)
+    share = float(is_screen.mean())
+    if share < MIN_BORDER_SHARE:
+        raise _screen_error(f"borders of which at most {100 * share:.0f} % have the same hue")
+    rgb = np.median(border[is_screen], axis=0)
     screen = ScreenColour((float(rgb[0]), float(rgb[1]), float(rgb[2])))
-    if _chroma_of(screen) < LEAST_CHROMA:
-        raise _no_screen(f"{_named(screen)}, which is nearly grey")
-    spread = float(np.quantile(distance(border[near], screen), 0.99))
-    if spread > WIDEST_SPREAD:
-        raise _no_screen(f"borders of many shades about {_named(screen)}")
+    if _chroma_of(screen) < MIN_CHROMA:
+        raise _screen_error(f"{_format_rgb(screen)}, which is nearly grey")
+    spread = float(np.quantile(screen_distance(border[is_screen], screen), 0.99))
+    if spread > MAX_SPREAD:
+        raise _screen_error(f"borders with a wide range of shades around {_format_rgb(screen)}")
     return ScreenColour(screen.rgb, spread)
 
 
-def given_screen(text: str) -> ScreenColour:
-    """The screen of an argument ``R,G,B``, three whole numbers of 0 to 255.
+def parse_screen(text: str) -> ScreenColour:
+    """Parse a screen colour ``R,G,B``, three integers of 0 to 255.
 
     Raises:
-        UserError: when it is something else, or nearly grey.
+        UserError: if the text has another format or the colour is nearly grey.
     """
     parts = text.split(",")
     if len(parts) != 3 or not all(part.strip().isdecimal() and int(part) <= 255 for part in parts):
         raise UserError(f"--screen: expected R,G,B of 0 to 255 each, such as 0,177,64, got '{text}'")
     red, green, blue = (float(part) for part in parts)
     screen = ScreenColour((red, green, blue))
-    if _chroma_of(screen) < LEAST_CHROMA:
+    if _chroma_of(screen) < MIN_CHROMA:
         raise UserError(
             f"--screen: expected a colour such as 0,177,64, got {text}, which is nearly grey; "
-            "use another --method before a grey, white or black background"
+            "use another --method for a grey, white or black background"
         )
     return screen
 
 
 def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
-    """(H, W) uint8 matte, 255 = subject, of a picture (H, W, 3) uint8 before the screen.
+    """Matte (H, W) uint8, 255 = subject, of a picture (H, W, 3) uint8 in front of the screen.
 
-    Small parts and holes are removed; the edge is soft and follows the picture's.
+    Small parts and holes are removed; the edge is soft and aligned with the picture's edges.
     """
-    from_screen = cv2.GaussianBlur(distance(rgb, screen), (3, 3), 0.7)
-    least = max(SUBJECT_DISTANCE, SPREADS * screen.spread)
-    subject = cleaned((from_screen > least).astype(np.uint8))
+    from_screen = cv2.GaussianBlur(screen_distance(rgb, screen), (3, 3), 0.7)
+    threshold = max(SUBJECT_DISTANCE, SPREAD_FACTOR * screen.spread)
+    subject = remove_small_regions((from_screen > threshold).astype(np.uint8))
     radius = max(2, round(BAND * max(rgb.shape[:2])))
-    alpha = softened(subject, np.ascontiguousarray(rgb), radius)
-    return np.asarray(255 * unmixed(rgb, subject, alpha, radius) + 0.5, np.uint8)
+    alpha = soften_edge(subject, np.ascontiguousarray(rgb), radius)
+    return np.asarray(255 * estimate_edge_alpha(rgb, subject, alpha, radius) + 0.5, np.uint8)
 
 
-def distance(rgb: Picture, screen: ScreenColour) -> Floats:
-    """(...) float32 of colours (..., 3): 0 for the screen's in any light, 1 for a grey, more for opposite hues."""
-    luma, chroma = _taken_apart(rgb)
-    screen_luma, screen_chroma = _taken_apart(np.array(screen.rgb, np.float32))
+def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:
+    """Chroma distance (...) float32 of colours (..., 3) from the screen under any illumination.
+
+    0 for the screen's colour, 1 for grey, more for opposite hues.
+    """
+    luma, chroma = _luma_chroma(rgb)
+    screen_luma, screen_chroma = _luma_chroma(np.array(screen.rgb, np.float32))
     light = np.clip(luma / screen_luma, DARKEST, BRIGHTEST)
-    away = np.linalg.norm(chroma - light[..., None] * screen_chroma, axis=-1)
-    return np.asarray(away / (light * np.linalg.norm(screen_chroma)), np.float32)
+    difference = np.linalg.norm(chroma - light[..., None] * screen_chroma, axis=-1)
+    return np.asarray(difference / (light * np.linalg.norm(screen_chroma)), np.float32)
 
 
-def _taken_apart(rgb: NDArray[np.generic]) -> tuple[Floats, Floats]:
-    """Y (...) of 0 to 255, and Cb and Cr (..., 2) about 0, of colours (..., 3) (ITU-R BT.601)."""
+def _luma_chroma(rgb: NDArray[np.generic]) -> tuple[Floats, Floats]:
+    """Luma Y (...) in 0 to 255 and chroma (Cb, Cr) (..., 2) centred on 0, of colours (..., 3) (ITU-R BT.601)."""
     red, green, blue = np.moveaxis(rgb.astype(np.float32), -1, 0)
     luma = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
     return luma, np.stack([np.float32(0.564) * (blue - luma), np.float32(0.713) * (red - luma)], axis=-1)
 
 
 def _border(picture: Picture) -> Picture:
-    """Colours (N, 3) of the picture's border, at most MOST_SAMPLES of them, evenly chosen."""
+    """Colours (N, 3) of the picture's border, evenly subsampled to about MAX_SAMPLES."""
     height, width = picture.shape[:2]
     inner = np.zeros((height, width), bool)
     margin = max(1, round(BORDER * min(height, width)))
     inner[margin:-margin, margin:-margin] = True
     colours = picture[~inner]
-    return colours[:: max(1, len(colours) // MOST_SAMPLES)]
+    return colours[:: max(1, len(colours) // MAX_SAMPLES)]
 
 
 def _chroma_of(screen: ScreenColour) -> float:
-    return float(np.linalg.norm(_taken_apart(np.array(screen.rgb))[1]))
+    return float(np.linalg.norm(_luma_chroma(np.array(screen.rgb))[1]))
 
 
-def _named(screen: ScreenColour) -> str:
+def _format_rgb(screen: ScreenColour) -> str:
     return ",".join(f"{value:.0f}" for value in screen.rgb)
 
 
-def _no_screen(got: str) -> UserError:
+def _screen_error(got: str) -> UserError:
     return UserError(
-        f"the pictures: expected a screen of one colour, got {got}; name it with --screen R,G,B or use another --method"
+        f"the pictures: expected a screen of one colour, got {got}; set it with --screen R,G,B or use another --method"
     )

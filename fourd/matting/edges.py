@@ -1,4 +1,4 @@
-"""From reduced log-odds to a matte of the whole picture with soft edges."""
+"""Full-resolution mattes with soft edges from reduced log-odds."""
 
 from __future__ import annotations
 
@@ -12,30 +12,33 @@ Picture = NDArray[np.uint8]
 SMOOTHING = 2.0
 COLOUR_EDGE = 10.0
 BAND = 1 / 400
-"""Half the width of the soft edge, as a share of the picture's longest side."""
+"""Half the width of the soft edge, relative to the picture's longest side."""
 EDGE_VARIANCE = 40.0
-"""Of 8-bit colours squared: contrast below which the guided filter takes no edge for one."""
-SMALLEST_PART = 1 / 300
-"""Parts of the matte, and holes in it, of a smaller share of its area are dropped."""
+"""Regularisation of the guided filter in squared 8-bit values: lower contrast is not an edge."""
+MIN_REGION_SHARE = 1 / 300
+"""Connected parts and holes smaller than this share of the matte's area are removed."""
 MARGIN_PX = 16
-LEAST_CONTRAST = 30.0
-"""Between subject and background, of 8-bit colours, for a pixel's mixture of them to be told."""
-NEAR_ENOUGH = 0.01
-KNOWN = 0.9
-"""Sureness from which the background behind an edge counts as known."""
+MIN_CONTRAST = 30.0
+"""Minimum colour difference of subject and background, in 8-bit values, for estimating alpha from the colours."""
+MIN_NEARBY = 0.01
+MIN_CONFIDENCE = 0.9
+"""Confidence from which the background behind an edge is known."""
 
 
-def matte(log_odds: Floats, rgb: Picture, back: Floats | None = None) -> Picture:
-    """(H, W) uint8 matte, 255 = subject, of a picture (H, W, 3) uint8.
+def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = None) -> Picture:
+    """Compute a full-resolution matte (H, W) uint8, 255 = subject.
 
-    The log-odds (h, w), of any size, are enlarged along the picture's edges (fast global smoother, Min et al.
-    2014); the edge between 0 and 255 follows the picture's (guided filter, He et al. 2013), and is the subject's
-    share in the mixture of colours there. ``back`` (H, W, 4) has the background's colours, where they are known, and
-    how sure that is, in [0, 1].
+    The log-odds are upsampled along the picture's edges (fast global smoother, Min et al. 2014). The soft edge is
+    aligned with the picture (guided filter, He et al. 2013), and its alpha is estimated from the colours on both sides.
+
+    Args:
+        log_odds: (h, w) of any size; positive = subject.
+        rgb: (H, W, 3) uint8.
+        background: (H, W, 4) colours of the background and their confidence in [0, 1].
     """
     height, width = rgb.shape[:2]
     result = np.zeros((height, width), np.uint8)
-    window = _window(log_odds, height, width)
+    window = _subject_window(log_odds, height, width)
     if window is None:
         return result
     rows, columns = window
@@ -43,72 +46,75 @@ def matte(log_odds: Floats, rgb: Picture, back: Floats | None = None) -> Picture
     part, picture = np.ascontiguousarray(whole[rows, columns]), np.ascontiguousarray(rgb[rows, columns])
     if log_odds.shape != (height, width):
         part = cv2.ximgproc.fastGlobalSmootherFilter(picture, part, SMOOTHING, COLOUR_EDGE)
-    subject = cleaned((part > 0).astype(np.uint8))
+    subject = remove_small_regions((part > 0).astype(np.uint8))
     radius = max(1, round(BAND * max(height, width)))
-    alpha = softened(subject, picture, radius)
-    alpha = unmixed(picture, subject, alpha, max(2, radius), None if back is None else back[rows, columns])
+    alpha = soften_edge(subject, picture, radius)
+    known = None if background is None else background[rows, columns]
+    alpha = estimate_edge_alpha(picture, subject, alpha, max(2, radius), known)
     result[rows, columns] = (255 * alpha + 0.5).astype(np.uint8)
     return result
 
 
-def softened(subject: Picture, rgb: Picture, radius: int) -> Floats:
-    """(H, W) in [0, 1]: ones (H, W) uint8 whose edge, ``radius`` pixels to either side, follows the picture's.
+def soften_edge(subject: Picture, rgb: Picture, radius: int) -> Floats:
+    """Alpha (H, W) in [0, 1] from a binary mask (H, W) uint8 of ones.
 
-    (Guided filter, He et al. 2013.)
+    The edge, ``radius`` pixels to either side, is aligned with the picture by a guided filter (He et al. 2013).
     """
     soft = cv2.ximgproc.guidedFilter(rgb, subject.astype(np.float32), 2 * radius, EDGE_VARIANCE)
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     edge = cv2.dilate(subject, square) != cv2.erode(subject, square)
-    # The filter's ends are a little short of 0 and 1.
+    # The filter's output does not quite reach 0 and 1.
     return np.where(edge, np.clip(1.15 * soft - 0.075, 0, 1), subject)
 
 
-def unmixed(rgb: Picture, subject: Picture, alpha: Floats, radius: int, back: Floats | None = None) -> Floats:
-    """(H, W) in [0, 1]: at the subject's edge, its share in a pixel's mixture with what lies beside it.
+def estimate_edge_alpha(
+    rgb: Picture, subject: Picture, alpha: Floats, radius: int, background: Floats | None = None
+) -> Floats:
+    """Alpha (H, W) in [0, 1] with edge pixels estimated as a mixture of the colours on both sides.
 
-    The colours to either side tell the share; ``back`` (H, W, 4), where it is sure, tells the one behind. Where the
-    two are alike, ``alpha`` stands.
+    The local mean colours inside and outside the subject define the mixture; a confident ``background`` (H, W, 4)
+    replaces the outside colour. Where the contrast is too low, ``alpha`` is kept.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     inside = np.asarray(cv2.erode(subject, disc), np.float32)
     outside = 1 - np.asarray(cv2.dilate(subject, disc), np.float32)
     edge = (inside == 0) & (outside == 0)
     value = rgb.astype(np.float32)
-    (front, front_near), (behind, behind_near) = (_around(value, sure, radius) for sure in (inside, outside))
-    is_behind = behind_near > NEAR_ENOUGH
-    if back is not None:
-        is_known = back[..., 3] > KNOWN
-        behind = np.where(is_known[..., None], back[..., :3], behind)
-        is_behind |= is_known
-    across = front - behind
-    length = np.square(across).sum(axis=-1)
-    share = ((value - behind) * across).sum(axis=-1) / np.maximum(length, 1)
-    known = edge & (front_near > NEAR_ENOUGH) & is_behind & (length > LEAST_CONTRAST**2)
-    return np.where(known, np.clip(share, 0, 1), alpha).astype(np.float32)
+    (front, front_near), (back, back_near) = (_local_mean(value, mask, radius) for mask in (inside, outside))
+    has_back = back_near > MIN_NEARBY
+    if background is not None:
+        is_known = background[..., 3] > MIN_CONFIDENCE
+        back = np.where(is_known[..., None], background[..., :3], back)
+        has_back |= is_known
+    contrast = front - back
+    squared = np.square(contrast).sum(axis=-1)
+    share = ((value - back) * contrast).sum(axis=-1) / np.maximum(squared, 1)
+    is_estimated = edge & (front_near > MIN_NEARBY) & has_back & (squared > MIN_CONTRAST**2)
+    return np.where(is_estimated, np.clip(share, 0, 1), alpha).astype(np.float32)
 
 
-def _around(value: Floats, sure: Floats, radius: int) -> tuple[Floats, Floats]:
-    """Mean colour near each pixel (H, W, 3) of those where ``sure`` (H, W) is 1, and their share of all there."""
-    near = np.asarray(cv2.GaussianBlur(sure, (0, 0), 1.5 * radius), np.float32)
-    total = np.asarray(cv2.GaussianBlur(value * sure[..., None], (0, 0), 1.5 * radius), np.float32)
+def _local_mean(value: Floats, mask: Floats, radius: int) -> tuple[Floats, Floats]:
+    """Local mean colour (H, W, 3) of the pixels where ``mask`` (H, W) is 1, and their local share (H, W)."""
+    near = np.asarray(cv2.GaussianBlur(mask, (0, 0), 1.5 * radius), np.float32)
+    total = np.asarray(cv2.GaussianBlur(value * mask[..., None], (0, 0), 1.5 * radius), np.float32)
     return (total / np.maximum(near, 1e-6)[..., None]).astype(np.float32), near
 
 
-def cleaned(subject: Picture) -> Picture:
-    """Ones (H, W) without small parts and small holes."""
-    least = SMALLEST_PART * np.count_nonzero(subject)
-    return 1 - _without_small(1 - _without_small(subject, least), least)
+def remove_small_regions(subject: Picture) -> Picture:
+    """A binary mask (H, W) without small connected parts and small holes."""
+    min_area = MIN_REGION_SHARE * np.count_nonzero(subject)
+    return 1 - _remove_small_components(1 - _remove_small_components(subject, min_area), min_area)
 
 
-def _without_small(picture: Picture, least: float) -> Picture:
+def _remove_small_components(picture: Picture, min_area: float) -> Picture:
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(picture, connectivity=4)
-    keep = statistics[:, cv2.CC_STAT_AREA] >= least
+    keep = statistics[:, cv2.CC_STAT_AREA] >= min_area
     keep[0] = False
     return keep[labels].astype(np.uint8) if count > 1 else picture
 
 
-def _window(log_odds: Floats, height: int, width: int) -> tuple[slice, slice] | None:
-    """The subject's box in the whole picture with a margin; None where there is no subject."""
+def _subject_window(log_odds: Floats, height: int, width: int) -> tuple[slice, slice] | None:
+    """The subject's box in the full picture with a margin; None without a subject."""
     left, top, box_width, box_height = cv2.boundingRect((log_odds > 0).astype(np.uint8))
     if box_width == 0:
         return None

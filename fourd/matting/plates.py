@@ -1,8 +1,8 @@
-"""Clean plates: each camera's background without the subject, the mean over time weighted by the mattes.
+"""Clean plates: each camera's background without the subject, as the mean over time weighted by the mattes.
 
-4K4D, sec. 4.1, takes the background of its scenes so. Here the mean runs, so that memory does not grow with the
-frames; each frame's exposure is brought to the first's; and a second pass leaves out what is far from the first
-pass's mean, which is what mattes missed.
+This is the background of 4K4D, sec. 4.1, with three changes: a running mean needs constant memory, each frame is
+matched to the first frame's exposure, and a second pass excludes outliers from the first mean, where mattes missed
+the subject.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ Picture = NDArray[np.uint8]
 
 FOLDER = Path(".fourd") / "plates"
 STATE = "plates.json"
-MOST_FRAMES = 64
-"""At most so many frames are averaged: noise falls with their root, and 64 leave an eighth of it."""
+MAX_FRAMES = 64
+"""Maximum number of averaged frames; 64 reduce noise to an eighth."""
 MARGIN = 1 / 150
-"""Of the picture's longest side: kept away from the matte, whose edge is soft and casts a shadow."""
-OUTLIER = 3.0
-LEAST_SPREAD = 6.0
-LEAST_FRAMES = 1.0
-"""Weight of frames below which a pixel is a hole."""
-FILL_PX = 5
+"""Distance kept from the matte, relative to the picture's longest side: its edge is soft and has a shadow."""
+OUTLIER_STDS = 3.0
+MIN_OUTLIER_DISTANCE = 6.0
+MIN_WEIGHT = 1.0
+"""Total weight of frames below which a pixel is a hole."""
+INPAINT_PX = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,8 @@ class Plate:
     """A camera's background.
 
     Attributes:
-        rgb: (H, W, 3) uint8; holes are filled from around, to look at.
-        seen: (H, W) bool, False in holes: where the subject always was.
+        rgb: (H, W, 3) uint8; holes are inpainted, for display.
+        seen: (H, W) bool; False in holes, where the subject covers the background in all frames.
     """
 
     rgb: Picture
@@ -54,8 +54,8 @@ class Plate:
 
 
 @dataclass
-class _Running:
-    """Weighted mean and spread of colours, by pixel."""
+class _RunningStatistics:
+    """Weighted mean and standard deviation of the colours of each pixel."""
 
     shape: tuple[int, int]
     weight: Floats = field(init=False)
@@ -68,27 +68,36 @@ class _Running:
         self.squares = np.zeros((*self.shape, 3), np.float32)
 
     def add(self, value: Floats, weight: Floats) -> None:
-        """West's update (1979)."""
+        """Add a frame (H, W, 3) with weights (H, W); West's update (1979)."""
         self.weight += weight
         share = np.divide(weight, self.weight, out=np.zeros_like(weight), where=self.weight > 0)[..., None]
-        away = value - self.mean
-        self.mean += share * away
-        self.squares += weight[..., None] * away * (value - self.mean)
+        delta = value - self.mean
+        self.mean += share * delta
+        self.squares += weight[..., None] * delta * (value - self.mean)
 
     @property
-    def spread(self) -> Floats:
-        """(H, W) standard deviation over colours and frames."""
+    def std(self) -> Floats:
+        """(H, W) standard deviation over channels and frames."""
         return np.sqrt(self.squares.mean(axis=-1) / np.maximum(self.weight, 1e-6))
 
 
 def make_plates(selection: Selection, key: str, workers: int, track: Track, folder: Path | None = None) -> int:
-    """Make each camera's plate into ``folder/CAM.png``, RGBA with alpha 0 in holes, of undistorted pictures.
+    """Make the plate of each camera as ``folder/CAM.png``: RGBA with alpha 0 in holes, undistorted.
 
-    Without a folder they go to the capture's ``.fourd/plates``.
+    Plates that an earlier call made with the same ``key`` and the same mattes are kept.
 
-    Plates that an earlier call with the same ``key`` made of the same mattes are kept; the others are spread over
-    ``workers`` processes, a camera each. Returns how many were made now. Raises UserError where the capture has
-    no mattes.
+    Args:
+        selection: the capture.
+        key: hash of the inputs of the mattes.
+        workers: number of processes; each job is one camera.
+        track: progress callback.
+        folder: output folder; None is the capture's ``.fourd/plates``.
+
+    Returns:
+        the number of plates made by this call.
+
+    Raises:
+        UserError: if the capture has no mattes.
     """
     capture = selection.open()
     folder = folder or capture.path / FOLDER
@@ -102,16 +111,16 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
     keys = {name: _camera_key(capture, name, key) for name in capture.names}
     missing = [name for name in capture.names if done.get(name) != keys[name] or not (folder / f"{name}.png").exists()]
     jobs = [_Job(selection, name, folder) for name in missing]
-    for name in track(run_jobs(_plate, jobs, workers), len(jobs), "plates"):
+    for name in track(run_jobs(_make_plate, jobs, workers), len(jobs), "plates"):
         done[name] = keys[name]
         write_text_atomically(state, json.dumps(done, sort_keys=True) + "\n")
     return len(missing)
 
 
 def _camera_key(capture: Capture, name: str, key: str) -> str:
-    """A hash of ``key`` and of the mattes that the camera's plate is made by, which a person may mend."""
+    """Hash of ``key`` and of the mattes used for the camera's plate, which users may edit."""
     digest = hashlib.sha256(key.encode())
-    for frame in sample_indices(capture.frame_count, MOST_FRAMES):
+    for frame in sample_indices(capture.frame_count, MAX_FRAMES):
         for folder in (Path("masks"), MATTES):
             matte = capture.path / folder / name / f"{capture.frame_names[frame]}.png"
             if matte.exists():
@@ -121,34 +130,34 @@ def _camera_key(capture: Capture, name: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class _Job:
-    """One camera for a process, which opens everything itself."""
+    """One camera, for a worker process."""
 
     selection: Selection
     name: str
     folder: Path
 
 
-def _plate(job: _Job) -> Iterator[str]:
-    """Make one camera's plate; the camera's name when it is there."""
+def _make_plate(job: _Job) -> Iterator[str]:
+    """Make one camera's plate; yields the camera's name once the file is written."""
     capture = replace(job.selection, views=(job.name,)).open()
     write_plate(job.folder / f"{job.name}.png", clean_plate(capture, 0))
     yield job.name
 
 
 def clean_plate(capture: Capture, index: int) -> Plate:
-    """The plate of one camera, from its pictures and mattes; raises UserError where it has none."""
+    """Compute the plate of one camera from its pictures and mattes; raises UserError without mattes."""
     camera = capture.cameras[index]
     shape = (camera.height, camera.width)
-    first = _Running(shape)
-    for value, weight in _weighed(capture, index):
+    first = _RunningStatistics(shape)
+    for value, weight in _weighted_frames(capture, index):
         first.add(value, weight)
-    second = _Running(shape)
-    near = np.maximum(LEAST_SPREAD, OUTLIER * first.spread)
-    for value, weight in _weighed(capture, index):
-        second.add(value, weight * (np.abs(value - first.mean).max(axis=-1) < near))
-    seen = second.weight >= LEAST_FRAMES
+    second = _RunningStatistics(shape)
+    threshold = np.maximum(MIN_OUTLIER_DISTANCE, OUTLIER_STDS * first.std)
+    for value, weight in _weighted_frames(capture, index):
+        second.add(value, weight * (np.abs(value - first.mean).max(axis=-1) < threshold))
+    seen = second.weight >= MIN_WEIGHT
     rgb = np.clip(np.where(seen[..., None], second.mean, first.mean) + 0.5, 0, 255).astype(np.uint8)
-    filled = cv2.inpaint(rgb, (~seen).astype(np.uint8), FILL_PX, cv2.INPAINT_TELEA) if not seen.all() else rgb
+    filled = cv2.inpaint(rgb, (~seen).astype(np.uint8), INPAINT_PX, cv2.INPAINT_TELEA) if not seen.all() else rgb
     return Plate(np.asarray(filled, np.uint8), seen)
 
 
@@ -160,26 +169,26 @@ def write_plate(path: Path, plate: Plate) -> None:
             raise OSError(f"{path}: cannot be written")
 
 
-def _weighed(capture: Capture, index: int) -> Iterator[tuple[Floats, Floats]]:
-    """Frames (H, W, 3) at the first frame's exposure, and the weights (H, W) of what they show of the background."""
+def _weighted_frames(capture: Capture, index: int) -> Iterator[tuple[Floats, Floats]]:
+    """Frames (H, W, 3) at the first frame's exposure, and the weights (H, W) of their background pixels."""
     camera = capture.cameras[index]
     margin = max(1, round(MARGIN * max(camera.width, camera.height)))
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
     reference: Picture | None = None
-    for frame in sample_indices(capture.frame_count, MOST_FRAMES):
+    for frame in sample_indices(capture.frame_count, MAX_FRAMES):
         rgb = capture.image(index, frame)
         weight = (1 - cv2.dilate(capture.mask(index, frame), square) / np.float32(255)).astype(np.float32)
         reference = rgb if reference is None else reference
-        yield (rgb * _exposure(rgb, reference, weight)).astype(np.float32), weight
+        yield (rgb * _exposure_gain(rgb, reference, weight)).astype(np.float32), weight
 
 
-def _exposure(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
-    """(3,) factors that bring a frame's still pixels to the reference's brightness."""
+def _exposure_gain(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
+    """(3,) gains that match a frame's background pixels to the reference's brightness."""
     step = max(1, max(rgb.shape) // 256)
     part, other, free = rgb[::step, ::step], reference[::step, ::step], weight[::step, ::step] > 0.99
     free &= (part.min(axis=-1) > 16) & (other.max(axis=-1) < 250) & (part.max(axis=-1) < 250)
     if np.count_nonzero(free) < 100:
         return np.ones(3, np.float32)
     gain = np.median(other[free].astype(np.float32) / part[free], axis=0)
-    # The rounding of 8 bits moves the median by less than this.
+    # 8-bit rounding changes the median by less than 0.004.
     return np.where(np.abs(gain - 1) < 0.004, 1, gain).astype(np.float32)

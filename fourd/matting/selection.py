@@ -1,4 +1,4 @@
-"""Which part of a capture is worked on, in words that a process can be given."""
+"""A picklable description of the selected part of a capture, for worker processes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from fourd.capture import Capture, open_capture
 
 CACHE_MB = 64
 CACHE_FRAMES = 8
-"""Frames of all cameras to keep decoded: a frame and those up to the one that motion is told from."""
+"""Decoded frames of all cameras to cache: a frame and those up to its neighbour for optical flow."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """Which part of which capture; see :func:`fourd.capture.open_capture`."""
+    """A capture with selected views and frames; see :func:`fourd.capture.open_capture`."""
 
     path: Path
     views: tuple[str, ...] | None = None
     frames: str | None = None
 
     def open(self, *, mattes: bool = True) -> Capture:
-        """The capture, with room for the frames between which motion is looked for."""
+        """Open the capture, with a cache for the frames between which optical flow is computed."""
         return open_capture(
             self.path,
             views=self.views,

@@ -1,4 +1,4 @@
-"""Mattes of a whole capture: learned once, made frame by frame on all cores, each file written once."""
+"""Mattes of a whole capture: one learning step, then frames in parallel; resumable."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from fourd.capture import Capture
 from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
-from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, given_screen
-from fourd.matting.motion.mattes import fine_background, matting_cameras
-from fourd.matting.motion.sampling import take_sample
-from fourd.matting.motion.saved_model import load_matter, save_subject
+from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
+from fourd.matting.motion.mattes import matting_cameras, refine_background
+from fourd.matting.motion.sampling import sample_capture
+from fourd.matting.motion.saved_model import load_matte_maker, save_subject
 from fourd.matting.motion.subject import learn_subject
 from fourd.matting.rvm import load_rvm
 from fourd.matting.selection import Selection
@@ -41,12 +41,12 @@ FASTEST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 @dataclass(frozen=True)
 class MatteSettings:
-    """How mattes are made.
+    """Settings of matting.
 
     Attributes:
-        method: "motion" needs no weights; "chroma" a screen of one colour; "rvm" a network's file.
-        seed: of the colours drawn for distributions.
-        screen: "R,G,B" of 0 to 255; None finds it, camera by camera.
+        method: "motion" needs no network; "chroma" needs a screen of one colour; "rvm" needs a network file.
+        seed: random seed of colour subsampling.
+        screen: "R,G,B" of 0 to 255; None estimates it for each camera.
         rvm: TorchScript file of Robust Video Matting.
     """
 
@@ -57,48 +57,48 @@ class MatteSettings:
 
 
 def make_mattes(selection: Selection, settings: MatteSettings, workers: int, track: Track) -> int:
-    """Make a capture's mattes into ``.fourd/mattes/CAM/FRAME.png``, of the undistorted pictures.
+    """Make the mattes of a capture's undistorted pictures as ``.fourd/mattes/CAM/FRAME.png``.
 
-    What an earlier call with the same input and settings made is kept; with others all is made anew.
+    Files that an earlier call made with the same input and settings are kept; otherwise all are made again.
 
     Args:
-        selection: the capture; all of its cameras help each other.
-        settings: the method.
-        workers: processes.
-        track: for progress.
+        selection: the capture; evidence is combined over all of its cameras.
+        settings: method and its parameters.
+        workers: number of processes.
+        track: progress callback.
 
     Returns:
-        number of frames made now.
+        the number of frames made by this call.
 
     Raises:
-        UserError: when nothing moves or the views do not agree on where, there is no screen, or the network's file
-            is none.
+        UserError: if nothing moves, the views do not agree on where, there is no screen, or the network file is
+            invalid.
     """
     capture = selection.open(mattes=False)
     folder = capture.path / MATTES
     refuse_symlinks(capture.path, folder)
-    _begin(folder, matte_key(capture, settings))
+    _prepare_folder(folder, matte_key(capture, settings))
     missing = [frame for frame in range(capture.frame_count) if not _is_made(folder, capture, frame)]
     if not missing:
         return 0
     if settings.method == "rvm":
-        _by_network(capture, settings, folder, missing, track)
+        _make_network_mattes(capture, settings, folder, missing, track)
         return len(missing)
-    by: Path | tuple[ScreenColour, ...]
+    model: Path | tuple[ScreenColour, ...]
     if settings.method == "chroma":
-        by = _screens(capture, settings, track)
+        model = _screen_colours(capture, settings, track)
     else:
-        by = folder.parent / LEARNED
-        if not by.exists():
-            _learn(capture, settings, by, track)
-    jobs = [_Job(selection, by, folder, tuple(block)) for block in split_into_blocks(missing, workers)]
-    for _ in track(run_jobs(_mattes, jobs, workers), len(missing), "mattes"):
+        model = folder.parent / LEARNED
+        if not model.exists():
+            _learn_subject_model(capture, settings, model, track)
+    jobs = [_Job(selection, model, folder, tuple(block)) for block in split_into_blocks(missing, workers)]
+    for _ in track(run_jobs(_make_frames, jobs, workers), len(missing), "mattes"):
         pass
     return len(missing)
 
 
 def matte_key(capture: Capture, settings: MatteSettings) -> str:
-    """A hash of all that mattes depend on: settings, selection, and the input files' sizes and times."""
+    """Hash of all inputs of the mattes: settings, selection, and sizes and times of the input files."""
     digest = hashlib.sha256(
         json.dumps([VERSION, asdict(settings), capture.names, capture.frame_names], default=str).encode()
     )
@@ -109,8 +109,8 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
     return digest.hexdigest()
 
 
-def _begin(folder: Path, key: str) -> None:
-    """Clear what was made of another input or by other settings, and what a killed process left half-written."""
+def _prepare_folder(folder: Path, key: str) -> None:
+    """Delete the results of other inputs or settings, and the unfinished files of killed processes."""
     state = folder.parent / STATE
     try:
         known = json.loads(state.read_text(encoding="utf-8")).get("key")
@@ -129,23 +129,24 @@ def _is_made(folder: Path, capture: Capture, frame: int) -> bool:
     return all((folder / name / f"{capture.frame_names[frame]}.png").exists() for name in capture.names)
 
 
-def _learn(capture: Capture, settings: MatteSettings, learned: Path, track: Track) -> None:
-    samples = take_sample(capture, track)
+def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, track: Track) -> None:
+    """Learn the subject and the backgrounds, and write them to ``path``."""
+    samples = sample_capture(capture, track)
     subject = learn_subject(samples, capture.names, settings.seed, track)
     cameras = matting_cameras(capture)
     numbers = range(len(cameras))
     backgrounds = [
-        fine_background(capture, index, subject.looks[index], cameras[index])
+        refine_background(capture, index, subject.appearances[index].background, cameras[index])
         for index in track(numbers, len(numbers), "background")
     ]
-    save_subject(learned, subject, backgrounds)
+    save_subject(path, subject, backgrounds)
 
 
-def _screens(capture: Capture, settings: MatteSettings, track: Track) -> tuple[ScreenColour, ...]:
-    """Each camera's screen: the given one, or as a few of its pictures show it."""
+def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> tuple[ScreenColour, ...]:
+    """The screen of each camera: the given colour, or an estimate from a few pictures."""
     numbers = range(len(capture.names))
     if settings.screen is not None:
-        return tuple(given_screen(settings.screen) for _ in numbers)
+        return tuple(parse_screen(settings.screen) for _ in numbers)
     frames = sample_indices(capture.frame_count, SCREEN_FRAMES)
     return tuple(
         find_screen([capture.image(index, frame) for frame in frames])
@@ -153,46 +154,55 @@ def _screens(capture: Capture, settings: MatteSettings, track: Track) -> tuple[S
     )
 
 
-def _by_network(capture: Capture, settings: MatteSettings, folder: Path, missing: Sequence[int], track: Track) -> None:
-    """Each camera's frames in order, from its first: what the network remembers must be the same in every run."""
+def _make_network_mattes(
+    capture: Capture, settings: MatteSettings, folder: Path, missing: Sequence[int], track: Track
+) -> None:
+    """Run the network on each camera's frames in order, from the first: its recurrent state must be reproducible."""
     if settings.rvm is None:
-        raise UserError("--rvm: expected the file of the network for --method rvm, got none; name it")
+        raise UserError("--rvm: expected the network file for --method rvm, got none; pass --rvm FILE")
     network = load_rvm(settings.rvm)
     for index, name in enumerate(capture.names):
-        left = [frame for frame in missing if not (folder / name / f"{capture.frame_names[frame]}.png").exists()]
-        if not left:
+        remaining = [frame for frame in missing if not (folder / name / f"{capture.frame_names[frame]}.png").exists()]
+        if not remaining:
             continue
-        frames = range(left[-1] + 1)
-        made = network.mattes(capture.image(index, frame) for frame in frames)
-        for frame, matte in zip(frames, track(made, len(frames), f"mattes {name}"), strict=True):
-            if frame in left:
+        frames = range(remaining[-1] + 1)
+        mattes = network.mattes(capture.image(index, frame) for frame in frames)
+        for frame, matte in zip(frames, track(mattes, len(frames), f"mattes {name}"), strict=True):
+            if frame in remaining:
                 write_matte(folder / name / f"{capture.frame_names[frame]}.png", matte)
 
 
 @dataclass(frozen=True)
 class _Job:
-    """Frames for one process, which opens everything itself; ``by`` what was learned, or each camera's screen."""
+    """Frames for one worker process.
+
+    Attributes:
+        selection: the capture.
+        model: file of the learned model, or the screen colour of each camera.
+        folder: folder of the mattes.
+        frames: indices of the frames.
+    """
 
     selection: Selection
-    by: Path | tuple[ScreenColour, ...]
+    model: Path | tuple[ScreenColour, ...]
     folder: Path
     frames: tuple[int, ...]
 
 
-def _mattes(job: _Job) -> Iterator[int]:
-    """Make the mattes of a job's frames; each frame when its files are there."""
+def _make_frames(job: _Job) -> Iterator[int]:
+    """Make the mattes of a job's frames; yields each frame once its files are written."""
     cv2.setNumThreads(1)
     capture = job.selection.open(mattes=False)
-    matter = load_matter(job.by, matting_cameras(capture)) if isinstance(job.by, Path) else None
+    maker = load_matte_maker(job.model, matting_cameras(capture)) if isinstance(job.model, Path) else None
     for frame in job.frames:
-        if matter is not None:
-            mattes = matter.mattes(capture, frame)
-        elif isinstance(job.by, tuple):
-            mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.by)]
-        for name, made in zip(capture.names, mattes, strict=True):
+        if maker is not None:
+            mattes = maker.mattes(capture, frame)
+        elif isinstance(job.model, tuple):
+            mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.model)]
+        for name, matte in zip(capture.names, mattes, strict=True):
             path = job.folder / name / f"{capture.frame_names[frame]}.png"
-            if not path.exists():  # others of an unfinished frame may have been mended by hand since
-                write_matte(path, made)
+            if not path.exists():  # existing mattes of an incomplete frame may have been edited
+                write_matte(path, matte)
         yield frame
 
 

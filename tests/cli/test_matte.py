@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from fourd.cli.main import main
-from tests.matting.captures import unmasked
+from tests.matting.captures import write_capture_without_masks
 
 MATTE = (sys.executable, "-m", "fourd.cli.main", "matte", "--workers")
 
@@ -37,7 +37,7 @@ def test_wrong_options_are_one_line(
     options: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Catches tracebacks, and work begun before an option is looked at."""
-    capture = unmasked(tmp_path, frames=2, size=32)
+    capture = write_capture_without_masks(tmp_path, frames=2, size=32)
     assert main(["matte", str(capture), *options]) == 2
     told = capsys.readouterr().err
     assert message in told
@@ -73,7 +73,7 @@ def stopped_when(there: Path, how: signal.Signals, command: list[str]) -> int:
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A capture of which ``fourd matte`` made everything undisturbed. Not to be changed by tests."""
-    capture = unmasked(tmp_path_factory.mktemp("finished"), frames=8, size=64)
+    capture = write_capture_without_masks(tmp_path_factory.mktemp("finished"), frames=8, size=64)
     subprocess.run([*MATTE, "1", str(capture)], check=True, timeout=300)
     return capture
 

@@ -1,4 +1,4 @@
-"""A small capture without masks, made of the ball capture, and the truth of its mattes."""
+"""A small capture without masks, derived from the ball capture, with ground-truth mattes."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from fourd.capture import Capture, open_capture
 from tests.captures import write_ball_capture
 
 
-def unmasked(folder: Path, *, frames: int = 8, size: int = 96) -> Path:
-    """A ball capture whose masks lie beside it, in ``folder``/truth/masks."""
+def write_capture_without_masks(folder: Path, *, frames: int = 8, size: int = 96) -> Path:
+    """Write a ball capture without masks; the true masks are in ``folder``/truth/masks."""
     capture = write_ball_capture(folder / "capture", cameras=8, frames=frames, size=size)
     shutil.move(capture / "masks", folder / "truth" / "masks")
     return capture
 
 
 def write_video(path: Path, pictures: Sequence[Path]) -> None:
-    """A video of picture files, 30 frames per second."""
+    """Write a video of picture files at 30 frames per second."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"crf": "6", "g": "4"})
         with Image.open(pictures[0]) as first:
             stream.width, stream.height = first.size
         stream.pix_fmt = "yuv420p"
-        for place, picture in enumerate(pictures):
+        for number, picture in enumerate(pictures):
             frame = av.VideoFrame.from_ndarray(np.array(Image.open(picture).convert("RGB")), format="rgb24")
-            frame.pts, frame.time_base = place, Fraction(1, 30)
+            frame.pts, frame.time_base = number, Fraction(1, 30)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
 
 
-def overlaps(made: Capture, truth: Path) -> np.ndarray:
-    """(C, F) intersection over union of a capture's mattes with the true ones."""
+def matte_iou(made: Capture, truth: Path) -> np.ndarray:
+    """(C, F) intersection over union of a capture's mattes with the true masks."""
     shutil.copytree(made.path / "images", truth / "images", dirs_exist_ok=True)
     for name in ("intri.yml", "extri.yml"):
         shutil.copy(made.path / name, truth / name)

@@ -1,18 +1,18 @@
-"""The views' agreement: evidence carved from all views but a pixel's own."""
+"""Multi-view consistency: soft hulls from all views except a pixel's own."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from fourd.matting.motion.agreement import NOWHERE, Cells
+from fourd.matting.motion.agreement import NO_CELL_LOG_ODDS, VoxelGrid
 from tests.captures import ring_cameras
 
 SIZE = 48
 
 
-def silhouettes(count: int, centre: np.ndarray, radius: float) -> tuple[Cells, list[np.ndarray]]:
-    """Log-odds of +4 on a ball and -4 off it, in each of ``count`` views."""
+def silhouettes(count: int, centre: np.ndarray, radius: float) -> tuple[VoxelGrid, list[np.ndarray]]:
+    """A grid, and log-odds of +4 on a ball and -4 off it in each of ``count`` views."""
     cameras = ring_cameras(count, SIZE)
     rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
     evidence = []
@@ -21,11 +21,11 @@ def silhouettes(count: int, centre: np.ndarray, radius: float) -> tuple[Cells, l
         reach = radius * camera.intrinsics[0, 0] / depth[0]
         inside = (columns - pixel[0, 0]) ** 2 + (rows - pixel[0, 1]) ** 2 < reach**2
         evidence.append(np.where(inside, 4.0, -4.0).astype(np.float32))
-    return Cells.filling(np.full(3, -0.8), np.full(3, 0.8), cameras, 40), evidence
+    return VoxelGrid.covering(np.full(3, -0.8), np.full(3, 0.8), cameras, 40), evidence
 
 
-def test_a_view_that_knows_nothing_is_told_by_the_others() -> None:
-    """Catches a prior that asks the view itself, and one that ignores what the others see."""
+def test_prior_comes_from_the_other_views() -> None:
+    """Catches a prior that depends on the view itself or ignores the other views."""
     cells, evidence = silhouettes(8, np.array([0.1, -0.1, 0.05]), 0.4)
     truth = evidence[2] > 0
     evidence[2] = np.zeros_like(evidence[2])
@@ -33,8 +33,8 @@ def test_a_view_that_knows_nothing_is_told_by_the_others() -> None:
     assert (covered & truth).sum() / (covered | truth).sum() > 0.8
 
 
-def test_what_one_view_alone_sees_is_denied() -> None:
-    """Catches bystanders behind the scene, who are in one view's pixels and in no hull."""
+def test_evidence_of_one_view_is_rejected() -> None:
+    """Catches bystanders behind the scene, who are visible in one view and outside every hull."""
     cells, evidence = silhouettes(8, np.zeros(3), 0.3)
     evidence[0][2:10, 2:10] = 4.0
     prior = cells.scores(evidence).prior(0)
@@ -42,8 +42,8 @@ def test_what_one_view_alone_sees_is_denied() -> None:
     assert prior[SIZE // 2, SIZE // 2] > 0
 
 
-def test_one_wrong_view_of_twenty_does_not_veto() -> None:
-    """Catches a plain minimum over the views, by which one hole in one matte cuts the hull."""
+def test_one_wrong_view_of_twenty_is_tolerated() -> None:
+    """Catches a plain minimum over the views, with which one hole in one matte cuts the hull."""
     cells, evidence = silhouettes(20, np.zeros(3), 0.3)
     evidence[5][:] = -4.0
     box = cells.scores(evidence).box()
@@ -51,18 +51,18 @@ def test_one_wrong_view_of_twenty_does_not_veto() -> None:
     assert np.allclose(box[1] - box[0], 0.6, atol=0.2)
 
 
-def test_nothing_in_common_has_no_box() -> None:
-    """Catches a box about nothing, of which the next grid would be made."""
+def test_an_empty_hull_has_no_box() -> None:
+    """Catches an invalid box of an empty hull, from which the next grid would be built."""
     cells, evidence = silhouettes(4, np.zeros(3), 0.3)
     for picture in evidence:
         picture[:] = -4.0
     scores = cells.scores(evidence)
     assert scores.box() is None
-    assert (scores.prior(1) == NOWHERE).all()
+    assert (scores.prior(1) == NO_CELL_LOG_ODDS).all()
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_few_views_are_no_error(count: int) -> None:
-    """Catches order statistics over more views than there are."""
+def test_few_views_are_supported(count: int) -> None:
+    """Catches order statistics over more views than exist."""
     cells, evidence = silhouettes(count, np.zeros(3), 0.3)
     assert cells.scores(evidence).prior(0).shape == (SIZE, SIZE)

@@ -1,4 +1,4 @@
-"""Chroma mattes before a drawn screen, lit unevenly, with a shadow and noise, against the alpha it was drawn with."""
+"""Chroma keying of synthetic pictures with uneven light, a shadow and noise, compared with the true alpha."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
-from fourd.matting.chroma import ScreenColour, chroma_matte, distance, find_screen, given_screen
+from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen, screen_distance
 
 Picture = NDArray[np.uint8]
 Floats = NDArray[np.float64]
@@ -19,7 +19,7 @@ BLUE = (30, 60, 190)
 
 
 def subject_alpha() -> Floats:
-    """A body, a head, two thin legs and an arm's loop that encloses screen, drawn 4 times as large and reduced."""
+    """Alpha of a body, a head, two thin legs and an arm's loop that encloses screen, with 4 x 4 supersampling."""
     height, width = SIZE
     large = np.zeros((4 * height, 4 * width), np.uint8)
 
@@ -35,8 +35,10 @@ def subject_alpha() -> Floats:
     return np.asarray(alpha, np.float64) / 255
 
 
-def drawn(rng: np.random.Generator, screen: tuple[int, int, int], shadow: float = 0.6) -> tuple[Picture, Floats]:
-    """A noisy picture and its alpha; the screen's light falls from 1.1 to 0.75, and a shadow lies beside the feet."""
+def synthetic_picture(
+    rng: np.random.Generator, screen: tuple[int, int, int], shadow: float = 0.6
+) -> tuple[Picture, Floats]:
+    """A noisy picture and its alpha; the illumination falls from 1.1 to 0.75, and a shadow lies beside the feet."""
     height, width = SIZE
     alpha = subject_alpha()
     y, x = np.mgrid[:height, :width]
@@ -44,7 +46,7 @@ def drawn(rng: np.random.Generator, screen: tuple[int, int, int], shadow: float 
     dark = np.zeros(SIZE)
     cv2.ellipse(dark, (250, 262), (90, 18), 0, 0, 360, 1.0, -1)
     light *= 1 - (1 - shadow) * cv2.GaussianBlur(dark, (0, 0), 4)
-    # Skin, black, white, red and grey clothes, in stripes.
+    # Stripes of skin, black, white, red and grey.
     clothes = np.array([(205, 150, 125), (25, 25, 30), (235, 235, 235), (170, 40, 45), (120, 120, 125)], float)
     subject = clothes[(y // 34) % len(clothes)]
     picture = alpha[..., None] * subject + (1 - alpha[..., None]) * light[..., None] * np.array(screen, float)
@@ -57,31 +59,29 @@ def overlap(matte: Picture, alpha: Floats) -> float:
 
 
 @pytest.mark.parametrize("colour", [GREEN, BLUE])
-def test_uneven_light_and_a_shadow_leave_the_subject_alone(
-    rng: np.random.Generator, colour: tuple[int, int, int]
-) -> None:
-    """Catches distances in plain colour, which take the dark side of the screen or the shadow for the subject."""
-    picture, alpha = drawn(rng, colour)
+def test_uneven_light_and_shadow_are_not_foreground(rng: np.random.Generator, colour: tuple[int, int, int]) -> None:
+    """Catches distances in RGB, with which the dark side of the screen or the shadow becomes foreground."""
+    picture, alpha = synthetic_picture(rng, colour)
     matte = chroma_matte(picture, find_screen([picture]))
     error = np.abs(matte / 255.0 - alpha)
     assert matte.dtype == np.uint8
     assert overlap(matte, alpha) > 0.985
     assert error.mean() < 0.0025
-    # Within the soft edge alone: a distance in chroma alone, which dark clothes deceive, is off by 0.15.
+    # Inside the soft edge; a distance in chroma alone, which fails on dark clothes, has an error of 0.15.
     assert error[(alpha > 0.02) & (alpha < 0.98)].mean() < 0.06
     assert (matte[alpha < 1e-3] > 64).mean() < 2e-4
     assert (matte[alpha > 0.999] < 192).mean() < 2e-3
 
 
-def test_screen_seen_within_the_subject_is_no_subject(rng: np.random.Generator) -> None:
-    """Catches holes that are filled whatever their size: an arm's loop."""
-    picture, _ = drawn(rng, GREEN)
+def test_large_holes_in_the_subject_stay_open(rng: np.random.Generator) -> None:
+    """Catches large holes that are filled, such as an arm's loop."""
+    picture, _ = synthetic_picture(rng, GREEN)
     assert chroma_matte(picture, find_screen([picture]))[130, 258] == 0
 
 
-def test_specks_go_and_the_picture_without_a_subject_is_empty(rng: np.random.Generator) -> None:
-    """Catches dirt on the screen that is kept, and noise that becomes a subject where there is none."""
-    picture, _ = drawn(rng, GREEN)
+def test_specks_are_removed_and_an_empty_picture_stays_empty(rng: np.random.Generator) -> None:
+    """Catches dirt on the screen that is kept, and noise that becomes foreground."""
+    picture, _ = synthetic_picture(rng, GREEN)
     screen = find_screen([picture])
     picture[20:23, 30:33] = (200, 120, 200)
     assert not chroma_matte(picture, screen)[10:34, 20:44].any()
@@ -89,9 +89,9 @@ def test_specks_go_and_the_picture_without_a_subject_is_empty(rng: np.random.Gen
     assert not chroma_matte(empty, screen).any()
 
 
-def test_screen_is_found_in_its_usual_light(rng: np.random.Generator) -> None:
-    """Catches a mode taken over brightness: the colour of the shadow or of a subject at the border."""
-    picture, _ = drawn(rng, GREEN)
+def test_screen_colour_is_that_of_its_median_light(rng: np.random.Generator) -> None:
+    """Catches a mode over brightness, which returns the colour of the shadow or of a subject at the border."""
+    picture, _ = synthetic_picture(rng, GREEN)
     picture[250:, :120] = (190, 150, 130)
     screen = find_screen([picture, picture[:, ::-1]])
     ratio = np.array(screen.rgb) / np.array(GREEN)
@@ -103,7 +103,7 @@ def test_screen_is_found_in_its_usual_light(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("kind", ["noise", "grey", "stripes"])
 def test_pictures_without_a_screen_are_refused(rng: np.random.Generator, kind: str) -> None:
-    """Catches mattes of any background whatever, with the commonest hue of nothing for a screen."""
+    """Catches arbitrary backgrounds accepted as a screen."""
     picture = rng.integers(0, 256, (120, 160, 3)).astype(np.uint8)
     if kind == "grey":
         picture = (130 + picture // 32).astype(np.uint8)
@@ -113,20 +113,20 @@ def test_pictures_without_a_screen_are_refused(rng: np.random.Generator, kind: s
         find_screen([picture])
 
 
-def test_given_screen_is_read_and_checked() -> None:
-    """Catches greys and typing errors that would make every matte empty or full."""
-    assert given_screen("0,177, 64") == ScreenColour((0.0, 177.0, 64.0))
+def test_parse_screen_validates_its_argument() -> None:
+    """Catches greys and typing errors, which would make every matte empty or full."""
+    assert parse_screen("0,177, 64") == ScreenColour((0.0, 177.0, 64.0))
     for text in ("0,177", "green", "0,300,0", "0,-1,4", "1.5,2,3"):
         with pytest.raises(UserError, match=r"^--screen: expected R,G,B"):
-            given_screen(text)
+            parse_screen(text)
     with pytest.raises(UserError, match="nearly grey"):
-        given_screen("128,130,128")
+        parse_screen("128,130,128")
 
 
-def test_distance_is_none_in_any_light_and_one_of_greys() -> None:
-    """Catches chroma that is not held against the screen's at the pixel's own brightness."""
+def test_distance_is_zero_in_any_light_and_one_for_greys() -> None:
+    """Catches chroma that is not compared at the pixel's own luma."""
     screen = ScreenColour(GREEN)
     light = np.linspace(0.45, 1.3, 9)[:, None] * np.array(GREEN)
-    np.testing.assert_allclose(distance(light, screen), 0, atol=1e-3)
+    np.testing.assert_allclose(screen_distance(light, screen), 0, atol=1e-3)
     greys = np.array([[90, 90, 90], [0, 0, 0], [200, 200, 200]], np.uint8)
-    np.testing.assert_allclose(distance(greys, screen), 1, atol=1e-3)
+    np.testing.assert_allclose(screen_distance(greys, screen), 1, atol=1e-3)

@@ -1,4 +1,4 @@
-"""The sheet by which a person judges mattes: its layout, and that it shows what is wrong with a matte."""
+"""The contact sheet of mattes: its layout, and the visibility of matting errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fourd.capture import open_capture
 from fourd.errors import UserError
-from fourd.matting.contact_sheet import CAPTION_PX, FLAT_COLOURS, contact_sheet
+from fourd.matting.contact_sheet import CAPTION_PX, FLAT_COLOURS, write_contact_sheet
 
 Picture = NDArray[np.uint8]
 
@@ -27,10 +27,10 @@ def is_flat(picture: Picture) -> NDArray[np.bool_]:
     return np.any([np.all(picture == np.array(colour), axis=-1) for colour in FLAT_COLOURS], axis=0)
 
 
-def test_cells_hold_the_picture_and_its_cut_out(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches mattes of another frame or turned inside out, swapped channels, a flat colour near the subject's."""
+def test_cells_contain_the_picture_and_its_cutout(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches mattes of another frame, inverted mattes, swapped channels, and a flat colour close to the subject's."""
     capture = open_capture(ball_capture)
-    contact_sheet(capture, tmp_path / "sheet.png", cameras=[2], moments=1)
+    write_contact_sheet(capture, tmp_path / "sheet.png", cameras=[2], columns=1)
     mask, image = capture.mask(2, 0), capture.image(2, 0)
     left, top, width, height = cv2.boundingRect((mask >= 8).astype(np.uint8))
     sheet = read(tmp_path / "sheet.png")[2 * CAPTION_PX :]
@@ -44,22 +44,22 @@ def test_cells_hold_the_picture_and_its_cut_out(ball_capture: Path, tmp_path: Pa
     np.testing.assert_array_equal(sheet[half:, :cut][whole], image[rows, columns][whole])
 
 
-def test_rows_are_cameras_and_columns_moments(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches more rows or columns than there is anything to show in, and repeated moments."""
+def test_rows_are_cameras_and_columns_frames(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches empty rows or columns and repeated frames."""
     capture = open_capture(ball_capture)
     sizes = {}
-    for cameras, moments in ((1, 1), (2, 1), (8, 1), (1, 3), (1, 10)):
-        contact_sheet(capture, tmp_path / "sheet.png", cameras=range(cameras), moments=moments)
-        sizes[cameras, moments] = read(tmp_path / "sheet.png").shape[:2]
-    contact_sheet(capture, tmp_path / "sheet.png", moments=1)
+    for cameras, columns in ((1, 1), (2, 1), (8, 1), (1, 3), (1, 10)):
+        write_contact_sheet(capture, tmp_path / "sheet.png", cameras=range(cameras), columns=columns)
+        sizes[cameras, columns] = read(tmp_path / "sheet.png").shape[:2]
+    write_contact_sheet(capture, tmp_path / "sheet.png", columns=1)
     assert read(tmp_path / "sheet.png").shape[:2] == sizes[8, 1]
     assert sizes[2, 1][0] > 1.7 * sizes[1, 1][0]
     assert sizes[1, 3] == sizes[1, 10]
     assert [path.name for path in tmp_path.iterdir()] == ["sheet.png"]
 
 
-def test_leftovers_far_from_the_subject_are_shown(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a crop that leaves out what a matte has too much of, or that one moment alone has."""
+def test_remnants_far_from_the_subject_are_visible(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a crop that excludes false foreground, or parts that appear in a single frame."""
     folder = tmp_path / "capture"
     shutil.copytree(ball_capture, folder)
     path = folder / "masks" / "00" / "000002.png"
@@ -68,27 +68,27 @@ def test_leftovers_far_from_the_subject_are_shown(ball_capture: Path, tmp_path: 
     mask[0:2, 0:2] = 20
     cv2.imwrite(str(path), mask)
     for name, source in (("clean", ball_capture), ("left", folder)):
-        contact_sheet(open_capture(source), tmp_path / f"{name}.png", cameras=[0], moments=3)
+        write_contact_sheet(open_capture(source), tmp_path / f"{name}.png", cameras=[0], columns=3)
     assert read(tmp_path / "left.png").shape[0] > read(tmp_path / "clean.png").shape[0] + 4
 
 
-def test_empty_mattes_show_the_whole_picture(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a crash, or an empty cell, just where a person must see that the subject is missing."""
+def test_empty_mattes_show_the_full_picture(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a crash or an empty cell where the sheet must show that the subject is missing."""
     folder = tmp_path / "capture"
     shutil.copytree(ball_capture, folder)
     for path in (folder / "masks").rglob("*.png"):
         cv2.imwrite(str(path), np.zeros((64, 64), np.uint8))
-    contact_sheet(open_capture(folder), tmp_path / "sheet.png", cameras=[1], moments=1)
+    write_contact_sheet(open_capture(folder), tmp_path / "sheet.png", cameras=[1], columns=1)
     sheet = read(tmp_path / "sheet.png")[2 * CAPTION_PX :, :64]
     np.testing.assert_array_equal(sheet[:64], open_capture(folder).image(1, 0))
     assert is_flat(sheet[64:]).all()
 
 
-def test_capture_without_mattes_is_refused_and_nothing_written(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a sheet that is there though it could not be made."""
+def test_capture_without_mattes_is_an_error(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a file that is left behind after an error."""
     folder = tmp_path / "capture"
     shutil.copytree(ball_capture, folder)
     shutil.rmtree(folder / "masks")
     with pytest.raises(UserError, match="expected mattes"):
-        contact_sheet(open_capture(folder), tmp_path / "sheet.png")
+        write_contact_sheet(open_capture(folder), tmp_path / "sheet.png")
     assert not (tmp_path / "sheet.png").exists()

@@ -1,4 +1,4 @@
-"""What one camera learns of its background from its frames and from the other views' word."""
+"""Learning of one camera's background from its frames and the hull of the other views."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fourd.cameras import Camera
-from fourd.matting.motion.colour_models import Colours
+from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.learner import Learner
-from fourd.matting.motion.motion_extent import MOVING, Swept
+from fourd.matting.motion.motion_extent import MOVING_FACTOR, MotionExtent
 from fourd.matting.motion.sampling import CameraSample
 
 FRAMES, SIZE = 12, 64
@@ -25,7 +25,7 @@ def sample_of(rgb: np.ndarray, motion_px: np.ndarray) -> CameraSample:
 
 @dataclass(frozen=True)
 class Scene:
-    """A dark floor, a leg that passes over it, and toes of another colour that lie in one place in all frames."""
+    """A dark floor, a leg that passes over it, and toes of another colour that do not move."""
 
     sample: CameraSample
     region: np.ndarray
@@ -48,46 +48,47 @@ def scene(rng: np.random.Generator) -> Scene:
     return Scene(sample_of(np.clip(rgb, 0, 255).astype(np.uint8), motion), region, leg)
 
 
-def learned(scene: Scene, uncovered: np.ndarray, rng: np.random.Generator, *, toes_known: bool = False) -> Learner:
-    learner = Learner.begun(scene.sample, Swept.of(scene.sample), scene.region, rng)
-    toes = Colours.of(np.clip(rng.normal(TOES, 2, (500, 3)), 0, 255).astype(np.uint8))
+def run_learner(scene: Scene, off_hull: np.ndarray, rng: np.random.Generator, *, toes_known: bool = False) -> Learner:
+    """A learner after two updates; ``toes_known`` adds the toes' colour to the subject's."""
+    learner = Learner.from_motion(scene.sample, MotionExtent.from_sample(scene.sample), scene.region, rng)
+    toes = ColourHistogram.from_colours(np.clip(rng.normal(TOES, 2, (500, 3)), 0, 255).astype(np.uint8))
     for _ in range(2):
-        learner.set_subject(Colours.mixed([learner.subject, toes]) if toes_known else learner.subject)
-        learner.learn(np.where(scene.leg, 0.95, 0.05).astype(np.float32), uncovered, rng)
+        learner.set_subject(ColourHistogram.mixture([learner.subject, toes]) if toes_known else learner.subject)
+        learner.update(np.where(scene.leg, 0.95, 0.05).astype(np.float32), off_hull, rng)
     return learner
 
 
 @pytest.mark.parametrize(("toes_known", "most"), [(True, 0.1), (False, 0.6)])
-def test_what_rests_within_the_others_hull_is_no_known_background(
+def test_static_subject_inside_the_hull_is_not_background(
     toes_known: bool, most: float, scene: Scene, rng: np.random.Generator
 ) -> None:
-    """Catches a foot that becomes part of the floor it stands on, of a colour that other cameras know or none does."""
-    uncovered = ~scene.leg
-    uncovered[(slice(None), *FOOT)] = False
-    background = learned(scene, uncovered, rng, toes_known=toes_known).look.background
-    assert background.sureness[INNER].max() < most
+    """Catches a resting foot that becomes background, with a colour that other cameras see or that none sees."""
+    off_hull = ~scene.leg
+    off_hull[(slice(None), *FOOT)] = False
+    background = run_learner(scene, off_hull, rng, toes_known=toes_known).appearance.background
+    assert background.confidence[INNER].max() < most
 
 
-def test_what_the_others_see_to_be_free_is_known_background(scene: Scene, rng: np.random.Generator) -> None:
-    """Catches a bright thing on the floor that is never known, so that the others' word alone decides on it."""
-    assert learned(scene, ~scene.leg, rng).look.background.sureness[INNER].min() > 0.9
+def test_pixels_off_the_hull_are_known_background(scene: Scene, rng: np.random.Generator) -> None:
+    """Catches a bright object on the floor whose background stays unknown although it is off the hull."""
+    assert run_learner(scene, ~scene.leg, rng).appearance.background.confidence[INNER].min() > 0.9
 
 
-def test_floor_is_known_by_its_colour_though_always_within_the_hull(scene: Scene, rng: np.random.Generator) -> None:
-    """Catches pieces of the room about the subject that few views see between: the floor is the floor."""
-    uncovered = np.zeros_like(scene.leg)
-    background = learned(scene, uncovered, rng).look.background
+def test_floor_inside_the_hull_is_known_by_its_colour(scene: Scene, rng: np.random.Generator) -> None:
+    """Catches parts of the room that become foreground because the hull of few views always covers them."""
+    off_hull = np.zeros_like(scene.leg)
+    background = run_learner(scene, off_hull, rng).appearance.background
     under_leg = np.s_[12:28, 20:40]
-    assert background.sureness[under_leg].mean() > 0.8
+    assert background.confidence[under_leg].mean() > 0.8
     assert np.abs(background.mean[under_leg] - FLOOR).mean() < 6
 
 
 @pytest.mark.parametrize(("moves", "expected"), [(True, True), (False, False)])
-def test_what_is_seen_once_counts_when_it_moves(moves: bool, expected: bool, rng: np.random.Generator) -> None:
-    """Catches a swinging foot that is cut off, which is in no place twice; and a flash that counts."""
+def test_a_change_in_one_frame_counts_only_with_motion(moves: bool, expected: bool, rng: np.random.Generator) -> None:
+    """Catches a swinging foot that is cut off, since each pixel shows it once, and a flash taken as motion."""
     rgb = np.clip(rng.normal(60, 1, (FRAMES, SIZE, SIZE, 3)), 0, 255)
     motion = np.zeros((FRAMES, SIZE, SIZE))
     rgb[(5, *FOOT)] = SKIN
     if moves:
-        motion[(5, *FOOT)] = MOVING + 1
-    assert Swept.of(sample_of(rgb.astype(np.uint8), motion)).region[FOOT].all() == expected
+        motion[(5, *FOOT)] = MOVING_FACTOR + 1
+    assert MotionExtent.from_sample(sample_of(rgb.astype(np.uint8), motion)).region[FOOT].all() == expected

@@ -1,4 +1,4 @@
-"""Colours of what lies near a pixel."""
+"""Local colour histograms."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from fourd.matting.motion.channels import channel_max, channel_min, channel_sum
 from fourd.matting.motion.colour_models import BINS as COARSE_BINS
-from fourd.matting.motion.colour_models import Colours
-from fourd.matting.motion.local_colours import BINS, NearbyColours
+from fourd.matting.motion.colour_models import ColourHistogram
+from fourd.matting.motion.local_colours import BINS, LocalColours
 
 RED, BLUE = (200, 40, 40), (40, 40, 200)
 
@@ -18,53 +18,53 @@ def halves(height: int = 90, width: int = 240) -> np.ndarray:
     return picture
 
 
-def test_a_colour_is_likelier_where_it_is() -> None:
-    """Catches a grid that is swapped or shifted, and colours of the whole picture in place of those nearby."""
+def test_colours_are_likelier_where_they_occur() -> None:
+    """Catches a transposed or shifted grid, and colours of the whole picture instead of local ones."""
     picture = halves()
-    nearby = NearbyColours.of(picture, np.ones(picture.shape[:2], bool))
+    nearby = LocalColours.from_picture(picture, np.ones(picture.shape[:2], bool))
     red = nearby.log_likelihood(np.full_like(picture, RED))
     blue = nearby.log_likelihood(np.full_like(picture, BLUE))
     assert (red[:, :40] > blue[:, :40] + 2).all()
     assert (blue[:, -40:] > red[:, -40:] + 2).all()
     assert np.abs(red - blue)[:, 120].max() < 1
-    assert np.abs(np.diff(red, axis=1)).max() < 0.5, "no steps between the grid's points"
+    assert np.abs(np.diff(red, axis=1)).max() < 0.5, "no steps between grid points"
 
 
-def test_densities_add_up_to_one() -> None:
-    """Catches odds against other distributions that are off by a factor."""
+def test_densities_integrate_to_one() -> None:
+    """Catches log-odds that are off by a constant factor."""
     picture = halves()
     counted = np.zeros(picture.shape[:2], bool)
     counted[10:30, 100:140] = True
-    densities = np.exp(NearbyColours.of(picture, counted).log_density.astype(np.float64))
+    densities = np.exp(LocalColours.from_picture(picture, counted).log_density.astype(np.float64))
     assert np.abs(densities.sum(axis=-1) * (256 / BINS) ** 3 - 1).max() < 0.02
 
 
-def test_where_nothing_is_counted_nearby_those_of_the_whole_picture_stand() -> None:
-    """Catches zero over zero, and a far corner to which every colour is unknown."""
+def test_global_histogram_is_used_without_pixels_nearby() -> None:
+    """Catches a division of zero by zero, and distant pixels for which every colour is unknown."""
     picture = halves()
     counted = np.zeros(picture.shape[:2], bool)
     counted[:, :20] = True
-    far = NearbyColours.of(picture, counted).log_likelihood(picture)
+    far = LocalColours.from_picture(picture, counted).log_likelihood(picture)
     assert np.isfinite(far).all()
-    unknown = NearbyColours.of(picture, np.zeros_like(counted)).log_likelihood(picture)
+    unknown = LocalColours.from_picture(picture, np.zeros_like(counted)).log_likelihood(picture)
     assert np.ptp(unknown) < 1e-3
-    red = NearbyColours.of(picture, counted).log_likelihood(np.full_like(picture, RED))
+    red = LocalColours.from_picture(picture, counted).log_likelihood(np.full_like(picture, RED))
     assert red[:, -1].min() > unknown.max() + 3
 
 
-def test_a_mixture_has_the_colours_of_its_parts(rng: np.random.Generator) -> None:
-    """Catches logarithms that are averaged, by which a colour that one camera lacks is nowhere."""
-    red, blue = (Colours.of(np.tile(np.array(colour, np.uint8), (500, 1))) for colour in (RED, BLUE))
-    mixed = Colours.mixed([red, blue], [0.7, 0.3])
+def test_mixture_averages_densities(rng: np.random.Generator) -> None:
+    """Catches averaged logarithms, with which a colour that one camera lacks becomes impossible."""
+    red, blue = (ColourHistogram.from_colours(np.tile(np.array(colour, np.uint8), (500, 1))) for colour in (RED, BLUE))
+    mixture = ColourHistogram.mixture([red, blue], [0.7, 0.3])
     seen = np.array([RED, BLUE], np.uint8)
     own = np.array([red.log_likelihood(seen)[0], blue.log_likelihood(seen)[1]])
-    assert np.allclose(mixed.log_likelihood(seen), own + np.log([0.7, 0.3]), atol=0.01)
-    total = np.exp(mixed.log_density.astype(np.float64)).sum() * (256 / COARSE_BINS) ** 3
+    assert np.allclose(mixture.log_likelihood(seen), own + np.log([0.7, 0.3]), atol=0.01)
+    total = np.exp(mixture.log_density.astype(np.float64)).sum() * (256 / COARSE_BINS) ** 3
     assert abs(total - 1) < 0.01
 
 
-def test_reductions_over_channels_are_those_of_numpy(rng: np.random.Generator) -> None:
-    """Catches a channel left out."""
+def test_channel_reductions_match_numpy(rng: np.random.Generator) -> None:
+    """Catches a missing channel."""
     picture = rng.normal(size=(3, 5, 4, 3)).astype(np.float32)
     assert np.allclose(channel_sum(picture), picture.sum(axis=-1), atol=1e-5)
     assert np.array_equal(channel_max(picture), picture.max(axis=-1))

@@ -1,4 +1,4 @@
-"""Clean plates of captures whose mattes are known."""
+"""Clean plates of captures with known mattes."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from fourd.capture import open_capture
 from fourd.matting.plates import FOLDER, clean_plate, make_plates
 from fourd.matting.selection import Selection
 from fourd.progress import untracked
-from tests.matting.captures import unmasked
+from tests.matting.captures import write_capture_without_masks
 
 
 @pytest.fixture
-def walked(tmp_path: Path, rng: np.random.Generator) -> Path:
-    """A camera with texture behind a square that moves, and a column where it always is; exposure wanders."""
-    capture = unmasked(tmp_path, frames=1, size=64)
+def moving_square(tmp_path: Path, rng: np.random.Generator) -> Path:
+    """A textured background with a moving square, a static square, and varying exposure."""
+    capture = write_capture_without_masks(tmp_path, frames=1, size=64)
     shutil.rmtree(capture / "images")
     stage = rng.integers(40, 160, (64, 64, 3)).astype(np.float32)
     np.save(tmp_path / "stage.npy", stage)
@@ -37,34 +37,34 @@ def walked(tmp_path: Path, rng: np.random.Generator) -> Path:
     return capture
 
 
-def test_plate_is_the_stage_without_subject_and_flicker(walked: Path, tmp_path: Path) -> None:
-    """Catches a mean that keeps the subject's ghost, and exposure that wanders into the plate."""
-    capture = open_capture(walked)
+def test_plate_excludes_subject_and_exposure_changes(moving_square: Path, tmp_path: Path) -> None:
+    """Catches ghosts of the subject in the mean, and exposure changes in the plate."""
+    capture = open_capture(moving_square)
     plate = clean_plate(capture, 0)
     stage = np.load(tmp_path / "stage.npy")
-    assert not plate.seen[52:56, 52:56].any(), "the place that the subject never leaves is a hole"
+    assert not plate.seen[52:56, 52:56].any(), "pixels that the subject always covers are holes"
     assert plate.seen[5:45].all()
     assert np.square(plate.rgb.astype(float) - stage)[plate.seen].mean() < 2
 
 
-def test_what_a_matte_missed_leaves_no_ghost(walked: Path, tmp_path: Path) -> None:
-    """Catches a single pass, to which a frame with a lost matte adds its subject."""
-    cv2.imwrite(str(walked / "masks" / "00" / "000007.png"), np.zeros((64, 64), np.uint8))
-    plate = clean_plate(open_capture(walked), 0)
+def test_a_missing_matte_leaves_no_ghost(moving_square: Path, tmp_path: Path) -> None:
+    """Catches a single pass, in which a frame with an empty matte adds its subject."""
+    cv2.imwrite(str(moving_square / "masks" / "00" / "000007.png"), np.zeros((64, 64), np.uint8))
+    plate = clean_plate(open_capture(moving_square), 0)
     stage = np.load(tmp_path / "stage.npy")
     assert np.abs(plate.rgb[22:38, 20:28] - stage[22:38, 20:28]).max() < 12
 
 
-def test_plates_are_made_once_and_again_for_another_key(walked: Path) -> None:
-    """Catches plates of an older input that are kept, and work that is done twice."""
-    selection = Selection(walked)
+def test_plates_are_cached_by_key_and_mattes(moving_square: Path) -> None:
+    """Catches stale plates after a change of the input, and repeated work."""
+    selection = Selection(moving_square)
     assert make_plates(selection, "a", 1, untracked) == 8
     assert make_plates(selection, "a", 1, untracked) == 0
     assert make_plates(selection, "b", 1, untracked) == 8
-    matte = walked / "masks" / "03" / "000004.png"
+    matte = moving_square / "masks" / "03" / "000004.png"
     cv2.imwrite(str(matte), np.zeros((64, 64), np.uint8))
-    assert make_plates(selection, "b", 1, untracked) == 1, "a matte was mended by hand"
-    written = cv2.imread(str(walked / FOLDER / "00.png"), cv2.IMREAD_UNCHANGED)
+    assert make_plates(selection, "b", 1, untracked) == 1, "a matte was edited"
+    written = cv2.imread(str(moving_square / FOLDER / "00.png"), cv2.IMREAD_UNCHANGED)
     assert written.shape == (64, 64, 4)
     assert written[54, 54, 3] == 0
     assert written[5, 5, 3] == 255

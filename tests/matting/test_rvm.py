@@ -1,4 +1,4 @@
-"""Robust Video Matting by files: a small TorchScript network of its interface, bad files."""
+"""Robust Video Matting from files: a small TorchScript network with its interface, and invalid files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.matting.rvm import automatic_ratio, load_rvm
 
 Picture = NDArray[np.uint8]
 
-# A recurrent network of the published interface: alpha = red / 2 + the red of all frames before / 4.
+# A recurrent network with the published interface: alpha = red / 2 + the sum of red over all earlier frames / 4.
 PROGRAM = """
 def forward(self, src, r1: Optional[Tensor], r2: Optional[Tensor], r3: Optional[Tensor], r4: Optional[Tensor],
             downsample_ratio: float = 1.0, segmentation_pass: bool = False):
@@ -27,7 +27,7 @@ def forward(self, src, r1: Optional[Tensor], r2: Optional[Tensor], r3: Optional[
 
 
 def script(path: Path, result: str = "alpha", program: str = PROGRAM) -> Path:
-    # A class of its own, since a program is the class's and cannot be put in its place.
+    # A new class for each program, since a class's compiled program cannot be replaced.
     module = torch.jit.script(type("Small", (nn.Module,), {})())
     module.define(program.replace("RESULT", result))
     torch.jit.save(module, str(path))
@@ -38,8 +38,8 @@ def pictures(rng: np.random.Generator, count: int, size: tuple[int, int] = (20, 
     return [rng.integers(0, 256, (*size, 3)).astype(np.uint8) for _ in range(count)]
 
 
-def test_state_goes_from_picture_to_picture_and_begins_anew(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a state that is lost or mixed up, channels in BGR, alpha scaled wrongly, memory across cameras."""
+def test_recurrent_state_is_passed_on_and_reset(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches lost or permuted state, BGR channels, wrong alpha scale, and state shared between cameras."""
     rvm = load_rvm(script(tmp_path / "small.torchscript"), "cpu")
     frames = pictures(rng, 4)
     for _ in range(2):
@@ -52,8 +52,8 @@ def test_state_goes_from_picture_to_picture_and_begins_anew(tmp_path: Path, rng:
             before += red
 
 
-def test_pictures_are_taken_one_at_a_time(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches all frames of a camera being decoded before the first matte, and a mode left on in the caller."""
+def test_pictures_are_read_lazily(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches decoding of all frames before the first matte, and inference mode left enabled in the caller."""
     rvm = load_rvm(script(tmp_path / "small.pt"), "cpu")
     taken: list[int] = []
 
@@ -74,7 +74,7 @@ def test_pictures_are_taken_one_at_a_time(tmp_path: Path, rng: np.random.Generat
 def test_ratio_reaches_the_network(
     tmp_path: Path, rng: np.random.Generator, ratio: float | None, size: tuple[int, int], expected: float
 ) -> None:
-    """Catches a ratio that is not handed on, or that is of the shorter side."""
+    """Catches a ratio that is not passed on, or that refers to the shorter side."""
     rvm = load_rvm(script(tmp_path / "ratio.pt", "torch.full_like(alpha, downsample_ratio)"), "cpu")
     matte = next(rvm.mattes(pictures(rng, 1, size), ratio))
     assert np.abs(matte / 255.0 - expected).max() < 0.003
@@ -82,7 +82,7 @@ def test_ratio_reaches_the_network(
 
 
 def test_bad_ratios_and_sizes_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches errors of torch's in the middle of a run."""
+    """Catches torch errors in the middle of a run."""
     rvm = load_rvm(script(tmp_path / "small.pt"), "cpu")
     for ratio in (0.0, 1.5, float("nan")):
         with pytest.raises(UserError, match=r"^--downsample: expected a ratio"):
@@ -97,19 +97,19 @@ def test_bad_ratios_and_sizes_are_refused(tmp_path: Path, rng: np.random.Generat
         ("alpha[:, :, ::2]", "a matte of shape"),
         ("src", "a matte of shape"),
         ("alpha, alpha", "7 outputs"),
-        ("alpha / 0.0", "no numbers"),
+        ("alpha / 0.0", "NaN or infinite"),
         ("torch.ones([3]) + torch.ones([2])", "must match"),
     ],
 )
 def test_other_networks_are_refused_when_loaded(tmp_path: Path, result: str, message: str) -> None:
-    """Catches networks of another kind whose outputs would be written as mattes."""
+    """Catches other networks whose outputs would be written as mattes."""
     with pytest.raises(UserError, match=rf"small\.pt: expected .*{message}") as caught:
         load_rvm(script(tmp_path / "small.pt", result), "cpu")
     assert "\n" not in str(caught.value)
 
 
-def test_network_of_other_inputs_is_refused(tmp_path: Path) -> None:
-    """Catches a segmentation network of one input."""
+def test_network_with_other_inputs_is_refused(tmp_path: Path) -> None:
+    """Catches a segmentation network with one input."""
     path = script(tmp_path / "one.pt", program="def forward(self, src):\n    return src\n")
     with pytest.raises(UserError, match=r"one\.pt: expected the network of Robust Video Matting, got '") as caught:
         load_rvm(path, "cpu")
@@ -118,7 +118,7 @@ def test_network_of_other_inputs_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["broken.torchscript", "broken.pt"])
 def test_broken_files_are_one_line(tmp_path: Path, rng: np.random.Generator, name: str) -> None:
-    """Catches tracebacks for a download that was cut short."""
+    """Catches tracebacks for truncated downloads."""
     path = tmp_path / name
     script(path)
     whole = path.read_bytes()
@@ -130,8 +130,8 @@ def test_broken_files_are_one_line(tmp_path: Path, rng: np.random.Generator, nam
 
 
 def test_missing_files_and_other_names_are_refused(tmp_path: Path) -> None:
-    """Catches a file of ONNX given for TorchScript, and a folder for a file."""
-    with pytest.raises(UserError, match="got nothing there"):
+    """Catches an ONNX file instead of TorchScript, and a folder instead of a file."""
+    with pytest.raises(UserError, match="got no such file"):
         load_rvm(tmp_path / "none.pt")
     with pytest.raises(UserError, match="got a folder"):
         load_rvm(tmp_path)

@@ -1,4 +1,4 @@
-"""Mattes of a whole capture: found without weights, resumable, the same however they were made."""
+"""Mattes of a whole capture: accuracy without a network, resuming, reproducibility."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fourd.errors import UserError
 from fourd.matting.selection import CACHE_FRAMES, Selection
 from fourd.matting.stage import LEARNED, MATTES, SHEET, MatteSettings, make_mattes
 from fourd.progress import untracked
-from tests.matting.captures import overlaps, unmasked
+from tests.matting.captures import matte_iou, write_capture_without_masks
 
 
 def contents(capture: Path) -> dict[str, bytes]:
@@ -23,21 +23,21 @@ def contents(capture: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ball capture with the mattes that fourd made. Not to be changed by tests."""
-    capture = unmasked(tmp_path_factory.mktemp("made"), frames=6, size=96)
+    """A ball capture with mattes made by fourd; tests must not change it."""
+    capture = write_capture_without_masks(tmp_path_factory.mktemp("made"), frames=6, size=96)
     assert make_mattes(Selection(capture), MatteSettings(), 1, untracked) == 6
     return capture
 
 
-def test_mattes_are_the_subject(made: Path) -> None:
-    """Catches evidence of the wrong sign, views out of order, and mattes of other pixels than the pictures'."""
-    found = overlaps(open_capture(made), made.parent / "truth")
+def test_mattes_match_the_subject(made: Path) -> None:
+    """Catches evidence with the wrong sign, permuted views, and mattes that are not aligned with the pictures."""
+    found = matte_iou(open_capture(made), made.parent / "truth")
     assert found.mean() > 0.85, found.round(2)
     assert found.mean(axis=1).min() > 0.75, found.round(2)
 
 
-def test_mattes_are_as_steady_as_the_subject(made: Path) -> None:
-    """Catches parts that come and go: pixels unlike the frames before and after them, which agree."""
+def test_mattes_do_not_flicker(made: Path) -> None:
+    """Catches flicker: pixels that differ from the frames before and after, which agree."""
 
     def flips(folder: Path) -> float:
         shares = []
@@ -50,8 +50,8 @@ def test_mattes_are_as_steady_as_the_subject(made: Path) -> None:
     assert flips(made / MATTES) < flips(made.parent / "truth" / "masks") + 0.03
 
 
-def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) -> None:
-    """Catches resuming that redoes everything, mended mattes overwritten, files that depend on where work went on."""
+def test_only_missing_files_are_made_again(made: Path, tmp_path: Path) -> None:
+    """Catches repeated work, overwritten edited mattes, and results that depend on where work resumes."""
     before = contents(made)
     lost = made / MATTES / "03" / "000004.png"
     lost.unlink()
@@ -69,7 +69,7 @@ def test_a_lost_file_is_made_again_and_nothing_else(made: Path, tmp_path: Path) 
 
 @pytest.mark.slow
 def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
-    """Catches mattes that depend on how frames are shared out."""
+    """Catches mattes that depend on the distribution of frames."""
     before = contents(made)
     for path in made.glob(".fourd/mattes/*/*"):
         path.unlink()
@@ -78,7 +78,7 @@ def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
 
 
 def test_a_capture_is_opened_once(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches folders of thousands of files listed twice by each process, the first time to size its cache."""
+    """Catches folders of thousands of files that each process lists twice, once to size its cache."""
     opened = []
 
     def counted(path: Path, **options: Any) -> Capture:
@@ -94,9 +94,9 @@ def test_a_capture_is_opened_once(made: Path, monkeypatch: pytest.MonkeyPatch) -
     assert all(capture.image(camera, 0) is picture for camera, picture in enumerate(first))
 
 
-def test_other_settings_begin_anew(tmp_path: Path) -> None:
-    """Catches mattes of an older seed or input beside new ones, and a sheet that shows them still."""
-    capture = unmasked(tmp_path, frames=3, size=64)
+def test_changed_settings_invalidate_mattes(tmp_path: Path) -> None:
+    """Catches stale mattes after a change of seed or input, and a stale contact sheet."""
+    capture = write_capture_without_masks(tmp_path, frames=3, size=64)
     assert make_mattes(Selection(capture), MatteSettings(), 1, untracked) == 3
     assert (capture / ".fourd" / LEARNED).exists()
     (capture / SHEET).write_bytes(b"of these")
@@ -107,9 +107,9 @@ def test_other_settings_begin_anew(tmp_path: Path) -> None:
     assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untracked) == 3
 
 
-def test_a_capture_in_which_nothing_moves_is_told(tmp_path: Path) -> None:
-    """Catches mattes of noise, or a traceback, where there is no subject to find."""
-    capture = unmasked(tmp_path, frames=4, size=64)
+def test_a_capture_without_motion_is_an_error(tmp_path: Path) -> None:
+    """Catches mattes of noise or a traceback without a moving subject."""
+    capture = write_capture_without_masks(tmp_path, frames=4, size=64)
     for folder in (capture / "images").iterdir():
         first = (folder / "000000.png").read_bytes()
         for path in folder.iterdir():
@@ -118,14 +118,14 @@ def test_a_capture_in_which_nothing_moves_is_told(tmp_path: Path) -> None:
         make_mattes(Selection(capture), MatteSettings(), 1, untracked)
 
 
-def test_views_that_disagree_on_where_are_told(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches an empty hull that becomes a traceback: another scene's videos, or a wrong calibration."""
-    capture = unmasked(tmp_path, frames=4, size=64)
+def test_inconsistent_views_are_an_error(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches a traceback from an empty hull, as with videos of different scenes or a wrong calibration."""
+    capture = write_capture_without_masks(tmp_path, frames=4, size=64)
     for index, folder in enumerate(sorted((capture / "images").iterdir())):
         for path in folder.iterdir():
             picture = np.full((64, 64, 3), 90, np.uint8)
             corner = (index % 2) * 44
             picture[corner : corner + 16, corner : corner + 16] = rng.integers(0, 255, (16, 16, 3))
             assert cv2.imwrite(str(path), picture)
-    with pytest.raises(UserError, match=r"expected views that agree on where something moves, got none.*fourd check"):
+    with pytest.raises(UserError, match=r"expected views that agree on where something moves, got no common region"):
         make_mattes(Selection(capture), MatteSettings(), 1, untracked)

@@ -16,7 +16,7 @@ from fourd.matting.stage import MatteSettings
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
 from fourd.training.config import RefineConfig, TrainConfig
-from tests.matting.captures import unmasked, write_video
+from tests.matting.captures import write_capture_without_masks, write_video
 from tests.training.small import SMALL, with_steps
 
 NAMES = ("import", "check", "mattes", "plates", "adjust", "carve", "points", "background", "train", "bake")
@@ -65,7 +65,11 @@ def test_refined_cameras_come_before_carving(ball_capture: Path, tmp_path: Path)
 
 def test_videos_become_a_scene(tmp_path: Path) -> None:
     """Catches a stage that is left out, or done again, on the way from videos to a scene."""
-    capture, source, out = unmasked(tmp_path, frames=6, size=64), tmp_path / "videos", tmp_path / "scene.4dv"
+    capture, source, out = (
+        write_capture_without_masks(tmp_path, frames=6, size=64),
+        tmp_path / "videos",
+        tmp_path / "scene.4dv",
+    )
     source.mkdir()
     for name in ("intri.yml", "extri.yml"):
         shutil.copy(capture / name, source / name)

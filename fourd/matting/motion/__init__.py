@@ -1,1 +1,1 @@
-"""Mattes without network weights: foreground and background models learned from motion and from the other views."""
+"""Mattes without a network: foreground and background models learned from motion and multi-view consistency."""

@@ -1,7 +1,7 @@
-"""What the other views say of a pixel: a hull of soft evidence, carved from all but the pixel's own view.
+"""Multi-view consistency: a soft visual hull, carved for each view from the evidence of all other views.
 
-A cell of space belongs to the subject as far as its least convinced views let it: the score is the smallest
-log-odds among the views that see it or, where many do, the next smallest, so that a few may be wrong.
+The score of a cell is the smallest log-odds among the views that see it, or a higher order statistic with many views,
+so that a few of them may be wrong.
 """
 
 from __future__ import annotations
@@ -17,140 +17,141 @@ from fourd.cameras import Array, Camera
 
 Floats = NDArray[np.float32]
 
-MOST_CELLS = 112
-"""Cells along the box's longest side, at most; 1.4 million in a cube."""
+MAX_CELLS = 112
+"""Maximum number of cells along the box's longest side; 1.4 million in a cube."""
 CELLS_PER_PIXEL = 1.0
-TOLERATED = 0.05
+OUTLIER_SHARE = 0.05
 """Share of the views that may be wrong about a cell."""
-LEAST_SEEING = 0.75
-"""Share of the views that must see a cell."""
-VETO = np.float32(-2.0)
-"""Log-odds below which a view denies a cell, so that most cells are dropped before they are sorted."""
-NOWHERE = np.float32(-9.0)
+MIN_SEEING_SHARE = 0.75
+"""Minimum share of the views that must see a cell."""
+REJECT_LOG_ODDS = np.float32(-2.0)
+"""Log-odds below which a view rejects a cell; most cells are dropped by it before sorting."""
+NO_CELL_LOG_ODDS = np.float32(-9.0)
+"""Log-odds of pixels without any cell."""
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
-    """A grid of cells and the pixels at which each camera sees their centres.
+class VoxelGrid:
+    """A grid of cells with their projections into each camera.
 
     Attributes:
         xyz: (N, 3) centres, world units.
         size: side of a cell, world units.
-        cameras: of the pictures that evidence comes from.
-        pixels: (C, N) int32, row * width + column in camera c's picture; -1 where it does not see the cell.
-        reach_px: (C,) odd width in pixels of what a cell covers in each camera.
+        cameras: cameras of the evidence.
+        pixels: (C, N) int32, row * width + column of the centre in each camera; -1 where it is not seen.
+        width_px: (C,) odd width of a cell's projection in each camera, pixels.
     """
 
     xyz: Array
     size: float
     cameras: tuple[Camera, ...]
     pixels: NDArray[np.int32]
-    reach_px: tuple[int, ...]
+    width_px: tuple[int, ...]
 
     @staticmethod
-    def filling(lower: Array, upper: Array, cameras: Sequence[Camera], count: int | None = None) -> Cells:
-        """Cells that fill a box, ``count`` along its longest side; as fine as the pictures when None."""
+    def covering(lower: Array, upper: Array, cameras: Sequence[Camera], count: int | None = None) -> VoxelGrid:
+        """A grid over a box with ``count`` cells along its longest side; None matches the pictures' resolution."""
         side = float((upper - lower).max())
         if count is None:
             middle = (lower + upper) / 2
             distances = [float(np.linalg.norm(camera.centre - middle)) for camera in cameras]
             focals = [camera.intrinsics[1, 1] for camera in cameras]
-            shown_px = side * max(focal / distance for focal, distance in zip(focals, distances, strict=True))
-            count = int(np.clip(CELLS_PER_PIXEL * shown_px, 16, MOST_CELLS))
+            side_px = side * max(focal / distance for focal, distance in zip(focals, distances, strict=True))
+            count = int(np.clip(CELLS_PER_PIXEL * side_px, 16, MAX_CELLS))
         size = side / count
         axes = [np.arange(low + size / 2, high, size) for low, high in zip(lower, upper, strict=True)]
         xyz = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        return Cells.at(xyz, size, cameras)
+        return VoxelGrid.from_centres(xyz, size, cameras)
 
     @staticmethod
-    def at(xyz: Array, size: float, cameras: Sequence[Camera]) -> Cells:
-        """Cells of given centres for these cameras."""
+    def from_centres(xyz: Array, size: float, cameras: Sequence[Camera]) -> VoxelGrid:
+        """Project cells with centres (N, 3) into the cameras."""
         pixels = np.full((len(cameras), len(xyz)), -1, np.int32)
-        reach = []
+        widths = []
         for index, camera in enumerate(cameras):
-            place, depth = camera.project(xyz)
-            column, row = np.floor(place[:, 0]), np.floor(place[:, 1])
+            position, depth = camera.project(xyz)
+            column, row = np.floor(position[:, 0]), np.floor(position[:, 1])
             seen = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
             pixels[index, seen] = (row[seen] * camera.width + column[seen]).astype(np.int32)
-            near = float(np.median(depth[seen])) if seen.any() else np.inf
-            width = camera.intrinsics[1, 1] * size / near
-            reach.append(2 * round((width - 1) / 2) + 1 if width > 1 else 1)
-        return Cells(xyz, size, tuple(cameras), pixels, tuple(reach))
+            median = float(np.median(depth[seen])) if seen.any() else np.inf
+            width = camera.intrinsics[1, 1] * size / median
+            widths.append(2 * round((width - 1) / 2) + 1 if width > 1 else 1)
+        return VoxelGrid(xyz, size, tuple(cameras), pixels, tuple(widths))
 
     def scores(self, evidence: Sequence[Floats]) -> Scores:
-        """Score the cells by each camera's log-odds (h, w); positive = subject."""
+        """Score the cells from each camera's log-odds (h, w); positive = subject."""
         seen = (self.pixels >= 0).sum(axis=0)
-        needed = max(2, int(np.ceil(LEAST_SEEING * len(self.cameras) - 1e-9)))
-        tolerated = min(int(TOLERATED * len(self.cameras) + 1e-9), max(0, len(self.cameras) - 2))
+        needed = max(2, int(np.ceil(MIN_SEEING_SHARE * len(self.cameras) - 1e-9)))
+        outliers = min(int(OUTLIER_SHARE * len(self.cameras) + 1e-9), max(0, len(self.cameras) - 2))
         alive = np.flatnonzero(seen >= needed)
-        denied = np.zeros(len(alive), np.int16)
+        rejections = np.zeros(len(alive), np.int16)
         values: list[Floats] = []
         for index, picture in enumerate(evidence):
-            flat = widened(picture, self.reach_px[index]).ravel()
+            flat = dilate(picture, self.width_px[index]).ravel()
             pixels = self.pixels[index, alive]
-            value = np.where(pixels >= 0, flat[np.maximum(pixels, 0)], -NOWHERE)
+            value = np.where(pixels >= 0, flat[np.maximum(pixels, 0)], -NO_CELL_LOG_ODDS)
             values.append(value)
-            denied += value < VETO
-            keep = denied <= tolerated + 1
+            rejections += value < REJECT_LOG_ODDS
+            keep = rejections <= outliers + 1
             if np.count_nonzero(keep) < 0.7 * len(keep):
-                alive, denied = alive[keep], denied[keep]
+                alive, rejections = alive[keep], rejections[keep]
                 values = [kept[keep] for kept in values]
-        keep = denied <= tolerated + 1
+        keep = rejections <= outliers + 1
         stacked = np.stack([kept[keep] for kept in values])
-        return Scores.of(self, alive[keep], stacked, tolerated)
+        return Scores.from_evidence(self, alive[keep], stacked, outliers)
 
-    def drawn(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
-        """(h, w) greatest value of the chosen cells (n,) over each pixel of a camera; NOWHERE where there is none."""
+    def max_projection(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
+        """(h, w) largest value of the chosen cells (n,) per pixel of a camera; NO_CELL_LOG_ODDS without cells."""
         camera = self.cameras[index]
-        flat = np.full(camera.width * camera.height, NOWHERE, np.float32)
+        flat = np.full(camera.width * camera.height, NO_CELL_LOG_ODDS, np.float32)
         pixels = self.pixels[index, chosen]
         seen = pixels >= 0
         np.maximum.at(flat, pixels[seen], values[seen])
         picture = flat.reshape(camera.height, camera.width)
-        return np.asarray(cv2.morphologyEx(picture, cv2.MORPH_CLOSE, _square(max(3, self.reach_px[index]))), np.float32)
+        return np.asarray(cv2.morphologyEx(picture, cv2.MORPH_CLOSE, _square(max(3, self.width_px[index]))), np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of the cells that are not out of the question.
+    """Scores of the cells that are not rejected.
 
     Attributes:
-        cells: the grid.
+        grid: the grid.
         alive: (n,) indices of these cells.
-        total: (n,) score by all views.
-        without: (C, n) score by all views but one.
+        total: (n,) score from all views.
+        leave_one_out: (C, n) score from all views except one.
     """
 
-    cells: Cells
+    grid: VoxelGrid
     alive: NDArray[np.intp]
     total: Floats
-    without: Floats
+    leave_one_out: Floats
 
     @staticmethod
-    def of(cells: Cells, alive: NDArray[np.intp], values: Floats, tolerated: int) -> Scores:
-        """Order statistics over the views of ``values`` (C, n), of which ``tolerated`` may be wrong."""
+    def from_evidence(grid: VoxelGrid, alive: NDArray[np.intp], values: Floats, outliers: int) -> Scores:
+        """Order statistics over the views of log-odds ``values`` (C, n), of which ``outliers`` may be wrong."""
         if len(values) == 1:
-            return Scores(cells, alive, values[0], np.full_like(values, -NOWHERE))
-        lowest = np.sort(np.partition(values, tolerated + 1, axis=0)[: tolerated + 2], axis=0)
-        total, following = lowest[tolerated], lowest[tolerated + 1]
-        without = np.where(values <= total, following, total)
-        return Scores(cells, alive, total, without)
+            return Scores(grid, alive, values[0], np.full_like(values, -NO_CELL_LOG_ODDS))
+        lowest = np.sort(np.partition(values, outliers + 1, axis=0)[: outliers + 2], axis=0)
+        total, following = lowest[outliers], lowest[outliers + 1]
+        leave_one_out = np.where(values <= total, following, total)
+        return Scores(grid, alive, total, leave_one_out)
 
     def prior(self, index: int) -> Floats:
-        """(h, w) log-odds that the other views give camera ``index``'s pixels; NOWHERE off their hull."""
-        return self.cells.drawn(self.alive, self.without[index], index)
+        """(h, w) log-odds of camera ``index``'s pixels from the other views; NO_CELL_LOG_ODDS off their hull."""
+        return self.grid.max_projection(self.alive, self.leave_one_out[index], index)
 
     def box(self) -> tuple[Array, Array] | None:
-        """Corners of the box of the cells that the views take for the subject's; None where there are none."""
-        centres = self.cells.xyz[self.alive[self.total > 0]]
+        """Corners of the bounding box of the cells with positive scores; None without such cells."""
+        centres = self.grid.xyz[self.alive[self.total > 0]]
         if not len(centres):
             return None
-        margin = 1.5 * self.cells.size
+        margin = 1.5 * self.grid.size
         return centres.min(axis=0) - margin, centres.max(axis=0) + margin
 
 
-def widened(picture: Floats, width: int) -> Floats:
-    """Each pixel's greatest value within a square of ``width`` pixels: what a cell covers may be of the subject."""
+def dilate(picture: Floats, width: int) -> Floats:
+    """Maximum filter over a square of ``width`` pixels: a cell may show the subject anywhere in its projection."""
     return picture if width <= 1 else np.asarray(cv2.dilate(picture, _square(width)), np.float32)
 
 

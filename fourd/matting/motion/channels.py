@@ -1,4 +1,4 @@
-"""Reductions over the three colours of a picture, many times faster than NumPy's over a last axis of three."""
+"""Reductions over the three channels of a picture, many times faster than NumPy's over a last axis of size three."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ Scalar = TypeVar("Scalar", np.uint8, np.float32)
 
 
 def channel_sum(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(...,) of (..., 3)."""
+    """Sum (...,) over the channels of (..., 3)."""
     return np.asarray(picture[..., 0] + picture[..., 1] + picture[..., 2], np.float32)
 
 
 def channel_max(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """(...,) of (..., 3)."""
+    """Maximum (...,) over the channels of (..., 3)."""
     return np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
 
 
 def channel_min(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """(...,) of (..., 3)."""
+    """Minimum (...,) over the channels of (..., 3)."""
     return np.minimum(np.minimum(picture[..., 0], picture[..., 1]), picture[..., 2])

@@ -1,4 +1,4 @@
-"""Log-odds that a pixel shows the subject, from its own camera and from the agreement with the others."""
+"""Log-odds that a pixel shows the subject, from its own camera and the hull of the other views."""
 
 from __future__ import annotations
 
@@ -9,72 +9,73 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.matting.motion.agreement import NOWHERE, Cells
-from fourd.matting.motion.background_model import Background
+from fourd.matting.motion.agreement import NO_CELL_LOG_ODDS, VoxelGrid
+from fourd.matting.motion.background_model import BackgroundModel
 from fourd.matting.motion.channels import channel_max, channel_min
-from fourd.matting.motion.colour_models import Colours
+from fourd.matting.motion.colour_models import ColourHistogram
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
-MOST = np.float32(8.0)
-"""Log-odds beyond which nothing is more certain."""
-UNSURE = np.float32(0.25)
-"""Share of the evidence against the subject that stands where the background is not known at all."""
-MOVING_LOG_ODDS = np.float32(2.0)
+MAX_LOG_ODDS = np.float32(8.0)
+"""Log-odds are clamped to this magnitude."""
+UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
+"""Weight of evidence against the subject where the background is unknown."""
+MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
-HULL_REACHES = np.float32(-1.5)
-"""Score from which a cell counts as the others' hull: below 0, since their evidence is not complete."""
-HULL_DEPTH = np.float32(4.0)
-"""Of a score above that, at which the others' hull is as sure as it gets."""
-CONFIDENT = np.float32(4.0)
-WITHIN_HULL_LOG_ODDS = 2.5
-"""At most; see :func:`_within`."""
+HULL_THRESHOLD = np.float32(-1.5)
+"""Score from which a cell is part of the other views' hull; below 0, since their evidence is incomplete."""
+HULL_RANGE = np.float32(4.0)
+"""Score above the threshold at which the hull's evidence saturates."""
+CONFIDENT_LOG_ODDS = np.float32(4.0)
+MAX_INSIDE_HULL_LOG_ODDS = 2.5
+"""Upper limit of :func:`_inside_hull_log_odds`."""
 SMOOTHING = 20.0
 COLOUR_EDGE = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """What one camera's subject and background look like.
+class Appearance:
+    """Colour models of the subject and the background in one camera.
 
     Attributes:
-        background: by pixel.
+        background: background model of each pixel.
         subject: colours of the subject.
-        surroundings: colours of the background about it.
-        region: (h, w) bool, outside which the subject never is.
-        still_px: optical flow that is none.
+        surround: colours of the background around the subject.
+        region: (h, w) bool; the subject is never outside.
+        still_px: length of the optical flow of static pixels.
     """
 
-    background: Background
-    subject: Colours
-    surroundings: Colours
+    background: BackgroundModel
+    subject: ColourHistogram
+    surround: ColourHistogram
     region: NDArray[np.bool_]
     still_px: float
 
     def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
-        """(h, w) of a picture (h, w, 3) by this camera alone; ``motion`` in pixels where it is known."""
-        sure = self.background.sureness
-        surroundings = self.surroundings.log_likelihood(rgb)
+        """(h, w) log-odds of a picture (h, w, 3) from this camera alone; ``motion`` (h, w) is the flow in pixels."""
+        confidence = self.background.confidence
+        surround = self.surround.log_likelihood(rgb)
         at_pixel = self.background.log_likelihood(rgb)
-        mixed = np.logaddexp(at_pixel + np.log(0.95 * sure + 1e-4), surroundings + np.log(1 - 0.95 * sure))
-        odds = np.clip(self.subject.log_likelihood(rgb) - mixed, -MOST, MOST)
-        # Where the background is not known, colours alone should not deny the subject.
-        odds = np.where(odds < 0, odds * (UNSURE + (1 - UNSURE) * sure), odds)
+        background = np.logaddexp(at_pixel + np.log(0.95 * confidence + 1e-4), surround + np.log(1 - 0.95 * confidence))
+        odds = np.clip(self.subject.log_likelihood(rgb) - background, -MAX_LOG_ODDS, MAX_LOG_ODDS)
+        # Where the background is unknown, colours alone are weak evidence against the subject.
+        weight = UNKNOWN_BACKGROUND_WEIGHT + (1 - UNKNOWN_BACKGROUND_WEIGHT) * confidence
+        odds = np.where(odds < 0, odds * weight, odds)
         if motion is not None:
-            odds += (1 - sure) * np.clip(0.7 * (motion / self.still_px - 2), 0, MOVING_LOG_ODDS)
-        odds[~self.region] = -MOST
+            odds += (1 - confidence) * np.clip(0.7 * (motion / self.still_px - 2), 0, MAX_MOTION_LOG_ODDS)
+        odds[~self.region] = -MAX_LOG_ODDS
         return np.asarray(cv2.GaussianBlur(odds.astype(np.float32), (3, 3), 0.6), np.float32)
 
-    def at_scale(self, background: Background) -> Look:
-        """The same look in the pixels of ``background``, which is this look's at another size."""
+    def with_background(self, background: BackgroundModel) -> Appearance:
+        """The same appearance at the size of ``background``, which replaces this one's background."""
         height, width = background.frames.shape
         region = cv2.resize(self.region.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.25
         zoom = width / self.region.shape[1]
-        return Look(background, self.subject, self.surroundings, region, self.still_px * zoom)
+        return Appearance(background, self.subject, self.surround, region, self.still_px * zoom)
 
-    def at_exposure(self, rgb: Picture) -> Picture:
-        """The picture with each channel's exposure brought to the background's, told from where nothing moves."""
+    def match_exposure(self, rgb: Picture) -> Picture:
+        """Scale each channel of a picture to the background's exposure, estimated outside the subject's region."""
         still = ~self.region & (channel_min(self.background.mean) > 16) & (channel_max(rgb) < 250)
         if np.count_nonzero(still) < 100:
             return rgb
@@ -85,56 +86,61 @@ class Look:
 
 
 @dataclass(frozen=True, eq=False)
-class Views:
-    """One frame's log-odds in all cameras, by each alone and with the others' word.
+class ViewEvidence:
+    """Combined log-odds of one frame in all cameras.
 
     Attributes:
-        log_odds: per camera (h, w), smoothed along edges of the picture.
-        uncovered: per camera (h, w) bool, where the other views' hull is not.
+        log_odds: per camera (h, w), smoothed with respect to edges of the picture.
+        off_hull: per camera (h, w) bool, outside the other views' hull.
     """
 
     log_odds: tuple[Floats, ...]
-    uncovered: tuple[NDArray[np.bool_], ...]
+    off_hull: tuple[NDArray[np.bool_], ...]
 
 
-def joined(
-    looks: Sequence[Look], pictures: Sequence[Picture], motions: Sequence[Floats | None], cells: Cells | None
-) -> Views:
-    """Each camera's log-odds with what the others' hull says of them.
+def combine_views(
+    appearances: Sequence[Appearance],
+    pictures: Sequence[Picture],
+    motions: Sequence[Floats | None],
+    grid: VoxelGrid | None,
+) -> ViewEvidence:
+    """Combine each camera's log-odds with the hull of the other views.
 
-    ``cells`` None, of cameras that are not calibrated or alone, leaves every camera to itself.
+    With ``grid`` None, for a single or uncalibrated cameras, each camera is processed independently.
     """
-    own = [look.log_odds(rgb, motion) for look, rgb, motion in zip(looks, pictures, motions, strict=True)]
-    scores = None if cells is None else cells.scores(own)
-    log_odds, uncovered = [], []
-    for index, (look, rgb) in enumerate(zip(looks, pictures, strict=True)):
+    own = [
+        appearance.log_odds(rgb, motion) for appearance, rgb, motion in zip(appearances, pictures, motions, strict=True)
+    ]
+    scores = None if grid is None else grid.scores(own)
+    log_odds, off_hull = [], []
+    for index, (appearance, rgb) in enumerate(zip(appearances, pictures, strict=True)):
         odds = own[index]
-        prior = np.full(odds.shape, NOWHERE) if scores is None else scores.prior(index)
-        covered = prior > HULL_REACHES
+        prior = np.full(odds.shape, NO_CELL_LOG_ODDS) if scores is None else scores.prior(index)
+        on_hull = prior > HULL_THRESHOLD
         if scores is not None:
-            depth = np.clip((prior - HULL_REACHES) / HULL_DEPTH, 0, 1)
-            within = depth * _within(odds[covered & look.region])
-            odds = odds + np.where(covered, within, OFF_HULL_LOG_ODDS)
-        odds[~look.region] = -MOST
-        log_odds.append(smoothed(odds, rgb))
-        uncovered.append(~covered if scores is not None else np.zeros(odds.shape, bool))
-    return Views(tuple(log_odds), tuple(uncovered))
+            certainty = np.clip((prior - HULL_THRESHOLD) / HULL_RANGE, 0, 1)
+            inside = certainty * _inside_hull_log_odds(odds[on_hull & appearance.region])
+            odds = odds + np.where(on_hull, inside, OFF_HULL_LOG_ODDS)
+        odds[~appearance.region] = -MAX_LOG_ODDS
+        log_odds.append(smooth_log_odds(odds, rgb))
+        off_hull.append(~on_hull if scores is not None else np.zeros(odds.shape, bool))
+    return ViewEvidence(tuple(log_odds), tuple(off_hull))
 
 
-def _within(own: Floats) -> np.float32:
-    """Log-odds of a pixel within the others' hull, as the camera's own sure pixels (N,) there have it.
+def _inside_hull_log_odds(own: Floats) -> np.float32:
+    """Log-odds of pixels inside the other views' hull, estimated from the camera's own confident pixels (N,) there.
 
-    A hull of many views is tight and tells much; one of a few is wide and tells little.
+    The hull of many views is tight and is strong evidence; that of a few views is wide and is weak evidence.
     """
-    subject, other = np.count_nonzero(own > CONFIDENT), np.count_nonzero(own < -CONFIDENT)
-    return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, WITHIN_HULL_LOG_ODDS))
+    subject, other = np.count_nonzero(own > CONFIDENT_LOG_ODDS), np.count_nonzero(own < -CONFIDENT_LOG_ODDS)
+    return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, MAX_INSIDE_HULL_LOG_ODDS))
 
 
-def smoothed(odds: Floats, rgb: Picture) -> Floats:
-    """Log-odds (h, w) averaged within areas of one colour (fast global smoother, Min et al. 2014)."""
+def smooth_log_odds(odds: Floats, rgb: Picture) -> Floats:
+    """Smooth log-odds (h, w) within areas of similar colour (fast global smoother, Min et al. 2014)."""
     return np.asarray(cv2.ximgproc.fastGlobalSmootherFilter(rgb, odds, SMOOTHING, COLOUR_EDGE), np.float32)
 
 
 def probability(log_odds: Floats) -> Floats:
-    """In [0, 1]."""
+    """The logistic function: probabilities in [0, 1] from log-odds."""
     return (1 / (1 + np.exp(-log_odds))).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What one camera's sampled frames tell of the subject and the background, given what the others say of each pixel."""
+"""The M-step of one camera: models of subject and background from sampled frames and pixel probabilities."""
 
 from __future__ import annotations
 
@@ -8,153 +8,161 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.matting.motion.background_model import Background, commonest
+from fourd.matting.motion.background_model import BackgroundModel, fit_background
 from fourd.matting.motion.channels import channel_max
-from fourd.matting.motion.colour_models import Colours
-from fourd.matting.motion.evidence import Look, probability
-from fourd.matting.motion.local_colours import NearbyColours
-from fourd.matting.motion.motion_extent import Swept
+from fourd.matting.motion.colour_models import ColourHistogram
+from fourd.matting.motion.evidence import Appearance, probability
+from fourd.matting.motion.local_colours import LocalColours
+from fourd.matting.motion.motion_extent import MotionExtent
 from fourd.matting.motion.sampling import CameraSample
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Picture = NDArray[np.uint8]
 
-MOST_COLOURS = 200_000
-AROUND_PX = 20
-"""Width of the surroundings whose colours stand for the background's, in sampled pixels."""
-LEAST_WEIGHT = np.float32(0.04)
-CLEAR = np.float32(1.0)
-"""Log-odds of a colour from which it is clearly the subject's, or below minus which clearly the surroundings'."""
-CLEAR_SLOPE = np.float32(2.0)
-LEAST_LIKENESS = np.float32(0.02)
-PROVEN_FRAMES = 1.5
-"""Frames that must show a colour while the others' hull is elsewhere for it to be known as the background's."""
-LEAST_PROOF = np.float32(0.03)
+MAX_COLOURS = 200_000
+SURROUND_PX = 20
+"""Width of the area around the subject whose colours represent the background, in sampled pixels."""
+MIN_WEIGHT = np.float32(0.04)
+COLOUR_MARGIN = np.float32(1.0)
+"""Magnitude of log-odds from which a colour is clearly the subject's or the background's."""
+COLOUR_SLOPE = np.float32(2.0)
+MIN_BACKGROUND_WEIGHT = np.float32(0.02)
+CONFIRMED_FRAMES = 1.5
+"""Weight of frames with a colour, off the other views' hull, that confirms it as background."""
+MIN_CONFIRMATION = np.float32(0.03)
 
 
 @dataclass(eq=False)
 class Learner:
-    """One camera's side of the expectation maximisation.
+    """The state of one camera in expectation maximisation.
 
     Attributes:
-        sample: the camera's frames.
-        swept: where anything moves in them.
-        look: as learned so far.
-        subject: colours of the subject in this camera alone.
+        sample: sampled frames of the camera.
+        extent: extent of motion in them.
+        appearance: current models, with pooled subject colours.
+        subject: subject colours from this camera alone.
     """
 
     sample: CameraSample
-    swept: Swept
-    look: Look
-    subject: Colours = field(init=False)
-    _around: Flags = field(init=False)
-    _still: Floats = field(init=False)
+    extent: MotionExtent
+    appearance: Appearance
+    subject: ColourHistogram = field(init=False)
+    _near_subject: Flags = field(init=False)
+    _stillness: Floats = field(init=False)
     _median: Floats = field(init=False)
 
     def __post_init__(self) -> None:
-        self.subject = self.look.subject
-        self._around = _dilated(self.look.region, AROUND_PX)
+        self.subject = self.appearance.subject
+        self._near_subject = _dilate(self.appearance.region, SURROUND_PX)
         self._median = np.median(self.sample.rgb, axis=0).astype(np.float32)
         motion = np.stack([cv2.dilate(frame.astype(np.float32), np.ones((3, 3))) for frame in self.sample.motion_px])
-        self._still = np.exp(-np.square(motion / (2.5 * self.swept.still_px))).astype(np.float32)
+        self._stillness = np.exp(-np.square(motion / (2.5 * self.extent.still_px))).astype(np.float32)
 
     @staticmethod
-    def begun(sample: CameraSample, swept: Swept, region: Flags, rng: np.random.Generator) -> Learner:
-        """From motion alone; the subject is in ``region`` (h, w)."""
-        around = _dilated(region, AROUND_PX)
-        ring = around & ~region
-        outside = Colours.of(_some(sample.rgb[:, ring if ring.any() else around].reshape(-1, 3), rng))
-        nothing = Background(*(np.zeros((*region.shape, 3), np.float32),) * 2, np.zeros(region.shape, np.float32))
-        learner = Learner(sample, swept, Look(nothing, outside, outside, region, swept.still_px))
-        learner._set_background(learner._still, learner._still)
-        away = channel_max(np.abs(sample.rgb - learner.look.background.mean)) > swept.change
-        moving = away & (sample.motion_px > 2.5 * swept.still_px) & region
+    def from_motion(sample: CameraSample, extent: MotionExtent, region: Flags, rng: np.random.Generator) -> Learner:
+        """Initialise from motion; the subject is inside ``region`` (h, w)."""
+        near_subject = _dilate(region, SURROUND_PX)
+        ring = near_subject & ~region
+        ring_rgb = sample.rgb[:, ring if ring.any() else near_subject].reshape(-1, 3)
+        surround = ColourHistogram.from_colours(_subsample(ring_rgb, rng))
+        unknown = BackgroundModel(*(np.zeros((*region.shape, 3), np.float32),) * 2, np.zeros(region.shape, np.float32))
+        learner = Learner(sample, extent, Appearance(unknown, surround, surround, region, extent.still_px))
+        learner._set_background(learner._stillness, learner._stillness)
+        changed = channel_max(np.abs(sample.rgb - learner.appearance.background.mean)) > extent.threshold
+        moving = changed & (sample.motion_px > 2.5 * extent.still_px) & region
         if moving.sum() < 200:
-            moving = away & region
-        learner.subject = Colours.of(_some(sample.rgb[moving], rng))
+            moving = changed & region
+        learner.subject = ColourHistogram.from_colours(_subsample(sample.rgb[moving], rng))
         learner.set_subject(learner.subject)
-        weights = learner._still * _not_the_subjects(learner._colour_odds(ring))
+        weights = learner._stillness * _background_weight(learner._colour_log_odds(ring))
         learner._set_background(weights, weights)
         return learner
 
-    def set_subject(self, colours: Colours) -> None:
-        """Take these for the subject's."""
-        self.look = replace(self.look, subject=colours)
+    def set_subject(self, colours: ColourHistogram) -> None:
+        """Set the subject colours of the appearance."""
+        self.appearance = replace(self.appearance, subject=colours)
 
-    def learn(self, alpha: Floats, uncovered: Flags, rng: np.random.Generator) -> None:
-        """From the probabilities (T, h, w) of the frames' pixels, and where the other views' hull was not."""
-        rgb = self.sample.rgb
-        shown = np.stack([cv2.dilate(frame, np.ones((3, 3), np.uint8)) for frame in alpha])
-        free = np.maximum(np.clip(1 - 1.5 * shown, 0, 1), LEAST_WEIGHT)
-        free *= np.maximum(self._still, uncovered)
-        odds = self._colour_odds(self._proven(free * uncovered))
-        weights = free * np.maximum(_not_the_subjects(odds), np.float32(0.5) * uncovered)
-        self._set_background(weights, weights * np.maximum(_the_backgrounds(odds), uncovered))
-        sure = alpha > 0.8
-        if sure.sum() > 500:
-            self.subject = Colours.of(_some(rgb[sure], rng))
-        not_subject = (alpha < 0.2) & self._around
-        if not_subject.any():
-            self.look = replace(self.look, surroundings=Colours.of(_some(rgb[not_subject], rng)))
+    def update(self, alpha: Floats, off_hull: Flags, rng: np.random.Generator) -> None:
+        """Update all models.
 
-    def _proven(self, weights: Floats) -> Flags:
-        """(h, w), where the background is known for certain: by ``weights`` (T, h, w), or since nothing moves."""
-        frames = self.look.background.shown(self.sample.rgb, weights, self.swept.noise)
-        return self._around & (~self.look.region | (frames > PROVEN_FRAMES))
-
-    def _colour_odds(self, known: Flags) -> Floats:
-        """(T, h, w) log-odds of colours, the subject's against those of the ``known`` (h, w) background nearby."""
-        plate = np.clip(self.look.background.mean, 0, 255).astype(np.uint8)
-        nearby = NearbyColours.of(plate, known)
-        odds = np.empty(self.sample.rgb.shape[:3], np.float32)
-        for place, rgb in enumerate(self.sample.rgb):
-            own = self.look.subject.log_likelihood(rgb) - nearby.log_likelihood(rgb)
-            odds[place] = cv2.GaussianBlur(own, (5, 5), 1)
-        return odds
-
-    def _set_background(self, weights: Floats, proof: Floats) -> None:
-        """The commonest colours by ``weights`` (T, h, w) where things move, and the median elsewhere.
-
-        It is as sure as the frames' ``proof`` (T, h, w) makes it.
+        Args:
+            alpha: (T, h, w) probabilities of the subject.
+            off_hull: (T, h, w) bool, outside the other views' hull.
+            rng: generator for colour subsampling.
         """
         rgb = self.sample.rgb
-        rows, columns = _window(self.look.region)
+        dilated = np.stack([cv2.dilate(frame, np.ones((3, 3), np.uint8)) for frame in alpha])
+        free = np.maximum(np.clip(1 - 1.5 * dilated, 0, 1), MIN_WEIGHT)
+        free *= np.maximum(self._stillness, off_hull)
+        odds = self._colour_log_odds(self._confirmed_background(free * off_hull))
+        weights = free * np.maximum(_background_weight(odds), np.float32(0.5) * off_hull)
+        self._set_background(weights, weights * np.maximum(_background_confirmation(odds), off_hull))
+        confident = alpha > 0.8
+        if confident.sum() > 500:
+            self.subject = ColourHistogram.from_colours(_subsample(rgb[confident], rng))
+        not_subject = (alpha < 0.2) & self._near_subject
+        if not_subject.any():
+            surround = ColourHistogram.from_colours(_subsample(rgb[not_subject], rng))
+            self.appearance = replace(self.appearance, surround=surround)
+
+    def _confirmed_background(self, weights: Floats) -> Flags:
+        """(h, w) bool: pixels near the subject with a known background, from ``weights`` (T, h, w) or no motion."""
+        frames = self.appearance.background.matching_weight(self.sample.rgb, weights, self.extent.noise)
+        return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))
+
+    def _colour_log_odds(self, known: Flags) -> Floats:
+        """(T, h, w) log-odds of the subject's colours over those of the ``known`` (h, w) background nearby."""
+        plate = np.clip(self.appearance.background.mean, 0, 255).astype(np.uint8)
+        local = LocalColours.from_picture(plate, known)
+        odds = np.empty(self.sample.rgb.shape[:3], np.float32)
+        for frame, rgb in enumerate(self.sample.rgb):
+            own = self.appearance.subject.log_likelihood(rgb) - local.log_likelihood(rgb)
+            odds[frame] = cv2.GaussianBlur(own, (5, 5), 1)
+        return odds
+
+    def _set_background(self, weights: Floats, confirmation: Floats) -> None:
+        """Fit the background with ``weights`` (T, h, w) inside the subject's region; it is the median elsewhere.
+
+        The model's confidence inside the region comes from the weights ``confirmation`` (T, h, w).
+        """
+        rgb = self.sample.rgb
+        rows, columns = _bounding_window(self.appearance.region)
         mean = self._median.copy()
-        variance = np.full_like(mean, (self.swept.noise + 1) ** 2)
+        variance = np.full_like(mean, (self.extent.noise + 1) ** 2)
         frames = np.full(mean.shape[:2], len(rgb), np.float32)
-        part = self.look.region[rows, columns]
-        cut = rgb[:, rows, columns]
-        inner = commonest(cut, weights[:, rows, columns], self.swept.noise)
-        shown = inner.shown(cut, proof[:, rows, columns], self.swept.noise)
-        for whole, found in ((mean, inner.mean), (variance, inner.variance), (frames, shown)):
-            whole[rows, columns][part] = found[part]
-        self.look = replace(self.look, background=Background(mean, variance, frames))
+        region = self.appearance.region[rows, columns]
+        cropped = rgb[:, rows, columns]
+        inner = fit_background(cropped, weights[:, rows, columns], self.extent.noise)
+        confirmed = inner.matching_weight(cropped, confirmation[:, rows, columns], self.extent.noise)
+        for whole, fitted in ((mean, inner.mean), (variance, inner.variance), (frames, confirmed)):
+            whole[rows, columns][region] = fitted[region]
+        self.appearance = replace(self.appearance, background=BackgroundModel(mean, variance, frames))
 
 
-def _not_the_subjects(odds: Floats) -> Floats:
-    """In (0, 1]: low where a colour is clearly the subject's."""
-    return np.maximum(probability(CLEAR_SLOPE * (CLEAR - odds)), LEAST_LIKENESS)
+def _background_weight(odds: Floats) -> Floats:
+    """In (0, 1]; low where a colour is clearly the subject's."""
+    return np.maximum(probability(COLOUR_SLOPE * (COLOUR_MARGIN - odds)), MIN_BACKGROUND_WEIGHT)
 
 
-def _the_backgrounds(odds: Floats) -> Floats:
-    """In (0, 1]: high where a colour is clearly the background's.
+def _background_confirmation(odds: Floats) -> Floats:
+    """In (0, 1]; high where a colour is clearly the background's.
 
-    A part of the subject that rests has a colour for as many frames as a background would. What the other views
-    never see to be free is background by its colour alone.
+    A resting part of the subject keeps its colour for as many frames as a background. Pixels that are always inside
+    the other views' hull are therefore confirmed as background only by their colour.
     """
-    return np.maximum(probability(CLEAR_SLOPE * (-CLEAR - odds)), LEAST_PROOF)
+    return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 
 
-def _dilated(region: Flags, by_px: int) -> Flags:
+def _dilate(region: Flags, by_px: int) -> Flags:
     return np.asarray(cv2.dilate(region.astype(np.uint8), np.ones((2 * by_px + 1,) * 2, np.uint8)) > 0)
 
 
-def _window(region: Flags) -> tuple[slice, slice]:
+def _bounding_window(region: Flags) -> tuple[slice, slice]:
     left, top, width, height = cv2.boundingRect(region.astype(np.uint8))
     return slice(top, top + max(1, height)), slice(left, left + max(1, width))
 
 
-def _some(rgb: Picture, rng: np.random.Generator) -> Picture:
-    """Colours (N, 3), at most MOST_COLOURS of them."""
-    return rgb if len(rgb) <= MOST_COLOURS else rgb[rng.integers(0, len(rgb), MOST_COLOURS)]
+def _subsample(rgb: Picture, rng: np.random.Generator) -> Picture:
+    """At most MAX_COLOURS random colours of (N, 3)."""
+    return rgb if len(rgb) <= MAX_COLOURS else rgb[rng.integers(0, len(rgb), MAX_COLOURS)]

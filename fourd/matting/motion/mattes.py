@@ -1,4 +1,4 @@
-"""Mattes of all frames by what was learned of the subject from a few, at a finer scale."""
+"""Mattes of all frames from the learned models, at a finer scale."""
 
 from __future__ import annotations
 
@@ -11,90 +11,93 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture import Capture
-from fourd.matting.edges import matte
-from fourd.matting.motion.agreement import Cells
-from fourd.matting.motion.background_model import Background
-from fourd.matting.motion.evidence import Look, joined
-from fourd.matting.motion.sampling import motion_px, neighbour, reduced, sampled_frames
+from fourd.matting.edges import refine_matte
+from fourd.matting.motion.agreement import VoxelGrid
+from fourd.matting.motion.background_model import BackgroundModel
+from fourd.matting.motion.evidence import Appearance, combine_views
+from fourd.matting.motion.sampling import flow_frame, flow_length_px, learning_frames, reduce_picture
 from fourd.matting.motion.subject import Subject
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
-LONGEST_SIDE = 640
-"""Of the pictures in which mattes are found; the rest of a larger one's detail comes from its edges."""
+MAX_SIDE_PX = 640
+"""Size of the pictures for the log-odds; finer detail of larger pictures comes from edge refinement."""
 
 
 @dataclass(frozen=True, eq=False)
-class Matter:
-    """Makes mattes, frame by frame.
+class MatteMaker:
+    """Makes mattes frame by frame.
 
     Attributes:
-        looks: per camera, in the pixels of ``cameras``.
-        cameras: reduced.
-        cells: for the views' agreement; None where they are not calibrated.
+        appearances: per camera, at the size of ``cameras``.
+        cameras: reduced cameras.
+        grid: voxel grid for multi-view consistency; None if views cannot be combined.
     """
 
-    looks: tuple[Look, ...]
+    appearances: tuple[Appearance, ...]
     cameras: tuple[Camera, ...]
-    cells: Cells | None
+    grid: VoxelGrid | None
 
     @staticmethod
-    def of(subject: Subject, backgrounds: Sequence[Background], cameras: Sequence[Camera]) -> Matter:
-        """With finer backgrounds, of ``cameras``' pixels."""
-        looks = tuple(look.at_scale(fine) for look, fine in zip(subject.looks, backgrounds, strict=True))
-        cells = None if subject.box is None else Cells.filling(*subject.box, cameras)
-        return Matter(looks, tuple(cameras), cells)
+    def from_subject(subject: Subject, backgrounds: Sequence[BackgroundModel], cameras: Sequence[Camera]) -> MatteMaker:
+        """Combine a learned subject with finer backgrounds at the size of ``cameras``."""
+        appearances = tuple(
+            appearance.with_background(fine) for appearance, fine in zip(subject.appearances, backgrounds, strict=True)
+        )
+        grid = None if subject.box is None else VoxelGrid.covering(*subject.box, cameras)
+        return MatteMaker(appearances, tuple(cameras), grid)
 
     def mattes(self, capture: Capture, frame: int) -> list[Picture]:
-        """Each camera's matte (H, W) uint8 of a frame."""
-        beside = neighbour(frame, capture.frame_count)
+        """The matte (H, W) uint8 of each camera for a frame."""
+        other = flow_frame(frame, capture.frame_count)
         pictures: list[Picture] = []
         small: list[Picture] = []
         motions: list[Floats | None] = []
         for index, camera in enumerate(self.cameras):
             pictures.append(capture.image(index, frame))
-            small.append(reduced(pictures[-1], camera))
+            small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
-            if beside is not None:
-                # Read in order: from a video, a step back costs a search from the keyframe before.
-                ahead = [capture.image(index, place) for place in range(frame + 1, beside + 1)]
-                other = ahead[-1] if ahead else capture.image(index, beside)
-                motions[-1] = motion_px(small[-1], reduced(other, camera))
-        lit = [look.at_exposure(picture) for look, picture in zip(self.looks, small, strict=True)]
-        views = joined(self.looks, lit, motions, self.cells)
+            if other is not None:
+                # Read frames in order: a step back in a video decodes again from the previous keyframe.
+                ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
+                second = ahead[-1] if ahead else capture.image(index, other)
+                motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))
+        matched = [
+            appearance.match_exposure(picture) for appearance, picture in zip(self.appearances, small, strict=True)
+        ]
+        views = combine_views(self.appearances, matched, motions, self.grid)
         return [
-            matte(odds, picture, _behind(look, picture))
-            for odds, picture, look in zip(views.log_odds, pictures, self.looks, strict=True)
+            refine_matte(odds, picture, _sharp_background(appearance, picture))
+            for odds, picture, appearance in zip(views.log_odds, pictures, self.appearances, strict=True)
         ]
 
 
-def _behind(look: Look, picture: Picture) -> Floats | None:
-    """The background's colours and sureness (H, W, 4) where they are as sharp as the picture; None otherwise."""
-    background = look.background
+def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None:
+    """The background's colours and confidence (H, W, 4) if it has the size of the picture; None otherwise."""
+    background = appearance.background
     if background.frames.shape != picture.shape[:2]:
         return None
-    return np.dstack([background.mean, background.sureness])
+    return np.dstack([background.mean, background.confidence])
 
 
 def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
-    """The capture's cameras at the size in which mattes are found."""
+    """The capture's cameras at the size used for the log-odds."""
     longest = max(max(camera.width, camera.height) for camera in capture.cameras)
-    return tuple(camera.rescale(min(1.0, LONGEST_SIDE / longest)) for camera in capture.cameras)
+    return tuple(camera.rescale(min(1.0, MAX_SIDE_PX / longest)) for camera in capture.cameras)
 
 
-def fine_background(capture: Capture, index: int, look: Look, camera: Camera) -> Background:
-    """A camera's background at ``camera``'s size: the mean of the frames whose reduced colours are the look's."""
-    coarse = look.background
+def refine_background(capture: Capture, index: int, coarse: BackgroundModel, camera: Camera) -> BackgroundModel:
+    """Refine a camera's background to ``camera``'s size: the mean of frames, weighted by similarity to ``coarse``."""
     height, width = coarse.frames.shape
-    large = coarse.resized(camera.width, camera.height)
+    large = coarse.resize(camera.width, camera.height)
     total = np.zeros((camera.height, camera.width), np.float32)
     first = np.zeros((camera.height, camera.width, 3), np.float32)
     second = np.zeros_like(first)
-    for frame in sampled_frames(capture.frame_count):
-        picture = reduced(capture.image(index, frame), camera)
-        likeness = coarse.likeness(reduced(picture, camera.resize(width, height)))
-        weight = cv2.resize(likeness, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
+    for frame in learning_frames(capture.frame_count):
+        picture = reduce_picture(capture.image(index, frame), camera)
+        similarity = coarse.similarity(reduce_picture(picture, camera.resize(width, height)))
+        weight = cv2.resize(similarity, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR)
         value = picture.astype(np.float32) - large.mean
         total += weight
         first += weight[..., None] * value
@@ -103,4 +106,4 @@ def fine_background(capture: Capture, index: int, look: Look, camera: Camera) ->
     share = np.where(known, 1 / np.maximum(total, 1e-6), 0)[..., None]
     offset = first * share
     variance = np.where(known[..., None], np.maximum(second * share - offset**2, 0), 0) + float(coarse.variance.min())
-    return Background(large.mean + offset, np.maximum(variance, 0.5 * large.variance), large.frames)
+    return BackgroundModel(large.mean + offset, np.maximum(variance, 0.5 * large.variance), large.frames)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from fourd.capture import open_capture
 from fourd.capture.video_index import index_capture
-from fourd.matting.contact_sheet import contact_sheet
+from fourd.matting.contact_sheet import write_contact_sheet
 from fourd.matting.selection import Selection
 from fourd.matting.stage import SHEET, MatteSettings, make_mattes
 from fourd.pipeline.stage import Artefact, Context, Stage
@@ -51,4 +51,6 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
     sheet = files.capture / SHEET
     if made or not sheet.exists():
         views = None if settings.views is None else list(settings.views)
-        contact_sheet(open_capture(files.capture, views=views, frames=settings.frames), sheet, track=context.track)
+        write_contact_sheet(
+            open_capture(files.capture, views=views, frames=settings.frames), sheet, track=context.track
+        )
