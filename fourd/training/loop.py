@@ -30,9 +30,9 @@ from fourd.training.checkpoints import (
 from fourd.training.config import TrainConfig
 from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.evaluation.scores import score_view
-from fourd.training.log import MetricsLog
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.memory import HeapTrimmer, retain_freed_memory
+from fourd.training.metrics_log import MetricsLog
 from fourd.training.run import Run, drop_stale_points, points_folder
 from fourd.training.scenes.build import build_scene
 from fourd.training.schedule import StepSampler, budget_spent, rate_factor

@@ -11,7 +11,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from fourd.errors import UserError
-from fourd.training.log import MetricsLog
+from fourd.training.metrics_log import MetricsLog
 
 
 def records(folder: Path) -> list[dict[str, object]]:

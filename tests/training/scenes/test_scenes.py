@@ -1,0 +1,91 @@
+"""The two kinds of scenes: their targets, models and learning rates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.pipeline.make import create_run
+from fourd.training.config import TrainConfig
+from fourd.training.scenes.build import build_scene
+from fourd.training.scenes.full_scene import FullScene, place_window
+from fourd.training.scenes.object_scene import ObjectScene
+from fourd.training.schedule import StepSample
+from tests.captures import ring_cameras
+from tests.training.small import SMALL, full_config
+
+SAMPLE = StepSample(0, 0, [1, 2, 4, 5], np.zeros(3, np.float32), 8, position=(0.9, 0.2, 0.7))
+PLATE = replace(SAMPLE, is_plate=True)
+
+
+def full_scene(capture: Path, folder: Path, config: TrainConfig) -> FullScene:
+    run = create_run(capture, folder / "run", config)
+    scene = build_scene(config, run.new_model(), run.view_store(), run.background(None))
+    assert isinstance(scene, FullScene)
+    return scene
+
+
+def test_windows_cover_the_picture() -> None:
+    """Catches windows that leave the picture, and corners that no window contains."""
+    camera = ring_cameras(4, 64)[0]
+    positions = [(x, y) for x in (0.0, 0.5, 0.999) for y in (0.0, 0.5, 0.999)]
+    windows = [place_window(camera, 32, position) for position in positions]
+    assert {window[2:] for window in windows} == {(32, 32)}
+    assert {window[:2] for window in windows} == {(x, y) for x in (0, 16, 32) for y in (0, 16, 32)}
+    assert place_window(camera, 500, (0.3, 0.9)) == (0, 0, 64, 64)
+
+
+def test_an_object_is_its_matte_on_black(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches surroundings of the object in its target or its reference picture."""
+    run = create_run(ball_capture, tmp_path / "run", SMALL)
+    scene = build_scene(SMALL, run.new_model(), run.view_store(), None)
+    assert isinstance(scene, ObjectScene)
+    target = scene.target(SAMPLE)
+    assert target.matte is not None
+    assert not target.rgb[target.matte == 0].any()
+    assert torch.equal(target.known, target.matte)
+    reference = scene.reference_picture(scene.views.view(0, 0))
+    np.testing.assert_array_equal(reference, target.rgb.numpy())
+
+
+def test_a_full_scene_renders_frames_and_plates(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a matte on plates, which have no foreground, and clouds in the wrong order."""
+    scene = full_scene(ball_capture, tmp_path, full_config(tmp_path / "shell.ply"))
+    assert list(scene.models) == ["model", "background"]
+    frame, plate = scene.target(SAMPLE), scene.target(PLATE)
+    assert frame.matte is not None
+    assert frame.known.all()
+    assert plate.matte is None
+    assert plate.rgb.shape == (32, 32, 3)
+    points = scene.background.points
+    clouds = scene.evaluate_step(points, 0.0, PLATE, plate.camera, 0)
+    assert [each.cloud is points for each in clouds] == [True]
+
+
+def test_without_joint_training_frames_are_objects(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a background in the pictures of a foreground that is trained alone."""
+    config = full_config(tmp_path / "shell.ply")
+    config = replace(config, background=replace(config.background, joint=False))
+    scene = full_scene(ball_capture, tmp_path, config)
+    assert torch.equal(scene.target(SAMPLE).rgb, scene.foreground.target(SAMPLE).rgb)
+    assert not scene.target(SAMPLE).fills_picture
+    assert scene.target(PLATE).fills_picture
+
+
+def test_rates_of_positions_scale_with_scene_and_spacing(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a background trained at the foreground's rate: its points are farther apart."""
+    config = full_config(tmp_path / "shell.ply")
+    scene = full_scene(ball_capture, tmp_path, config)
+    plate = scene.target(PLATE)
+    background = scene.evaluate_step(scene.background.points, 0.0, PLATE, plate.camera, 0)[0]
+    rate = scene.xyz_rate(background, 0.5)
+    assert isinstance(rate, torch.Tensor)
+    expected = 0.5 * config.background.xyz_rate * background.cloud.spacing[background.rows]
+    torch.testing.assert_close(rate[:, 0], expected)
+    foreground = replace(background, cloud=replace(background.cloud))
+    size = float((scene.foreground.model.upper - scene.foreground.model.lower).max())
+    assert scene.xyz_rate(foreground, 0.5) == pytest.approx(0.5 * config.rates.xyz * size)
