@@ -83,7 +83,7 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
     wider[[0, -1]] = True
-    rim = (wider & binary_dilation(~wider, np.ones((3, 3))))[1:-1, 1:-1]
+    rim = (wider & binary_dilation(~wider, np.ones((3, 3), np.bool_)))[1:-1, 1:-1]
     row, column = np.indices(grid.shape)
     elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)

@@ -84,7 +84,7 @@ def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) 
     while len(kept) > count:
         surplus = len(kept) - count
         distance, other = cKDTree(xyz[kept], leafsize=12).query(xyz[kept], k=2)
-        gap, nearest = distance[:, 1], other[:, 1]
+        gap, nearest = np.asarray(distance)[:, 1], np.asarray(other)[:, 1]
         is_kept = (gap[nearest] < gap) | ((gap[nearest] == gap) & (nearest > np.arange(len(kept))))
         order = np.argsort(np.where(is_kept, np.inf, gap), kind="stable")
         drop_count = max(1, min(surplus, int((~is_kept).sum()), len(kept) // 6))

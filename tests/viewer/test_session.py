@@ -211,6 +211,20 @@ def test_invalid_values_of_a_failed_training_raise(
         source.read(0)
 
 
+def test_a_run_without_torch_sets_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a bare "No module named" in the window when a run's folder is dropped on it."""
+
+    def raise_missing(folder: Path) -> RunSource:
+        raise ModuleNotFoundError("No module named 'torch'", name="torch")
+
+    monkeypatch.setattr("fourd.viewer.playback.sources.RunSource", raise_missing)
+    session = Session(DisplaySettings())
+    session.open(tmp_path)
+    assert session.take_opened(wait=True) is None
+    assert session.message.endswith("got no torch; pip install 'fourd[train]'")
+    session.close()
+
+
 @pytest.mark.slow
 def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None:
     """Catches leaks of frames, threads, files and GL objects: 1,000 images, and 100 scenes opened."""

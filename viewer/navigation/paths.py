@@ -264,7 +264,7 @@ def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
     lengths = np.maximum(_distances(knots[:-1], knots[1:]), 1e-9)
     at = np.concatenate([[0.0], np.cumsum(lengths)])
     if not loop:
-        kind = "natural" if len(knots) > 2 else "not-a-knot"
+        kind: Literal["natural", "not-a-knot"] = "natural" if len(knots) > 2 else "not-a-knot"
         return CubicSpline(at, knots, bc_type=kind)(np.linspace(0, at[-1], steps))
     knots[-1] = knots[0]
     return CubicSpline(at, knots, bc_type="periodic")(np.arange(steps) / steps * at[-1] / 2)

@@ -81,6 +81,18 @@ class RunSource:
         return self._trained
 
 
+def _open_run(folder: Path) -> RunSource:
+    try:
+        return RunSource(folder)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").split(".")[0]
+        if package == "fourd":
+            raise
+        raise UserError(
+            f"{folder}: expected the training packages, which runs need, got no {package}; pip install 'fourd[train]'"
+        ) from error
+
+
 def _lower_priority() -> None:
     """Lower the priority of this process, so that viewing a run does not slow its training."""
     if hasattr(os, "nice") and os.nice(0) < _NICENESS:
@@ -94,7 +106,7 @@ def open_frame_source(path: Path) -> BakedFrameSource:
     """
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
-    source: BakedFrameSource = RunSource(path) if path.is_dir() else SceneReader(path)
+    source: BakedFrameSource = _open_run(path) if path.is_dir() else SceneReader(path)
     manifest = source.manifest
     if manifest.frame_count == 0:
         source.close()

@@ -83,7 +83,7 @@ def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
 def _choose_partners(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
     """Pairs of each parent and one of its nearest kept points; a pair that is chosen from both sides counts once."""
     _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEIGHBOURS + 2)))
-    drawn = near[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
+    drawn = np.asarray(near)[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
     pairs = torch.stack([parents, kept[torch.from_numpy(drawn)]], 1)
     pairs = torch.from_numpy(np.unique(pairs.sort(dim=1).values.numpy(), axis=0))
     return pairs[:, 0], pairs[:, 1]

@@ -20,7 +20,7 @@ def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = Non
     if len(xyz) <= NEIGHBOURS:
         return np.full(len(queried), DEFAULT_SPACING, np.float32)
     distances, _ = cKDTree(xyz).query(queried, k=NEIGHBOURS + 1, workers=-1)
-    return np.maximum(distances[:, 1:].mean(axis=1) / MEAN_NEIGHBOUR_DISTANCE, 1e-6).astype(np.float32)
+    return np.maximum(np.asarray(distances)[:, 1:].mean(axis=1) / MEAN_NEIGHBOUR_DISTANCE, 1e-6).astype(np.float32)
 
 
 def mean_spacing(xyz: NDArray[np.float32]) -> float:
@@ -31,4 +31,4 @@ def mean_spacing(xyz: NDArray[np.float32]) -> float:
     if len(xyz) <= NEIGHBOURS + 1:
         return DEFAULT_SPACING
     distances, _ = cKDTree(xyz).query(xyz[:MAX_SAMPLES], k=NEIGHBOURS + 1)
-    return float(distances[:, 1:].mean() / MEAN_NEIGHBOUR_DISTANCE)
+    return float(np.asarray(distances)[:, 1:].mean() / MEAN_NEIGHBOUR_DISTANCE)
