@@ -26,7 +26,7 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 PLACEHOLDER = re.compile(r"[A-Z]{3,}|\*|saxpy|\.pyi$")
 """Names that stand for others, the example kernel of docs/adding_a_kernel.md, and files made by the build."""
-GENERATED = {"docs/contributing.md", "docs/changelog.md", "docs/reference/cli.md"}
+GENERATED = {"docs/examples.md", "docs/contributing.md", "docs/changelog.md", "docs/reference/cli.md"}
 """Pages that exist only in the built site."""
 
 

@@ -1,6 +1,7 @@
 """MkDocs hooks: pages that are generated while the site is built.
 
 - ``reference/cli.md`` from each command's ``--help``;
+- ``examples.md`` from the programs in ``examples/``;
 - ``contributing.md`` and ``changelog.md`` from the files at the top of the repository.
 """
 
@@ -36,6 +37,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
     pages = {
         "reference/cli.md": cli_reference(),
+        "examples.md": examples_page(),
         "contributing.md": repository_page("CONTRIBUTING.md"),
         "changelog.md": repository_page("CHANGELOG.md"),
     }
@@ -65,6 +67,14 @@ def command_help(command: str | None = None) -> str:
     with _plain_terminal(), contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
         main([*arguments, "--help"])
     return printed.getvalue().rstrip()
+
+
+def examples_page() -> str:
+    """examples/README.md, followed by the source of every program."""
+    sections = [repository_page("examples/README.md")]
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        sections.append(f"## {path.name}\n\n```python\n{path.read_text(encoding='utf-8')}```\n")
+    return "\n".join(sections)
 
 
 def repository_page(name: str) -> str:
