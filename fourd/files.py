@@ -72,7 +72,7 @@ def remove_unfinished_file(target: Path | str) -> None:
 
 
 def is_unused(folder: Path | str) -> bool:
-    """Whether a folder is missing, or holds no files but temporary ones of killed processes."""
+    """Whether a folder is missing, or contains no files but temporary ones of killed processes."""
     folder = Path(folder)
     if not folder.is_dir():
         return not folder.exists()

@@ -131,14 +131,14 @@ def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array
     x, y, z = shift / length
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation
     fundamental = np.linalg.inv(second.intrinsics).T @ essential @ np.linalg.inv(first.intrinsics)
-    here, there = (
+    first_xyw, second_xyw = (
         np.column_stack([undistort_points(camera, xy), np.ones(len(xy))])
         for camera, xy in ((first, matches.first_px), (second, matches.second_px))
     )
-    lines_there, lines_here = here @ fundamental.T, there @ fundamental
-    error = (there * lines_there).sum(axis=1)
-    slopes = [np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12) for lines in (lines_there, lines_here)]
-    return np.asarray(0.5 * (error / slopes[0] + error / slopes[1]), np.float64)
+    second_lines, first_lines = first_xyw @ fundamental.T, second_xyw @ fundamental
+    error = (second_xyw * second_lines).sum(axis=1)
+    norms = [np.maximum(np.hypot(lines[:, 0], lines[:, 1]), 1e-12) for lines in (second_lines, first_lines)]
+    return np.asarray(0.5 * (error / norms[0] + error / norms[1]), np.float64)
 
 
 def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX) -> tuple[int, ...]:

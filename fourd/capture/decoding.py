@@ -24,9 +24,9 @@ def decode_rgb(path: Path) -> NDArray[np.uint8]:
     return np.asarray(_open(path, path, "RGB"))
 
 
-def decode_rgb_bytes(content: bytes, place: str) -> NDArray[np.uint8]:
-    """decode_rgb for a picture file's bytes; ``place`` identifies them in the error."""
-    return np.asarray(_open(io.BytesIO(content), place, "RGB"))
+def decode_rgb_bytes(content: bytes, name: str) -> NDArray[np.uint8]:
+    """decode_rgb for a picture file's bytes; ``name`` identifies them in errors."""
+    return np.asarray(_open(io.BytesIO(content), name, "RGB"))
 
 
 def decode_matte(path: Path) -> NDArray[np.uint8]:
@@ -52,7 +52,7 @@ def picture_size(path: Path) -> tuple[int, int]:
         raise _damaged(path, error) from error
 
 
-def _open(file: Path | io.BytesIO, place: Path | str, mode: str) -> Image.Image:
+def _open(file: Path | io.BytesIO, name: Path | str, mode: str) -> Image.Image:
     try:
         with Image.open(file, formats=PICTURE_FORMATS) as image:
             image.load()
@@ -60,10 +60,10 @@ def _open(file: Path | io.BytesIO, place: Path | str, mode: str) -> Image.Image:
                 return Image.fromarray((np.asarray(image) >> 8).astype(np.uint8)).convert(mode)
             return image.convert(mode)
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise _damaged(place, error) from error
+        raise _damaged(name, error) from error
 
 
-def _damaged(place: Path | str, error: Exception) -> UserError:
+def _damaged(name: Path | str, error: Exception) -> UserError:
     if isinstance(error, FileNotFoundError):
         got = "no such file"
     elif isinstance(error, UnidentifiedImageError):
@@ -72,4 +72,4 @@ def _damaged(place: Path | str, error: Exception) -> UserError:
         got = f"'{error.strerror}'"
     else:
         got = f"'{error}'"
-    return UserError(f"{place}: expected a whole JPEG or PNG picture, got {got}; copy the file again")
+    return UserError(f"{name}: expected a whole JPEG or PNG picture, got {got}; copy the file again")

@@ -1,4 +1,4 @@
-"""The point that a ring of cameras looks at."""
+"""The common focus of a ring of cameras."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def find_videos(folder: Path) -> dict[str, Path]:
 def refuse_symlinks(capture: Path, folder: Path) -> None:
     """Check before deleting files in ``folder`` that this deletes nothing outside CAPTURE/.fourd.
 
-    Does nothing where ``folder`` lies elsewhere.
+    Does nothing if ``folder`` is elsewhere.
 
     Raises:
         UserError: naming the first symbolic link at or below CAPTURE/.fourd.

@@ -9,13 +9,13 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from fourd.capture.layout import VIDEOS, find_videos
+from fourd.capture.layout import DERIVED, VIDEOS, find_videos
 from fourd.capture.video import VideoIndex, index_video
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 
 NAME = "videos.json"
-CACHE = Path(".fourd") / NAME
+CACHE = DERIVED / NAME
 """Cached indices of an import's source, and of a capture that has no videos.json."""
 VERSION = 1
 

@@ -220,7 +220,7 @@ def _write(
     *,
     with_calibration: bool,
 ) -> list[str]:
-    """Write what is missing, and the calibration if asked to."""
+    """Write missing files, and the calibration if ``with_calibration``."""
     if not with_calibration:
         imported = replace(imported, cameras=tuple(replace(camera, calibration=None) for camera in imported.cameras))
     return write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)

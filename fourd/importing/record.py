@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from fourd.capture.layout import DERIVED
 from fourd.errors import UserError
 from fourd.files import is_unused, write_text_atomically
 from fourd.importing.formats.imported import EncodedPictures, Imported, PictureFiles
 
-RECORD = Path(".fourd") / "import.json"
+RECORD = DERIVED / "import.json"
 VERSION = 1
 
 
@@ -47,7 +48,7 @@ def read_record(out: Path) -> ImportRecord | None:
     """The record in the folder ``out``; None where it is missing or empty.
 
     Raises:
-        UserError: when ``out`` is a file, or holds files without a valid record.
+        UserError: when ``out`` is a file, or contains files without a valid record.
     """
     if is_unused(out):
         return None
@@ -65,7 +66,7 @@ def read_record(out: Path) -> ImportRecord | None:
 
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:
-    """Raise UserError when the folder holds an import of another source."""
+    """Raise UserError when the folder contains an import of another source."""
     if (before.source, before.format) != (str(source.resolve()), name):
         raise UserError(
             f"{out}: expected a new folder or an import of {source} ({name}), got one of {before.source} "
@@ -74,7 +75,7 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
 
 
 def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, int]) -> None:
-    """Raise UserError when the folder holds unpacked frames of other videos or with other offsets."""
+    """Raise UserError when the folder contains unpacked frames of other videos or with other offsets."""
     if before.unpacked and before.files != files:
         raise UserError(
             f"{out}: expected the videos whose frames were unpacked there, got others; import into another folder"

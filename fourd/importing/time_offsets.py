@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.capture.layout import DERIVED
 from fourd.capture.video import VideoIndex
 from fourd.errors import UserError
 from fourd.importing.formats.imported import ImportedCamera
@@ -22,7 +23,7 @@ MIN_CONFIDENCE = 0.5
 """Minimum confidence of an applied offset."""
 UNRELIABLE_FRAMES = 3
 """Offsets up to this many frames are within the method's error."""
-PLOT = Path(".fourd") / "sync.png"
+PLOT = DERIVED / "sync.png"
 
 
 def find_offsets(

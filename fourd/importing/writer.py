@@ -55,7 +55,7 @@ def write_capture(
 ) -> list[str]:
     """Write ``imported`` into the folder ``out``; a second call with the same source completes it.
 
-    The calibration holds the cameras that have one.
+    The calibration files contain the calibrated cameras.
 
     Args:
         imported: the source's content.

@@ -93,14 +93,14 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
     for _ in range(3):
         error = np.abs(now - gain * before - offset)
         still = error <= max(2 * float(np.median(error)), 1.0)
-        here, there = before[still], now[still]
-        spread = here - here.mean()
-        power = float(spread @ spread)
-        if power < len(here):
+        x, y = before[still], now[still]
+        centred = x - x.mean()
+        power = float(centred @ centred)
+        if power < len(x):
             # A uniform picture does not determine the gain.
             return 1.0, float(np.median(now - before))
-        gain = float(spread @ there) / power
-        offset = float(there.mean() - gain * here.mean())
+        gain = float(centred @ y) / power
+        offset = float(y.mean() - gain * x.mean())
     return gain, offset
 
 
@@ -180,10 +180,10 @@ def _estimate_lag(first: Array, second: Array, max_lag: int) -> tuple[float, flo
 
 def _correlation(first: Array, second: Array, lag: int) -> float:
     start, end = max(0, -lag), min(len(first), len(second) - lag)
-    here, there = first[start:end], second[start + lag : end + lag]
-    here, there = here - here.mean(), there - there.mean()
-    size = float(np.sqrt((here @ here) * (there @ there)))
-    return float(here @ there) / size if size > 1e-9 else 0.0
+    x, y = first[start:end], second[start + lag : end + lag]
+    x, y = x - x.mean(), y - y.mean()
+    norm = float(np.sqrt((x @ x) * (y @ y)))
+    return float(x @ y) / norm if norm > 1e-9 else 0.0
 
 
 def _solve(pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, count: int) -> Array:

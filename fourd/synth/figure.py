@@ -138,13 +138,25 @@ def _make_arm(figure: Figure, chest: Array, waist: Array, side: float, p: float)
     ]
 
 
-def _make_head(figure: Figure, turn: Array, chest: Array, waist: Array, p: float) -> list[Part]:
+def _make_head(figure: Figure, rotation: Array, chest: Array, waist: Array, p: float) -> list[Part]:
     wear, size = figure.wardrobe, figure.head
-    centre = waist + chest @ [0, 0, 0.53] + turn @ [0.015, 0, 0.1 * size]
+    centre = waist + chest @ [0, 0, 0.53] + rotation @ [0.015, 0, 0.1 * size]
 
     def ball(position: Sequence[float], stretch: Sequence[float], pattern: Pattern) -> Part:
         return _cone(
-            turn, centre + turn @ (size * np.asarray(position)), 0.0, 1.0, 1.0, pattern, size * np.array(stretch)
+            rotation,
+            centre + rotation @ (size * np.asarray(position)),
+            0.0,
+            1.0,
+            1.0,
+            pattern,
+            size * np.array(stretch),
+            centre + rotation @ (size * np.asarray(position)),
+            0.0,
+            1.0,
+            1.0,
+            pattern,
+            size * np.array(stretch),
         )
 
     parts = [
@@ -158,13 +170,13 @@ def _make_head(figure: Figure, turn: Array, chest: Array, waist: Array, p: float
         parts.append(ball((0.085, side * 0.04, 0.014), (0.021, 0.023, 0.026), wear.white))
         parts.append(ball((0.098, side * 0.038, 0.013), (0.011, 0.012, 0.014), wear.dark))
         parts.append(ball((0.0, side * 0.102, -0.005), (0.024, 0.016, 0.032), wear.skin))
-    return parts + _make_ponytail(turn, centre + turn @ [-0.115 * size, 0, 0.06 * size], p, wear.hair)
+    return parts + _make_ponytail(rotation, centre + rotation @ [-0.115 * size, 0, 0.06 * size], p, wear.hair)
 
 
-def _make_ponytail(turn: Array, root: Array, p: float, pattern: Pattern) -> list[Part]:
+def _make_ponytail(rotation: Array, root: Array, p: float, pattern: Pattern) -> list[Part]:
     """Three links, each with a phase lag to the one before it."""
     parts = []
-    frame = turn @ _rotation_y(1.1)
+    frame = rotation @ _rotation_y(1.1)
     for link, (thin, thick) in enumerate(((0.03, 0.047), (0.047, 0.043), (0.043, 0.018))):
         lag = p - 0.7 * (link + 1)
         frame = frame @ _rotation_y(-0.25 + 0.3 * np.cos(2 * lag)) @ _rotation_x(0.3 * np.sin(lag))

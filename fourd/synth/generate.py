@@ -78,7 +78,7 @@ def make_synthetic(
         frames, cameras, size, seed, gloss: see :class:`SynthSettings`.
 
     Raises:
-        UserError: when a number is out of range or ``out`` holds other files.
+        UserError: when a number is out of range or ``out`` contains other files.
     """
     out = Path(out)
     settings = SynthSettings(frames, cameras, size, seed, gloss)
@@ -106,7 +106,7 @@ def make_synthetic(
 
 
 def is_finished(out: Path | str, settings: SynthSettings) -> bool:
-    """Whether ``out`` holds a finished capture of these settings."""
+    """Whether ``out`` contains a finished capture of these settings."""
     return _read_settings(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
 
 

@@ -34,7 +34,7 @@ MAX_MOTION = 1e-3
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source``, its sparse/ or its sparse/0/ holds a model."""
+    """Whether ``source``, its sparse/ or its sparse/0/ contains a model."""
     return _find_model(source) is not None
 
 
@@ -149,7 +149,7 @@ def _check_whole(path: Path) -> None:
                 if offset > len(content):
                     raise ValueError
         except (struct.error, ValueError, OSError) as error:
-            raise UserError(f"{file}: expected a whole file, got one that ends early; copy it again") from error
+            raise UserError(f"{file}: expected a whole file, got a truncated one; copy it again") from error
 
 
 def _after_camera(content: bytes, offset: int) -> int:

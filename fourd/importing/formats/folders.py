@@ -83,7 +83,7 @@ def picture_files(folder: Path) -> PictureFiles | None:
 def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
     """A camera's mattes, matched to its pictures by number; None where the folder has none.
 
-    For a video all mattes of the folder, since its number of frames is not known yet.
+    For a video all mattes of the folder, since its number of frames is unknown here.
 
     Raises:
         UserError: when a picture has no matte.

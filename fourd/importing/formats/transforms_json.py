@@ -102,9 +102,9 @@ def _entry(path: Path, index: int, values: Mapping[str, object]) -> _Entry:
     """An entry from its values, merged with those of the whole file."""
     where = f"{path}: entry {index}"
     relative, picture = _find_picture(path, f"{where}: file_path", values.get("file_path"))
-    mask = (
-        None if values.get("mask_path") is None else _find_picture(path, f"{where}: mask_path", values["mask_path"])[1]
-    )
+    mask = None
+    if values.get("mask_path") is not None:
+        _, mask = _find_picture(path, f"{where}: mask_path", values["mask_path"])
     time = None if values.get("time") is None else float(parse_numbers(f"{where}: time", values["time"], ()))
     return _Entry(relative, picture, mask, _make_camera(where, values, picture), time)
 

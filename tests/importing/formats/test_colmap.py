@@ -161,7 +161,7 @@ def test_truncated_files_are_reported(source: Path, name: str) -> None:
     content = (source / name).read_bytes()
     for cut in (content[: len(content) // 2], content[:-3], b"\xff" * 7 + b"\x0f" + content[8:], b""):
         (source / name).write_bytes(cut)
-        assert_refused(read, source, rf"{name}: expected a whole file, got one that ends early; copy it again")
+        assert_refused(read, source, rf"{name}: expected a whole file, got a truncated one; copy it again")
 
 
 def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
