@@ -1,4 +1,4 @@
-// What the bindings of GPU kernels share. They are compiled twice: for a GPU, and for the kernels emulated on the CPU.
+// Types that the bindings of CUDA kernels share. They are compiled for the GPU and for the emulation on the CPU.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -1,13 +1,14 @@
 #include "binding/module.h"
-#include "device/rooms.h"
+#include "device/entry_estimator.h"
 
 namespace nb = nanobind;
 
 namespace fourd::cuda {
 
 void bind_module(nb::module_& module) {
-    nb::set_leak_warnings(false);  // rooms are kept until the process ends
-    nb::class_<device::Rooms>(module, "Rooms", "How much room pictures need, learnt from those before.")
+    nb::set_leak_warnings(false);  // estimators live until the process ends
+    nb::class_<device::EntryEstimator>(module, "EntryEstimator",
+                                       "Predicts how many entries a picture needs from earlier pictures.")
         .def(nb::init<>());
     bind_kernels(module);
 }

@@ -1,4 +1,4 @@
-// The binding functions of all kernels; CMake generates the two that call every kernel's own (cmake/kernel.cmake).
+// The functions that bind all kernels; cmake/kernel.cmake generates those that call each kernel's own.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -11,7 +11,7 @@ namespace cuda {
 
 void bind_kernels(nanobind::module_& module);
 
-// The kernels and the types that they share.
+// Binds the kernels and the types that they share.
 void bind_module(nanobind::module_& module);
 
 }  // namespace cuda

@@ -1,4 +1,4 @@
-// Checks of what Python passes.
+// Checks of arguments from Python.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +11,7 @@ inline void require(bool condition, const char* message) {
     if (!condition) throw std::invalid_argument(message);
 }
 
-// The number of threads to use of the one that is asked for.
+// The number of threads to use, from the requested one.
 inline int clamp_threads(int threads) { return std::clamp(threads, 1, 256); }
 
 }  // namespace fourd

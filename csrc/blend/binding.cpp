@@ -1,4 +1,4 @@
-// The blend MLP's Python face: fourd/ops/blend/op.py says what is computed.
+// Python bindings of the blend MLP; fourd/ops/blend/op.py documents what they compute.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
@@ -17,22 +17,21 @@ template <typename Number, std::size_t Axes>
 using Array = nb::ndarray<Number, nb::ndim<Axes>, nb::c_contig, nb::device::cpu>;
 
 blend::Mlp mlp_of(const Array<const float, 2>& weight, const Array<const float, 1>& out, float bias, float range) {
-    require(weight.shape(0) >= 1 && weight.shape(0) <= blend::kMostChannels, "weight: expected 1 to 64 channels");
-    require(weight.shape(1) >= 1 && weight.shape(1) <= blend::kMostHidden, "weight: expected a width of 1 to 256");
+    require(weight.shape(0) >= 1 && weight.shape(0) <= blend::kMaxChannels, "weight: expected 1 to 64 channels");
+    require(weight.shape(1) >= 1 && weight.shape(1) <= blend::kMaxHidden, "weight: expected a width of 1 to 256");
     require(out.shape(0) == weight.shape(1), "out: expected the hidden layer's width");
-    return {weight.data(), out.data(), bias, range, static_cast<int>(weight.shape(0)),
-            static_cast<int>(weight.shape(1))};
+    return {
+        weight.data(), out.data(), bias, range, static_cast<int>(weight.shape(0)), static_cast<int>(weight.shape(1))};
 }
 
-blend::Inputs inputs_of(const blend::Mlp& mlp, const Array<const float, 2>& point,
-                        const Array<const float, 3>& samples, int threads, const std::string& simd) {
+blend::Inputs inputs_of(const blend::Mlp& mlp, const Array<const float, 2>& point, const Array<const float, 3>& samples,
+                        int threads, const std::string& simd) {
     const std::size_t count = point.shape(0);
     require(count <= 0x7fffffff, "point: expected at most 2^31 - 1 points");
     require(point.shape(1) == static_cast<std::size_t>(mlp.hidden), "point: expected the hidden layer's width");
     require(samples.shape(1) == static_cast<std::size_t>(mlp.channels) && samples.shape(2) == count,
             "samples: expected shape (views, channels, points)");
-    return {point.data(), samples.data(), count, samples.shape(0), clamp_threads(threads),
-            simd_named(simd.c_str())};
+    return {point.data(), samples.data(), count, samples.shape(0), clamp_threads(threads), simd_named(simd.c_str())};
 }
 
 template <typename Number>
@@ -41,8 +40,8 @@ void require_logits(const Array<Number, 2>& array, const blend::Inputs& inputs) 
 }
 
 void logits(const Array<const float, 2>& point, const Array<const float, 3>& samples,
-            const Array<const float, 2>& weight, const Array<const float, 1>& out, float bias, float range,
-            int threads, const std::string& simd, const Array<float, 2>& result) {
+            const Array<const float, 2>& weight, const Array<const float, 1>& out, float bias, float range, int threads,
+            const std::string& simd, const Array<float, 2>& result) {
     const blend::Mlp mlp = mlp_of(weight, out, bias, range);
     const blend::Inputs inputs = inputs_of(mlp, point, samples, threads, simd);
     require_logits(result, inputs);
@@ -54,8 +53,8 @@ void logits_backward(const Array<const float, 2>& point, const Array<const float
                      const Array<const float, 2>& weight, const Array<const float, 1>& out, float bias, float range,
                      int threads, const std::string& simd, const Array<const float, 2>& result,
                      const Array<const float, 2>& gradient, const Array<float, 2>& to_point,
-                     const Array<float, 3>& to_samples, const Array<float, 2>& to_weight,
-                     const Array<float, 1>& to_out, const Array<float, 1>& to_bias) {
+                     const Array<float, 3>& to_samples, const Array<float, 2>& to_weight, const Array<float, 1>& to_out,
+                     const Array<float, 1>& to_bias) {
     const blend::Mlp mlp = mlp_of(weight, out, bias, range);
     const blend::Inputs inputs = inputs_of(mlp, point, samples, threads, simd);
     require_logits(result, inputs);

@@ -1,5 +1,5 @@
-// Logits of source views by a small MLP: range * tanh((out . relu(point + weight * sample) + bias) / range).
-// Nothing as large as views x points x hidden is ever stored. Callers check shapes; arrays are dense.
+// Blend logits of source views by a small MLP: range * tanh((out . relu(point + weight * sample) + bias) / range).
+// Never stores an array as large as views x points x hidden. Callers check shapes; arrays are dense.
 #pragma once
 
 #include <cstddef>
@@ -8,20 +8,20 @@
 
 namespace fourd::blend {
 
-constexpr int kMostHidden = 256;
-constexpr int kMostChannels = 64;
+constexpr int kMaxHidden = 256;
+constexpr int kMaxChannels = 64;
 
 struct Mlp {
-    const float* weight;  // (channels, hidden): of the hidden layer, for the sample
+    const float* weight;  // (channels, hidden): hidden layer, for the sample
     const float* out;     // (hidden,)
     float bias;
-    float range;   // logits lie within plus and minus this
-    int channels;  // 1 to kMostChannels
-    int hidden;    // 1 to kMostHidden
+    float range;   // bound of the absolute logits
+    int channels;  // 1 to kMaxChannels
+    int hidden;    // 1 to kMaxHidden
 };
 
 struct Inputs {
-    const float* point;    // (count, hidden): what the point alone gives to the hidden layer
+    const float* point;    // (count, hidden): the point's contribution to the hidden layer
     const float* samples;  // (views, channels, count)
     std::size_t count;
     std::size_t views;
@@ -30,17 +30,17 @@ struct Inputs {
 };
 
 struct Gradients {
-    float* point;    // like Inputs' arrays
+    float* point;  // shaped as in Inputs
     float* samples;
-    float* weight;   // like Mlp's
+    float* weight;  // shaped as in Mlp
     float* out;
-    float* bias;     // one number
+    float* bias;  // one value
 };
 
 // logits (views, count)
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits);
 
-// logits are what the function above gave, gradient (views, count) theirs.
+// logits are the output of logits(), gradient (views, count) is with respect to them.
 void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, const float* gradient,
                      const Gradients& out);
 

@@ -118,7 +118,7 @@ endfunction()
 # The same for the GPU; the project has enabled the language CUDA.
 function(fourd_add_cuda_module target)
   get_property(sources GLOBAL PROPERTY FOURD_CUDA_SOURCES)
-  add_library(${target}_kernels STATIC ${sources} ${FOURD_CSRC}/device/shared_number.cu)
+  add_library(${target}_kernels STATIC ${sources} ${FOURD_CSRC}/device/mapped_counter.cu)
   set_target_properties(${target}_kernels PROPERTIES
     CUDA_STANDARD 17 CUDA_STANDARD_REQUIRED ON CUDA_ARCHITECTURES "${CMAKE_CUDA_ARCHITECTURES}"
     POSITION_INDEPENDENT_CODE ON)

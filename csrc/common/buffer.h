@@ -1,5 +1,5 @@
-// An array that is not initialised: the kernels write every element before they read it,
-// and clearing megabytes first would cost as much as sorting them.
+// An uninitialised array. The kernels write every element before they read it, and clearing megabytes first would cost
+// as much as sorting them.
 #pragma once
 
 #include <cstddef>
@@ -12,7 +12,7 @@ namespace fourd {
 
 template <typename T>
 class Buffer {
-    static_assert(std::is_trivially_copyable<T>::value, "elements are left uninitialised");
+    static_assert(std::is_trivially_copyable<T>::value, "elements stay uninitialised");
 
   public:
     Buffer() = default;
@@ -20,7 +20,7 @@ class Buffer {
         prefer_huge_pages(data_.get(), size * sizeof(T));
     }
 
-    // Makes room for at least size elements; what was there is lost when it must grow.
+    // Grows to at least size elements; growing discards the contents.
     void require(std::size_t size) {
         if (size > size_) *this = Buffer(size + size / 2);
     }

@@ -1,42 +1,42 @@
 // The one way to choose between instruction sets when the program runs.
 //
 // A kernel's inner loops live in a file of their own, cpu/loops.cpp, which fourd_kernel(DISPATCH ...) compiles once for
-// each instruction set up to WIDEST, with FOURD_SIMD defined as the name of the set. Its header, cpu/loops.h, declares a
-// struct Loops of function pointers and ends with FOURD_DISPATCH(Loops, Simd::WIDEST). The file itself defines, in
+// each instruction set up to WIDEST, with FOURD_SIMD defined as the name of the set. Its header, cpu/loops.h, declares
+// a struct Loops of function pointers and ends with FOURD_DISPATCH(Loops, Simd::WIDEST). The file itself defines, in
 // namespace KERNEL::FOURD_SIMD, the functions and the table `const Loops loops`.
 //
-// A dispatched file must not call inline functions with external linkage, standard containers included: the linker keeps
-// one copy of each for the whole program, perhaps the one that needs AVX-512. Functions marked static or FOURD_INLINE,
-// and functions in namespace FOURD_SIMD, are safe.
+// A dispatched file must not call inline functions with external linkage, standard containers included: the linker
+// keeps one copy of each for the whole program, perhaps the one that needs AVX-512. Functions marked static or
+// FOURD_INLINE, and functions in namespace FOURD_SIMD, are safe.
 #pragma once
 
 #include "common/simd.h"
 
 #if defined(FOURD_X86)
-#define FOURD_DISPATCH(TABLE, WIDEST)                                                    \
-    namespace baseline {                                                                 \
-    extern const TABLE loops;                                                            \
-    }                                                                                    \
-    namespace avx2 {                                                                     \
-    extern const TABLE loops;                                                            \
-    }                                                                                    \
-    namespace avx512 {                                                                   \
-    extern const TABLE loops;                                                            \
-    }                                                                                    \
-    inline const TABLE& select_loops(::fourd::Simd simd) {                               \
-        using ::fourd::Simd;                                                             \
-        if constexpr ((WIDEST) >= Simd::avx512) {                                        \
-            if (simd == Simd::avx512) return avx512::loops;                              \
-        }                                                                                \
-        if constexpr ((WIDEST) >= Simd::avx2) {                                          \
-            if (simd >= Simd::avx2) return avx2::loops;                                  \
-        }                                                                                \
-        return baseline::loops;                                                          \
+#define FOURD_DISPATCH(TABLE, WIDEST)                       \
+    namespace baseline {                                    \
+    extern const TABLE loops;                               \
+    }                                                       \
+    namespace avx2 {                                        \
+    extern const TABLE loops;                               \
+    }                                                       \
+    namespace avx512 {                                      \
+    extern const TABLE loops;                               \
+    }                                                       \
+    inline const TABLE& select_loops(::fourd::Simd simd) {  \
+        using ::fourd::Simd;                                \
+        if constexpr ((WIDEST) >= Simd::avx512) {           \
+            if (simd == Simd::avx512) return avx512::loops; \
+        }                                                   \
+        if constexpr ((WIDEST) >= Simd::avx2) {             \
+            if (simd >= Simd::avx2) return avx2::loops;     \
+        }                                                   \
+        return baseline::loops;                             \
     }
 #else
-#define FOURD_DISPATCH(TABLE, WIDEST)                                                    \
-    namespace baseline {                                                                 \
-    extern const TABLE loops;                                                            \
-    }                                                                                    \
+#define FOURD_DISPATCH(TABLE, WIDEST) \
+    namespace baseline {              \
+    extern const TABLE loops;         \
+    }                                 \
     inline const TABLE& select_loops(::fourd::Simd) { return baseline::loops; }
 #endif

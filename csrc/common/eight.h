@@ -1,5 +1,5 @@
-// Eight floats that are added and multiplied together, in code for any instruction set: where compilers do not see by
-// themselves that loops can be vectors. Never passed or returned: how would depend on the instruction set.
+// Vectors of eight floats for any instruction set, where compilers do not vectorise a loop by themselves. Never passed
+// or returned by value: the calling convention depends on the instruction set.
 #pragma once
 
 #include <cstddef>
@@ -21,18 +21,19 @@ FOURD_INLINE void store(const Eight* from, float* to) { std::memcpy(to, from, si
 FOURD_INLINE void load(const float* from, float* to) { *to = *from; }
 FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 
-// What a pointer to numbers points to: float or Eight.
+// float or Eight: the type that the second argument of for_eights' body points to.
 template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
-// Calls at(i, number) for i below count, in eights as long as there are eight; number's type alone tells which.
-template <typename At>
-FOURD_INLINE void in_eights(std::size_t count, const At& at) {
+// Calls body(i, number) for i below count, eight at a time while eight are left. number is null: its type, a pointer to
+// Eight or to float, is how many elements from i on the call is for.
+template <typename Body>
+FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;
 #if defined(FOURD_EIGHT)
-    for (; i + 8 <= count; i += 8) at(i, static_cast<const Eight*>(nullptr));
+    for (; i + 8 <= count; i += 8) body(i, static_cast<const Eight*>(nullptr));
 #endif
-    for (; i < count; ++i) at(i, static_cast<const float*>(nullptr));
+    for (; i < count; ++i) body(i, static_cast<const float*>(nullptr));
 }
 
 }  // namespace fourd

@@ -1,5 +1,4 @@
-// A number that tells contents apart: 128 bits, so that equal ones mean equal contents in practice.
-// Not for contents that an adversary chooses.
+// A 256-bit hash of memory contents: equal hashes mean equal contents in practice. Not safe against chosen contents.
 #pragma once
 
 #include <cstddef>
@@ -12,7 +11,7 @@ class Fingerprint {
   public:
     void add(const void* data, std::size_t bytes) {
         const unsigned char* from = static_cast<const unsigned char*>(data);
-        std::uint64_t words[kWays] = {};
+        std::uint64_t words[kLanes] = {};
         std::size_t i = 0;
         for (; i + sizeof words <= bytes; i += sizeof words) {
             std::memcpy(words, from + i, sizeof words);
@@ -20,7 +19,7 @@ class Fingerprint {
         }
         std::memset(words, 0, sizeof words);
         if (i < bytes) std::memcpy(words, from + i, bytes - i);
-        words[kWays - 1] ^= bytes;
+        words[kLanes - 1] ^= bytes;
         mix(words);
     }
 
@@ -29,17 +28,17 @@ class Fingerprint {
     }
 
   private:
-    static constexpr int kWays = 4;  // independent, so that a processor works on all at once
+    static constexpr int kLanes = 4;  // independent, so that a processor works on all of them in parallel
 
     void mix(const std::uint64_t* words) {
-        for (int way = 0; way < kWays; ++way) {
-            std::uint64_t& state = state_[way];
-            state = (state ^ words[way]) * 0x9e3779b97f4a7c15ull;  // odd: no two states become one
+        for (int lane = 0; lane < kLanes; ++lane) {
+            std::uint64_t& state = state_[lane];
+            state = (state ^ words[lane]) * 0x9e3779b97f4a7c15ull;  // odd, hence invertible
             state ^= state >> 29;
         }
     }
 
-    std::uint64_t state_[kWays] = {1, 2, 3, 4};
+    std::uint64_t state_[kLanes] = {1, 2, 3, 4};
 };
 
 }  // namespace fourd

@@ -1,4 +1,4 @@
-// IEEE half-precision numbers as they are stored: sixteen bits.
+// IEEE half-precision numbers, stored as sixteen bits.
 #pragma once
 
 #include <cstdint>
@@ -9,8 +9,8 @@
 
 namespace fourd {
 
-// By moving bits: the exponents differ by 112, and the multiplication by 2^112 puts subnormals right
-// as well. Infinity and NaN come out finite (65536 and above).
+// Shifts exponent and mantissa into a float and multiplies by 2^112, the difference of the exponents' biases; this is
+// exact for subnormals too. Infinity and NaN become finite (65536 and above).
 FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
     const std::uint32_t shifted = static_cast<std::uint32_t>(half & 0x7fff) << 13;
     float magnitude;

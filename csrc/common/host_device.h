@@ -1,9 +1,9 @@
-// Marks what compiles for the CPU and, under nvcc, for the GPU.
+// Marks functions that compile for the CPU and, under nvcc, for the GPU.
 #pragma once
 
 #ifdef __CUDACC__
-#define FOURD_HD __host__ __device__  // maths that both use
-#define FOURD_DEVICE __device__       // kernels: on the GPU, or emulated
+#define FOURD_HD __host__ __device__  // shared maths
+#define FOURD_DEVICE __device__       // kernels: on the GPU, or emulated on the CPU
 #else
 #define FOURD_HD
 #define FOURD_DEVICE

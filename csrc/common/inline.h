@@ -1,12 +1,69 @@
-// Inlining that a function's own instruction set depends on: what it calls takes that set only as part of it.
+// What compilers spell differently: forced inlining, non-aliasing pointers, bit operations, prefetching.
+//
+// Dispatched files depend on forced inlining: a function that is not inlined could be merged by the linker with a copy
+// compiled for another instruction set.
 #pragma once
 
+#include <cstdint>
+
 #if defined(__GNUC__)
-#define FOURD_ALWAYS __attribute__((always_inline))  // of lambdas
 #define FOURD_INLINE inline __attribute__((always_inline))
-#define FOURD_ALONE __restrict__  // of pointers to what no other pointer of the function leads to
+#define FOURD_INLINE_LAMBDA __attribute__((always_inline))  // after a lambda's parameters
+#define FOURD_RESTRICT __restrict__
+#elif defined(_MSC_VER)
+#include <intrin.h>
+#define FOURD_INLINE __forceinline
+#define FOURD_INLINE_LAMBDA
+#define FOURD_RESTRICT __restrict
 #else
-#define FOURD_ALWAYS
 #define FOURD_INLINE inline
-#define FOURD_ALONE
+#define FOURD_INLINE_LAMBDA
+#define FOURD_RESTRICT
 #endif
+
+namespace fourd {
+
+// Fetches the cache line at an address; the address need not be valid.
+FOURD_INLINE void prefetch(const void* address) {
+#if defined(__GNUC__)
+    __builtin_prefetch(address);
+#else
+    static_cast<void>(address);
+#endif
+}
+
+FOURD_INLINE void prefetch_for_write(const void* address) {
+#if defined(__GNUC__)
+    __builtin_prefetch(address, 1);
+#else
+    static_cast<void>(address);
+#endif
+}
+
+// The number of bits that are set.
+FOURD_INLINE int popcount(std::uint32_t bits) {
+#if defined(__GNUC__)
+    return __builtin_popcount(bits);
+#else
+    int count = 0;
+    for (; bits != 0; bits &= bits - 1) ++count;
+    return count;
+#endif
+}
+
+// The index of the lowest set bit; bits is not 0.
+FOURD_INLINE int lowest_bit(std::uint64_t bits) {
+#if defined(__GNUC__)
+    return __builtin_ctzll(bits);
+#elif defined(_MSC_VER) && defined(_WIN64)
+    unsigned long index;
+    _BitScanForward64(&index, bits);
+    return static_cast<int>(index);
+#else
+    int index = 0;
+    for (; (bits & 1) == 0; bits >>= 1) ++index;
+    return index;
+#endif
+}
+
+}  // namespace fourd

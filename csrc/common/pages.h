@@ -1,4 +1,4 @@
-// Large arrays in huge pages, where the system grants them on request.
+// Huge pages for large arrays, where the system grants them on request.
 #pragma once
 
 #include <cstddef>
@@ -10,8 +10,8 @@
 
 namespace fourd {
 
-// Before memory that may be fresh is first written: 50 MB take a third of the time then, and what is spread over them
-// finds its pages sooner. A hint: whether it is followed changes no result.
+// Call before fresh memory is first written: writing 50 MB then takes a third of the time, and scattered accesses miss
+// the TLB less often. A hint that changes no result.
 inline void prefer_huge_pages(void* memory, std::size_t bytes) {
 #if defined(__linux__) && defined(MADV_HUGEPAGE)
     constexpr std::uintptr_t kPage = std::uintptr_t{2} << 20;

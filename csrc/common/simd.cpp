@@ -1,43 +1,88 @@
 #include "common/simd.h"
 
+#include <cstdint>
 #include <stdexcept>
 #include <string>
+
+#if defined(FOURD_X86)
+#if defined(_MSC_VER) && !defined(__clang__)
+#include <intrin.h>
+#else
+#include <cpuid.h>
+#endif
+#endif
 
 namespace fourd {
 namespace {
 
-bool runs_avx2() {
-#ifdef FOURD_X86
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
-           __builtin_cpu_supports("f16c");
+#if defined(FOURD_X86)
+
+struct Registers {
+    std::uint32_t eax, ebx, ecx, edx;
+};
+
+// A leaf that the processor lacks reads as zeros.
+Registers cpuid(std::uint32_t leaf) {
+#if defined(_MSC_VER) && !defined(__clang__)
+    int out[4] = {}, highest[4] = {};
+    __cpuid(highest, 0);
+    if (leaf <= static_cast<std::uint32_t>(highest[0])) __cpuidex(out, static_cast<int>(leaf), 0);
+    return {static_cast<std::uint32_t>(out[0]), static_cast<std::uint32_t>(out[1]), static_cast<std::uint32_t>(out[2]),
+            static_cast<std::uint32_t>(out[3])};
 #else
-    return false;
+    Registers out{};
+    if (!__get_cpuid_count(leaf, 0, &out.eax, &out.ebx, &out.ecx, &out.edx)) return {};
+    return out;
 #endif
 }
 
-bool runs_avx512() {
-#ifdef FOURD_X86
-    return runs_avx2() && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-           __builtin_cpu_supports("avx512vl");
+// The vector registers that the operating system saves. The processor must support XSAVE.
+std::uint32_t saved_registers() {
+#if defined(_MSC_VER) && !defined(__clang__)
+    return static_cast<std::uint32_t>(_xgetbv(0));
 #else
-    return false;
+    std::uint32_t low, high;
+    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+    return low;
 #endif
 }
+
+bool has_bits(std::uint32_t value, std::uint32_t bits) { return (value & bits) == bits; }
+
+Simd widest() {
+    constexpr std::uint32_t kFma = 1u << 12, kOsxsave = 1u << 27, kAvx = 1u << 28, kF16c = 1u << 29;  // leaf 1, ECX
+    constexpr std::uint32_t kAvx2 = 1u << 5, kAvx512 = 1u << 16 | 1u << 17 | 1u << 31;                // leaf 7, EBX
+    constexpr std::uint32_t kYmm = 0x6, kZmm = 0xe6;                                                  // XCR0
+    if (!has_bits(cpuid(1).ecx, kFma | kOsxsave | kAvx | kF16c)) return Simd::baseline;
+    const std::uint32_t features = cpuid(7).ebx, saved = saved_registers();
+    if (!has_bits(features, kAvx2) || !has_bits(saved, kYmm)) return Simd::baseline;
+    return has_bits(features, kAvx512) && has_bits(saved, kZmm) ? Simd::avx512 : Simd::avx2;
+}
+
+#else
+
+Simd widest() { return Simd::baseline; }
+
+#endif
+
+constexpr const char* kNames[] = {"baseline", "avx2", "avx512"};
 
 }  // namespace
 
 bool simd_available(const char* name) {
-    const std::string wanted = name;
-    return wanted == "baseline" || (wanted == "avx2" && runs_avx2()) || (wanted == "avx512" && runs_avx512());
+    for (int simd = 0; simd <= static_cast<int>(widest()); ++simd) {
+        if (std::string(name) == kNames[simd]) return true;
+    }
+    return false;
 }
 
-const char* simd_default() { return runs_avx512() ? "avx512" : runs_avx2() ? "avx2" : "baseline"; }
+const char* simd_default() { return kNames[static_cast<int>(widest())]; }
 
 Simd simd_named(const char* name) {
     const std::string wanted = *name ? name : simd_default();
     if (!simd_available(wanted.c_str())) {
-        throw std::invalid_argument("FOURD_SIMD: expected baseline, avx2 or avx512, and one that this machine runs, got " +
-                                    wanted);
+        throw std::invalid_argument(
+            "FOURD_SIMD: expected baseline, avx2 or avx512, and one that this machine runs, got " + wanted);
     }
     return wanted == "avx512" ? Simd::avx512 : wanted == "avx2" ? Simd::avx2 : Simd::baseline;
 }

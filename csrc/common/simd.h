@@ -1,17 +1,18 @@
-// Instruction sets that kernels have copies for; which one runs is decided when the program runs.
+// Instruction sets. The one that a kernel runs is selected at run time (common/dispatch.h).
 #pragma once
 
 namespace fourd {
 
-enum class Simd { baseline, avx2, avx512 };  // avx512: F, DQ and VL; avx2: with FMA and F16C
+// avx2 includes FMA and F16C; avx512 is F, DQ and VL. In ascending order.
+enum class Simd { baseline, avx2, avx512 };
 
 // Whether this machine runs the instruction set of that name.
 bool simd_available(const char* name);
 
-// The name of the widest that this machine runs.
+// The name of the widest one that this machine runs.
 const char* simd_default();
 
-// By name, or the widest for "". Throws std::invalid_argument if this machine does not run it.
+// By name; "" selects the widest. Throws std::invalid_argument if this machine does not run it.
 Simd simd_named(const char* name);
 
 }  // namespace fourd

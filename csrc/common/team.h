@@ -1,5 +1,5 @@
-// Worker threads that live for one call: no state between calls, so forking, exceptions and
-// sanitizers find nothing to trip over, and OpenMP is not needed where a compiler lacks it.
+// A thread pool that lives for one kernel call. It keeps no state between calls, so that forks, exceptions and
+// sanitizers are safe, and it needs no OpenMP.
 #pragma once
 
 #include <atomic>
@@ -14,7 +14,7 @@ namespace fourd {
 
 class Team {
   public:
-    // A body is called as body(task, worker); workers are numbered from 0 and run one task at a time.
+    // Called as body(task, worker). Workers are numbered from 0 and run one task at a time.
     using Body = std::function<void(int task, int worker)>;
 
     explicit Team(int threads);
@@ -24,8 +24,8 @@ class Team {
 
     int size() const { return static_cast<int>(workers_.size()) + 1; }
 
-    // Runs body for every task in [0, tasks), in any order, and returns when all are done.
-    // The first exception thrown by a body is rethrown here; tasks not yet begun are dropped then.
+    // Runs body for every task in [0, tasks), in any order, and returns when all are done. Rethrows the first exception
+    // of a body; tasks that have not started by then are dropped.
     void run(int tasks, const Body& body);
 
   private:

@@ -1,4 +1,4 @@
-// Arrays laid one after another in memory that the caller gives.
+// Consecutive arrays in memory of the caller.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +10,7 @@
 
 namespace fourd::device {
 
-// Given no memory, an arena only counts the bytes that its arrays need.
+// Without memory, an arena only counts the bytes that its arrays need.
 class Arena {
   public:
     explicit Arena(void* memory) : memory_(static_cast<unsigned char*>(memory)) {}
@@ -29,7 +29,7 @@ class Arena {
     static constexpr std::size_t kAlign = 256;
 
 #if defined(__SANITIZE_ADDRESS__)
-    // Between arrays lies what the sanitizer lets nobody touch.
+    // A poisoned gap between arrays, where the sanitizer reports every access.
     static constexpr std::size_t kGap = kAlign;
 
     void guard(std::size_t begin, std::size_t used) const {

@@ -1,4 +1,4 @@
-// Zeros, before what is added up.
+// Zeroes an array before sums are added to it.
 #pragma once
 
 #include <cstddef>

@@ -1,4 +1,4 @@
-// Runs kernels on a GPU, on one stream, without waiting for them. Compiled by nvcc alone.
+// Launches kernels on a GPU, asynchronously on one stream. Compiled by nvcc only.
 #pragma once
 
 #include <cub/device/device_radix_sort.cuh>
@@ -13,18 +13,18 @@
 
 namespace fourd::device {
 
-constexpr int kThreads = 256;               // of a block: whole warps
-constexpr std::size_t kMostBlocks = 1 << 20;
+constexpr int kThreads = 256;  // per block: whole warps
+constexpr std::size_t kMaxBlocks = 1 << 20;
 
 template <typename Kernel>
-__global__ void __launch_bounds__(kThreads) run_each(const Kernel kernel, const std::size_t count) {
+__global__ void __launch_bounds__(kThreads) run_for_each(const Kernel kernel, const std::size_t count) {
     const std::size_t stride = static_cast<std::size_t>(gridDim.x) * kThreads;
     for (std::size_t i = static_cast<std::size_t>(blockIdx.x) * kThreads + threadIdx.x; i < count; i += stride) {
         kernel(i);
     }
 }
 
-// count is a multiple of kWarp: a warp's threads take part together or not at all.
+// count is a multiple of kWarpSize, so that every warp is complete.
 template <typename Kernel>
 __global__ void __launch_bounds__(kThreads) run_warps(const Kernel kernel, const std::size_t count) {
     const std::size_t stride = static_cast<std::size_t>(gridDim.x) * kThreads;
@@ -37,43 +37,44 @@ inline void check(cudaError_t status, const char* what) {
     if (status != cudaSuccess) throw std::runtime_error(std::string(what) + ": " + cudaGetErrorString(status));
 }
 
-class Machine {
+class Executor {
   public:
     // stream: a cudaStream_t of the current device.
-    explicit Machine(void* stream) : stream_(static_cast<cudaStream_t>(stream)) {}
+    explicit Executor(void* stream) : stream_(static_cast<cudaStream_t>(stream)) {}
 
-    // kernel(index) for each index below count, in any order.
+    // Calls kernel(index) for each index below count, in any order.
     template <typename Kernel>
-    void each(std::size_t count, const Kernel& kernel) const {
+    void for_each(std::size_t count, const Kernel& kernel) const {
         if (count == 0) return;
-        run_each<<<blocks(count), kThreads, 0, stream_>>>(kernel, count);
+        run_for_each<<<blocks(count), kThreads, 0, stream_>>>(kernel, count);
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // kernel(index, lane); count is a multiple of kWarp, and kWarp indices that follow one another run in step.
+    // Calls kernel(index, lane). count is a multiple of kWarpSize; kWarpSize consecutive indices form a warp.
     template <typename Kernel>
-    void warps(std::size_t count, const Kernel& kernel) const {
+    void for_each_in_warps(std::size_t count, const Kernel& kernel) const {
         if (count == 0) return;
         run_warps<<<blocks(count), kThreads, 0, stream_>>>(kernel, count);
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // Sorts pairs by the lowest bits of their keys; equal keys stay in order. count is below 2^31.
+    // Sorts pairs by the lowest bits of their keys, stably. count is below 2^31.
     void sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const std::uint32_t* values,
-              std::uint32_t* sorted_values, std::size_t count, int bits, void* scratch, std::size_t scratch_bytes) const {
+              std::uint32_t* sorted_values, std::size_t count, int bits, void* scratch,
+              std::size_t scratch_bytes) const {
         check(cub::DeviceRadixSort::SortPairs(scratch, scratch_bytes, keys, sorted_keys, values, sorted_values,
                                               static_cast<int>(count), 0, bits, stream_),
               "a sort");
     }
 
     // out[i] = the sum of counts before i. count is below 2^31.
-    void sum_before(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void* scratch,
-                    std::size_t scratch_bytes) const {
+    void exclusive_sum(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void* scratch,
+                       std::size_t scratch_bytes) const {
         check(cub::DeviceScan::ExclusiveSum(scratch, scratch_bytes, counts, out, static_cast<int>(count), stream_),
               "a sum");
     }
 
-    // Of sort or sum_before for so many.
+    // Of sort or exclusive_sum with count elements.
     static std::size_t scratch_bytes(std::size_t count) {
         std::size_t sort = 0, sum = 0;
         const int number = static_cast<int>(count);
@@ -87,7 +88,7 @@ class Machine {
   private:
     static unsigned blocks(std::size_t count) {
         const std::size_t wanted = (count + kThreads - 1) / kThreads;
-        return static_cast<unsigned>(wanted < kMostBlocks ? wanted : kMostBlocks);
+        return static_cast<unsigned>(wanted < kMaxBlocks ? wanted : kMaxBlocks);
     }
 
     cudaStream_t stream_;

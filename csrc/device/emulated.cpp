@@ -9,16 +9,16 @@
 #include <stdexcept>
 #include <vector>
 
-#include "device/rooms.h"
+#include "device/entry_estimator.h"
 
 namespace fourd::device {
 namespace {
 
-enum class Call { none, any, sum, largest };
+enum class Call { none, any, sum, max };
 
 constexpr std::size_t kStackBytes = 128 << 10;
 
-// makecontext passes no pointers but in pieces.
+// makecontext takes integers only: a pointer is passed as two halves.
 union Pieces {
     void* pointer;
     unsigned halves[2];
@@ -27,18 +27,19 @@ static_assert(sizeof(void*) == 2 * sizeof(unsigned), "expected a 64-bit machine"
 
 }  // namespace
 
-// Thirty-two lanes as coroutines, resumed in turn until each waits in a call or has returned.
+// Thirty-two lanes as coroutines, each resumed in turn until it waits in a call or returns.
 class Warp {
   public:
-    explicit Warp(const std::function<void(const Lane&)>& body) : body_(body), stacks_(new char[kWarp * kStackBytes]) {
-        for (int number = 0; number < kWarp; ++number) start(number);
+    explicit Warp(const std::function<void(const Lane&)>& body)
+        : body_(body), stacks_(new char[kWarpSize * kStackBytes]) {
+        for (int number = 0; number < kWarpSize; ++number) start(number);
     }
 
     void run() {
         while (finished_ == 0) {
-            for (int number = 0; number < kWarp; ++number) resume(number);
+            for (int number = 0; number < kWarpSize; ++number) resume(number);
             if (error_) std::rethrow_exception(error_);
-            if (finished_ == kWarp) return;
+            if (finished_ == kWarpSize) return;
             if (finished_ != 0) throw std::logic_error("emulated warp: lanes returned while others wait for them");
             for (const Call call : calls_) {
                 if (call != calls_[0]) throw std::logic_error("emulated warp: lanes wait in different calls");
@@ -47,7 +48,7 @@ class Warp {
         }
     }
 
-    // Called by a lane: waits for the others, and returns what all lanes gave, combined.
+    // Called by a lane: waits for the other lanes and returns the combination of all lanes' values.
     double meet(int number, Call call, double value) {
         calls_[number] = call;
         values_[number] = value;
@@ -94,16 +95,17 @@ class Warp {
                 result_ = total;
                 return;
             }
-            default: result_ = *std::max_element(first, last);
+            default:
+                result_ = *std::max_element(first, last);
         }
     }
 
     const std::function<void(const Lane&)>& body_;
-    std::unique_ptr<char[]> stacks_;  // not cleared: most of it is never touched
-    std::array<ucontext_t, kWarp> lanes_{};
+    std::unique_ptr<char[]> stacks_;  // uninitialised: most of it is never touched
+    std::array<ucontext_t, kWarpSize> lanes_{};
     ucontext_t scheduler_{};
-    std::array<Call, kWarp> calls_{};
-    std::array<double, kWarp> values_{};  // of floats, bools and 32-bit numbers alike, exactly
+    std::array<Call, kWarpSize> calls_{};
+    std::array<double, kWarpSize> values_{};  // floats, bools and 32-bit integers, all exact in a double
     double result_ = 0;
     int finished_ = 0;
     std::exception_ptr error_;
@@ -111,14 +113,14 @@ class Warp {
 
 bool Lane::any(bool value) const { return warp_.meet(number_, Call::any, value) != 0; }
 float Lane::sum(float value) const { return static_cast<float>(warp_.meet(number_, Call::sum, value)); }
-std::uint32_t Lane::largest(std::uint32_t value) const {
-    return static_cast<std::uint32_t>(warp_.meet(number_, Call::largest, value));
+std::uint32_t Lane::max(std::uint32_t value) const {
+    return static_cast<std::uint32_t>(warp_.meet(number_, Call::max, value));
 }
 
 void run_warp(const std::function<void(const Lane&)>& body) { Warp(body).run(); }
 
-void Machine::sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const std::uint32_t* values,
-                   std::uint32_t* sorted_values, std::size_t count, int bits, void*, std::size_t) const {
+void Executor::sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const std::uint32_t* values,
+                    std::uint32_t* sorted_values, std::size_t count, int bits, void*, std::size_t) const {
     const std::uint32_t mask = bits < 32 ? (1u << bits) - 1u : ~0u;
     std::vector<std::size_t> order(count);
     std::iota(order.begin(), order.end(), std::size_t{0});
@@ -130,7 +132,8 @@ void Machine::sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const 
     }
 }
 
-void Machine::sum_before(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void*, std::size_t) const {
+void Executor::exclusive_sum(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void*,
+                             std::size_t) const {
     std::uint64_t total = 0;
     for (std::size_t i = 0; i < count; ++i) {
         out[i] = total;
@@ -138,7 +141,7 @@ void Machine::sum_before(const std::uint64_t* counts, std::uint64_t* out, std::s
     }
 }
 
-std::uint64_t* allocate_shared_number() { return new std::uint64_t; }
-void free_shared_number(std::uint64_t* number) { delete number; }
+std::uint64_t* allocate_mapped_counter() { return new std::uint64_t; }
+void free_mapped_counter(std::uint64_t* number) { delete number; }
 
 }  // namespace fourd::device

@@ -1,5 +1,5 @@
-// A GPU in one thread of the CPU, for tests: every kernel in its order, warps with their thirty-two threads in
-// step. A thread that leaves the others, which on a GPU may hang or give wrong sums, is an error here.
+// Emulates a GPU in one CPU thread, for tests: indices in order, warps of thirty-two lanes in lockstep. A lane that
+// diverges from its warp is an error here; on a GPU it may hang or give wrong sums.
 #pragma once
 
 #include <cstddef>
@@ -10,32 +10,33 @@
 
 namespace fourd::device {
 
-// Runs body(lane) once for each lane; calls of Lane's functions wait until all lanes have made them.
-// Throws std::logic_error if some lanes return while others wait, or their calls differ.
+// Runs body(lane) for each lane; a call of Lane's functions waits until all lanes have made it. Throws std::logic_error
+// if some lanes return while others wait, or if their calls differ.
 void run_warp(const std::function<void(const Lane&)>& body);
 
-class Machine {
+class Executor {
   public:
-    explicit Machine(void*) {}
+    explicit Executor(void*) {}
 
     template <typename Kernel>
-    void each(std::size_t count, const Kernel& kernel) const {
+    void for_each(std::size_t count, const Kernel& kernel) const {
         for (std::size_t i = 0; i < count; ++i) kernel(i);
     }
 
     template <typename Kernel>
-    void warps(std::size_t count, const Kernel& kernel) const {
-        for (std::size_t first = 0; first < count; first += kWarp) {
+    void for_each_in_warps(std::size_t count, const Kernel& kernel) const {
+        for (std::size_t first = 0; first < count; first += kWarpSize) {
             std::size_t next = first;  // lanes start in order
             run_warp([&](const Lane& lane) { kernel(next++, lane); });
         }
     }
 
     void sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const std::uint32_t* values,
-              std::uint32_t* sorted_values, std::size_t count, int bits, void* scratch, std::size_t scratch_bytes) const;
+              std::uint32_t* sorted_values, std::size_t count, int bits, void* scratch,
+              std::size_t scratch_bytes) const;
 
-    void sum_before(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void* scratch,
-                    std::size_t scratch_bytes) const;
+    void exclusive_sum(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void* scratch,
+                       std::size_t scratch_bytes) const;
 
     static std::size_t scratch_bytes(std::size_t) { return 0; }
 };

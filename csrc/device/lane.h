@@ -1,6 +1,6 @@
-// What kernels written for a GPU may do beside plain arithmetic: vote and add up within a warp, and add to
-// memory that other threads add to. A kernel is a function object, called once for each index; the same source
-// runs on a GPU (device/cuda.h) and, to be tested, on the CPU (device/emulated.h).
+// The GPU operations that kernels may use besides plain arithmetic: votes and sums within a warp, and atomics. A kernel
+// is a function object, called once per index; the same source runs on a GPU (device/cuda.h) and, for tests, on the CPU
+// (device/emulated.h).
 #pragma once
 
 #include <cstdint>
@@ -9,25 +9,25 @@
 
 namespace fourd::device {
 
-constexpr int kWarp = 32;  // threads that run in step
+constexpr int kWarpSize = 32;  // threads in lockstep
 
 #ifdef __CUDACC__
 
-// One thread of a warp. Every thread of it must make the same calls: none may return, or leave a loop, alone.
+// One thread of a warp. All threads of a warp must make the same calls: none may return or leave a loop alone.
 class Lane {
   public:
     FOURD_DEVICE bool any(bool value) const { return __any_sync(kAll, value) != 0; }
 
-    FOURD_DEVICE bool first() const { return threadIdx.x % kWarp == 0; }
+    FOURD_DEVICE bool is_first() const { return threadIdx.x % kWarpSize == 0; }
 
     // The warp's sum, in every thread.
     FOURD_DEVICE float sum(float value) const {
-        for (int step = kWarp / 2; step > 0; step /= 2) value += __shfl_xor_sync(kAll, value, step);
+        for (int step = kWarpSize / 2; step > 0; step /= 2) value += __shfl_xor_sync(kAll, value, step);
         return value;
     }
 
-    FOURD_DEVICE std::uint32_t largest(std::uint32_t value) const {
-        for (int step = kWarp / 2; step > 0; step /= 2) {
+    FOURD_DEVICE std::uint32_t max(std::uint32_t value) const {
+        for (int step = kWarpSize / 2; step > 0; step /= 2) {
             const std::uint32_t other = __shfl_xor_sync(kAll, value, step);
             value = other > value ? other : value;
         }
@@ -40,7 +40,7 @@ class Lane {
 
 #else
 
-// The threads of an emulated warp meet at every call; emulated.h says how.
+// The lanes of an emulated warp synchronise at every call (emulated.h).
 class Warp;
 
 class Lane {
@@ -48,9 +48,9 @@ class Lane {
     Lane(Warp& warp, int number) : warp_(warp), number_(number) {}
 
     bool any(bool value) const;
-    bool first() const { return number_ == 0; }
+    bool is_first() const { return number_ == 0; }
     float sum(float value) const;
-    std::uint32_t largest(std::uint32_t value) const;
+    std::uint32_t max(std::uint32_t value) const;
 
   private:
     Warp& warp_;
@@ -59,8 +59,8 @@ class Lane {
 
 #endif
 
-// What many threads add to or raise. The order is not set, so that sums of floats differ in their last bits.
-FOURD_DEVICE static inline void add_shared(float* target, float value) {
+// Atomics. The order of additions is not fixed, so that sums of floats differ in their last bits.
+FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicAdd(target, value);
 #else
@@ -68,8 +68,8 @@ FOURD_DEVICE static inline void add_shared(float* target, float value) {
 #endif
 }
 
-// target and value are not negative, so that their bits order as they do.
-FOURD_DEVICE static inline void raise_shared(float* target, float value) {
+// target and value are not negative, so that their bits compare as they do.
+FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicMax(reinterpret_cast<unsigned*>(target), __float_as_uint(value));
 #else

@@ -1,5 +1,5 @@
-// The arguments of the hash grid's functions, checked and converted; on the CPU and on a GPU. Values are checked by
-// fourd/ops/hashgrid/op.py, shapes here, since a wrong one would read past an array.
+// Checks and conversions of the hash grid's arguments, for the CPU and a GPU. fourd/ops/hashgrid/op.py checks values;
+// shapes are checked here, since a wrong one would read past an array.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -21,20 +21,20 @@ struct HashGridArguments {
     using Points = nanobind::ndarray<Number, nanobind::shape<-1, 3>, nanobind::c_contig, Device>;
 
     static constexpr int kFinest = 1 << 20;
-    static constexpr int kMostLog2Entries = 24;
+    static constexpr int kMaxLog2Entries = 24;
 
     const Rows<const float>& table;
     std::vector<hashgrid::Level> levels;
     hashgrid::Query query;
 
-    // resolutions: cells a side, by level.
+    // resolutions: cells per side, by level.
     HashGridArguments(const Points<const float>& coordinates, const Rows<const float>& table_,
                       const std::vector<int>& resolutions, int log2_entries, int threads, Simd simd)
         : table(table_) {
-        require(!resolutions.empty() && resolutions.size() <= hashgrid::kMostLevels,
+        require(!resolutions.empty() && resolutions.size() <= hashgrid::kMaxLevels,
                 "resolutions: expected 1 to 32 levels");
-        require(log2_entries >= 1 && log2_entries <= kMostLog2Entries, "log2_entries: expected 1 to 24");
-        require(features() >= 1 && features() <= hashgrid::kMostFeatures, "table: expected 1 to 8 features");
+        require(log2_entries >= 1 && log2_entries <= kMaxLog2Entries, "log2_entries: expected 1 to 24");
+        require(features() >= 1 && features() <= hashgrid::kMaxFeatures, "table: expected 1 to 8 features");
         std::size_t entries = 0;
         for (const int resolution : resolutions) {
             require(resolution >= 1 && resolution <= kFinest, "resolutions: expected 1 to 2^20 cells a side");
@@ -43,8 +43,9 @@ struct HashGridArguments {
         }
         require(table.shape(0) == entries, "table: expected as many entries as the levels need");
         const int level_count = static_cast<int>(levels.size());
-        query = {table.data(),       entries,              levels.data(), level_count, static_cast<int>(features()),
-                 coordinates.data(), coordinates.shape(0), threads,       simd};
+        query = {
+            table.data(),         entries, levels.data(), level_count, static_cast<int>(features()), coordinates.data(),
+            coordinates.shape(0), threads, simd};
     }
 
     std::size_t features() const { return table.shape(1); }

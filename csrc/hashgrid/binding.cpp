@@ -1,4 +1,4 @@
-// The hash grid's Python face: fourd/ops/hashgrid/op.py says what is computed.
+// Python bindings of the hash grid; fourd/ops/hashgrid/op.py documents what they compute.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

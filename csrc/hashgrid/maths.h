@@ -1,5 +1,5 @@
-// Trilinear lookup in a level of a multi-resolution hash grid, the same for every backend (Mueller et al. 2022,
-// Instant Neural Graphics Primitives, sec. 3).
+// Trilinear lookup in a level of a multi-resolution hash grid, shared by every backend (Mueller et al. 2022, Instant
+// Neural Graphics Primitives, sec. 3).
 #pragma once
 
 #include <cstddef>
@@ -10,47 +10,47 @@
 
 namespace fourd::hashgrid {
 
-constexpr int kMostLevels = 32;
-constexpr int kCorners = 8;  // of a cell; bits 0, 1 and 2 of a corner's number say whether it is the far one in x, y, z
+constexpr int kMaxLevels = 32;
+constexpr int kCorners = 8;  // of a cell; bits 0, 1 and 2 of a corner's index select the upper side in x, y and z
 
-constexpr std::size_t kAlign = 16;  // levels begin at a multiple of so many entries, hence at a cache line
+constexpr std::size_t kAlign = 16;  // levels begin at a multiple of this many entries, hence at a cache line
 
-// (resolution + 1)^3 samples on [0, 1]^3, kept in entries of the table from first on: each in its own where all fit,
-// else where a hash of its place says.
+// (resolution + 1)^3 grid vertices on [0, 1]^3, stored in the table's entries from first on: one entry per vertex if
+// all fit, else by a spatial hash.
 struct Level {
     std::size_t first;
-    std::uint32_t entries;  // of hashed levels a power of two
-    std::uint32_t step[3];  // a sample's number along an axis times this is the axis' part of its entry
+    std::uint32_t entries;    // a power of two if hashed
+    std::uint32_t stride[3];  // by axis: factor of a vertex's index in its entry
     int resolution;
     bool hashed;
 };
 
-// Samples of a level that has so many cells a side.
+// The number of vertices of a level with resolution cells per side.
 FOURD_HD static FOURD_INLINE std::uint64_t samples_of(int resolution) {
     const std::uint64_t side = static_cast<std::uint64_t>(resolution) + 1;
     return side * side * side;
 }
 
-// The level whose entries follow those before, of which there are so many.
+// The level that follows `before` entries.
 FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, std::size_t before) {
     const std::size_t first = (before + kAlign - 1) / kAlign * kAlign;
-    const std::uint32_t side = static_cast<std::uint32_t>(resolution) + 1, most = 1u << log2_entries;
+    const std::uint32_t side = static_cast<std::uint32_t>(resolution) + 1, max_entries = 1u << log2_entries;
     const std::uint64_t samples = samples_of(resolution);
-    if (samples <= most) {
+    if (samples <= max_entries) {
         return {first, static_cast<std::uint32_t>(samples), {1u, side, side * side}, resolution, false};
     }
-    return {first, most, {1u, 2654435761u, 805459861u}, resolution, true};
+    return {first, max_entries, {1u, 2654435761u, 805459861u}, resolution, true};
 }
 
-// Where a coordinate falls between two samples: (1 - share) of the one at low, share of the next.
-struct Between {
+// A coordinate between two vertices: weight 1 - fraction for the one at low, fraction for the next.
+struct Interpolation {
     std::uint32_t low;
-    float share;
-    float slope;  // samples per unit of the coordinate; 0 where it was clamped to the border
+    float fraction;
+    float slope;  // vertices per unit of the coordinate; 0 if it was clamped to the border
 };
 
-// What is no number counts as 0.
-FOURD_HD static FOURD_INLINE Between between(const Level& level, float coordinate) {
+// NaN counts as 0.
+FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, float coordinate) {
     const float size = static_cast<float>(level.resolution);
     const bool inside = coordinate >= 0.0f && coordinate <= 1.0f;
     float clamped = coordinate > 0.0f ? coordinate : 0.0f;
@@ -61,51 +61,53 @@ FOURD_HD static FOURD_INLINE Between between(const Level& level, float coordinat
     return {static_cast<std::uint32_t>(low), place - static_cast<float>(low), inside ? size : 0.0f};
 }
 
-// The entry of a sample, counted from the level's first; x, y and z are its parts by axis.
+// The entry of a vertex, relative to the level's first; x, y and z are its terms by axis.
 FOURD_HD static FOURD_INLINE std::uint32_t entry_of(const Level& level, std::uint32_t x, std::uint32_t y,
                                                     std::uint32_t z) {
     return level.hashed ? (x ^ y ^ z) & (level.entries - 1u) : x + y + z;
 }
 
-// The eight samples around a point. Those of an edge along x, corners 2e and 2e + 1, weigh weight[e], of which the far
-// one has the share.
+// The eight vertices around a point. Corners 2e and 2e + 1 are an edge along x of weight weight[e]; fraction is the
+// upper one's part of it.
 struct Cell {
     std::uint32_t entry[kCorners];
     float weight[kCorners / 2];
-    float share;
+    float fraction;
 };
 
-FOURD_HD static FOURD_INLINE Cell cell_of(const Level& level, const Between& x, const Between& y, const Between& z) {
+FOURD_HD static FOURD_INLINE Cell cell_of(const Level& level, const Interpolation& x, const Interpolation& y,
+                                          const Interpolation& z) {
     Cell out;
-    const std::uint32_t at_x = x.low * level.step[0], at_y = y.low * level.step[1], at_z = z.low * level.step[2];
+    const std::uint32_t at_x = x.low * level.stride[0], at_y = y.low * level.stride[1], at_z = z.low * level.stride[2];
     for (int corner = 0; corner < kCorners; ++corner) {
-        const std::uint32_t sample_x = at_x + (corner & 1 ? level.step[0] : 0u),
-                            sample_y = at_y + (corner & 2 ? level.step[1] : 0u),
-                            sample_z = at_z + (corner & 4 ? level.step[2] : 0u);
+        const std::uint32_t sample_x = at_x + (corner & 1 ? level.stride[0] : 0u),
+                            sample_y = at_y + (corner & 2 ? level.stride[1] : 0u),
+                            sample_z = at_z + (corner & 4 ? level.stride[2] : 0u);
         out.entry[corner] = entry_of(level, sample_x, sample_y, sample_z);
     }
     for (int edge = 0; edge < kCorners / 2; ++edge) {
-        out.weight[edge] = (edge & 1 ? y.share : 1.0f - y.share) * (edge & 2 ? z.share : 1.0f - z.share);
+        out.weight[edge] = (edge & 1 ? y.fraction : 1.0f - y.fraction) * (edge & 2 ? z.fraction : 1.0f - z.fraction);
     }
-    out.share = x.share;
+    out.fraction = x.fraction;
     return out;
 }
 
-// Adds the gradient of a trilinear mean of the corners' values in its coordinates (3) to out (3).
+// Adds the gradient of the trilinear interpolation of the corners' values with respect to the coordinates (3) to out
+// (3).
 FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* coordinates, const float* value,
                                              float* out) {
-    const Between x = between(level, coordinates[0]), y = between(level, coordinates[1]),
-                  z = between(level, coordinates[2]);
+    const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),
+                        z = interpolate_axis(level, coordinates[2]);
     float rise[4], mean[4];  // of the edges along x
     for (int edge = 0; edge < 4; ++edge) {
         rise[edge] = value[2 * edge + 1] - value[2 * edge];
-        mean[edge] = value[2 * edge] + x.share * rise[edge];
+        mean[edge] = value[2 * edge] + x.fraction * rise[edge];
     }
-    const float near = rise[0] + y.share * (rise[1] - rise[0]), far = rise[2] + y.share * (rise[3] - rise[2]);
+    const float low_z = rise[0] + y.fraction * (rise[1] - rise[0]), high_z = rise[2] + y.fraction * (rise[3] - rise[2]);
     const float low = mean[1] - mean[0], high = mean[3] - mean[2];
-    out[0] += x.slope * (near + z.share * (far - near));
-    out[1] += y.slope * (low + z.share * (high - low));
-    out[2] += z.slope * ((mean[2] - mean[0]) + y.share * (high - low));
+    out[0] += x.slope * (low_z + z.fraction * (high_z - low_z));
+    out[1] += y.slope * (low + z.fraction * (high - low));
+    out[2] += z.slope * ((mean[2] - mean[0]) + y.fraction * (high - low));
 }
 
 }  // namespace fourd::hashgrid

@@ -1,5 +1,5 @@
-// The arguments of K-Planes' functions, checked and converted; on the CPU and on a GPU. Values are checked by
-// fourd/ops/planes/op.py, shapes here, since a wrong one would read past an array.
+// Checks and conversions of K-Planes' arguments, for the CPU and a GPU. fourd/ops/planes/op.py checks values; shapes
+// are checked here, since a wrong one would read past an array.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -24,13 +24,13 @@ struct PlaneArguments {
     using Rows = Array<const float, 2>;
     using RowsOut = Array<float, 2>;
 
-    static constexpr std::size_t kLongestSide = 1 << 24;  // above it float32 does not tell samples apart
+    static constexpr std::size_t kLongestSide = 1 << 24;  // float32 cannot index more samples exactly
 
     const std::vector<Values>& values;
     std::vector<planes::Plane> planes;
     planes::Query query;
 
-    // axes: two coordinates a plane, along its columns and down its rows.
+    // axes: two coordinates per plane, along its columns and along its rows.
     PlaneArguments(const Coordinates& coordinates, const std::vector<Values>& values_, const std::vector<int>& axes,
                    int threads, Simd simd)
         : values(values_) {
@@ -39,16 +39,21 @@ struct PlaneArguments {
             const std::size_t rows = values[k].shape(0), columns = values[k].shape(1);
             require(rows >= 2 && columns >= 2 && rows <= kLongestSide && columns <= kLongestSide,
                     "planes: expected sides from 2 to 2^24");
-            require(features() >= 1 && features() <= planes::kMostFeatures && values[k].shape(2) == features(),
+            require(features() >= 1 && features() <= planes::kMaxFeatures && values[k].shape(2) == features(),
                     "planes: expected 1 to 64 features, the same in all");
             require(axes[2 * k] >= 0 && axes[2 * k] < 4 && axes[2 * k + 1] >= 0 && axes[2 * k + 1] < 4,
                     "axes: expected 0 to 3");
-            planes.push_back({values[k].data(), static_cast<int>(columns), static_cast<int>(rows), axes[2 * k],
-                              axes[2 * k + 1]});
+            planes.push_back(
+                {values[k].data(), static_cast<int>(columns), static_cast<int>(rows), axes[2 * k], axes[2 * k + 1]});
         }
         require(coordinates.shape(0) < 0xffffffffu, "coordinates: expected fewer than 2^32 points");
-        query = {planes.data(), static_cast<int>(planes.size()), static_cast<int>(features()), coordinates.data(),
-                 coordinates.shape(0), threads, simd};
+        query = {planes.data(),
+                 static_cast<int>(planes.size()),
+                 static_cast<int>(features()),
+                 coordinates.data(),
+                 coordinates.shape(0),
+                 threads,
+                 simd};
     }
 
     std::size_t features() const { return values[0].shape(2); }

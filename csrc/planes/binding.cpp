@@ -1,4 +1,4 @@
-// K-Planes' Python face: fourd/ops/planes/op.py says what is computed.
+// Python bindings of K-Planes; fourd/ops/planes/op.py documents what they compute.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

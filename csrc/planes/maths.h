@@ -1,5 +1,5 @@
-// Bilinear lookup in feature planes, the same for every backend; as torch's grid_sample does with
-// align_corners and border padding.
+// Bilinear lookup in feature planes, shared by every backend; torch's grid_sample with align_corners and border
+// padding.
 #pragma once
 
 #include <cstddef>
@@ -12,18 +12,18 @@ namespace fourd::planes {
 struct Plane {
     const float* values;
     int columns, rows;
-    int across, down;  // which coordinates, 0 to 3, run along columns and rows
+    int x_axis, y_axis;  // the coordinates, 0 to 3, along columns and rows
 };
 
-// Where a coordinate falls between two samples: (1 - share) of the one at low, share of the next.
-struct Between {
+// A coordinate between two samples: weight 1 - fraction for the one at low, fraction for the next.
+struct Interpolation {
     int low;
-    float share;
-    float slope;  // samples per unit of the coordinate; 0 where it was clamped to the border
+    float fraction;
+    float slope;  // samples per unit of the coordinate; 0 if it was clamped to the border
 };
 
-// size samples lie evenly on [-1, 1]. What is no number counts as -1.
-FOURD_HD static inline Between between(float coordinate, int size) {
+// size samples are evenly spaced on [-1, 1]. NaN counts as -1.
+FOURD_HD static inline Interpolation interpolate_axis(float coordinate, int size) {
     const float last = static_cast<float>(size - 1);
     float place = (coordinate + 1.0f) * 0.5f * last;
     const bool inside = place > 0.0f && place < last;
@@ -36,18 +36,19 @@ FOURD_HD static inline Between between(float coordinate, int size) {
 
 // The four samples around a query and their weights: [row][column].
 struct Corners {
-    std::size_t top, bottom;  // offsets of the left samples of both rows; the right ones follow
+    std::size_t top, bottom;  // offsets of the left samples of both rows; the right ones are next to them
     float weight[2][2];
 };
 
-FOURD_HD static inline Corners corners(const Plane& plane, const Between& x, const Between& y, int features) {
+FOURD_HD static inline Corners corners(const Plane& plane, const Interpolation& x, const Interpolation& y,
+                                       int features) {
     Corners out;
     out.top = (static_cast<std::size_t>(y.low) * plane.columns + x.low) * features;
     out.bottom = out.top + static_cast<std::size_t>(plane.columns) * features;
-    out.weight[0][0] = (1.0f - x.share) * (1.0f - y.share);
-    out.weight[0][1] = x.share * (1.0f - y.share);
-    out.weight[1][0] = (1.0f - x.share) * y.share;
-    out.weight[1][1] = x.share * y.share;
+    out.weight[0][0] = (1.0f - x.fraction) * (1.0f - y.fraction);
+    out.weight[0][1] = x.fraction * (1.0f - y.fraction);
+    out.weight[1][0] = (1.0f - x.fraction) * y.fraction;
+    out.weight[1][1] = x.fraction * y.fraction;
     return out;
 }
 

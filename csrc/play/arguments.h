@@ -1,4 +1,4 @@
-// The arrays of a baked frame, checked and converted; on the CPU and on a GPU.
+// Checks and conversions of a baked frame's arrays, for the CPU and a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -27,12 +27,14 @@ struct FrameArguments : ShadeArguments<Device, Half> {
         return frame;
     }
 
-    // Positions and sizes alone.
+    // Positions and sizes only.
     static play::Frame bare_frame(const Xyz& xyz, const Column& radius, const Column& density) {
         const std::size_t count = xyz.shape(0);
         require(count <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");
-        require(radius.shape(0) == count && density.shape(0) == count, "radius, density: expected as many points as xyz");
-        return {{xyz.data(), nullptr, nullptr, nullptr, count, 0}, Base::bits(radius.data()), Base::bits(density.data())};
+        require(radius.shape(0) == count && density.shape(0) == count,
+                "radius, density: expected as many points as xyz");
+        return {
+            {xyz.data(), nullptr, nullptr, nullptr, count, 0}, Base::bits(radius.data()), Base::bits(density.data())};
     }
 };
 

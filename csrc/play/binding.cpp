@@ -1,4 +1,4 @@
-// Drawing and ordering of baked frames: fourd/baking/player.py and order.py say what is computed.
+// Python bindings of drawing and depth-sorting baked frames; fourd/ops/play/op.py documents what they compute.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/string.h>
@@ -23,13 +23,13 @@ using Picture = nb::ndarray<std::uint8_t, nb::shape<-1, -1, 4>, nb::c_contig, nb
 void draw(play::Player& player, const Arguments::Xyz& xyz, const Arguments::Column& radius,
           const Arguments::Column& density, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
           const Arguments::Colours& rgb, const ChosenArray& chosen, const CentreArray& centre, float sh_range,
-          float sh_base, const std::vector<double>& camera, int layers, double near, double transmittance_min,
+          float sh_base, const std::vector<double>& camera, int layers, double near_depth, double transmittance_min,
           const std::array<float, 3>& background, int threads, const std::string& simd, const Picture& out) {
     const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
     const shade::Settings shading =
         shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, threads, simd);
     const points::Settings settings =
-        points_settings(camera, out.shape(1), out.shape(0), layers, near, transmittance_min, threads, simd);
+        points_settings(camera, out.shape(1), out.shape(0), layers, near_depth, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
     player.draw(frame, settings, shading, {out.data(), {background[0], background[1], background[2]}});
 }
@@ -38,10 +38,10 @@ using Indices = nb::ndarray<std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device
 
 std::size_t sort(play::DepthSorter& sorter, const Arguments::Xyz& xyz, const Arguments::Column& radius,
                  const Arguments::Column& density, const std::vector<double>& camera, std::size_t width,
-                 std::size_t height, double near, int threads, const std::string& simd, const Indices& out) {
+                 std::size_t height, double near_depth, int threads, const std::string& simd, const Indices& out) {
     const play::Frame frame = Arguments::bare_frame(xyz, radius, density);
     require(out.shape(0) == frame.points.count, "out: expected as many indices as points");
-    const points::Settings settings = points_settings(camera, width, height, 1, near, 0.0, threads, simd);
+    const points::Settings settings = points_settings(camera, width, height, 1, near_depth, 0.0, threads, simd);
     nb::gil_scoped_release release;
     return sorter.sort(frame, settings, out.data());
 }
@@ -57,9 +57,8 @@ void bind_play(nb::module_& module) {
              nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
     nb::class_<play::DepthSorter>(module, "DepthSorter", "Orders points; not to be shared between threads.")
         .def(nb::init<>())
-        .def("sort", &sort, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("camera"),
-             nb::arg("width"), nb::arg("height"), nb::arg("near"), nb::arg("threads"), nb::arg("simd"),
-             nb::arg("out"));
+        .def("sort", &sort, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("camera"), nb::arg("width"),
+             nb::arg("height"), nb::arg("near"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
 }
 
 }  // namespace fourd

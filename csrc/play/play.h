@@ -1,5 +1,5 @@
-// What is done to a baked frame seen from a camera, on its float16 arrays, in memory that is kept from one picture to
-// the next. Callers check shapes; arrays are dense and row-major.
+// Drawing and depth-sorting of baked frames, from their float16 arrays, with memory kept between pictures. Callers
+// check shapes; arrays are dense and row-major.
 #pragma once
 
 #include "common/buffer.h"
@@ -21,7 +21,7 @@ struct Sizes {
 // Shades and composites in one call, to bytes.
 class Player {
   public:
-    // settings and shading agree on threads and simd. canvas.rgba has room for the camera's pixels.
+    // settings and shading have the same threads and simd. canvas.rgba holds the camera's pixels.
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas);
 
@@ -33,11 +33,11 @@ class Player {
     Buffer<float> colour_;
 };
 
-// Orders points by depth, for renderers that draw them one over the other.
+// Sorts points by depth, for renderers that draw back to front.
 class DepthSorter {
   public:
-    // Writes the indices of the points in sight, nearest first and ties by index, to out, which has room for
-    // all points; returns how many. settings.layers does not matter.
+    // Writes the indices of the visible points, nearest first and ties by index, to out (count,); returns their number.
+    // settings.layers is ignored.
     std::size_t sort(const Frame& frame, const points::Settings& settings, std::uint32_t* out);
 
   private:

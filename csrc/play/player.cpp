@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 8192;
 
-// Calls visit(begin, end) for runs of count things, side by side.
+// Calls visit(begin, end) for parts of count elements, in parallel.
 template <typename Visit>
 void in_runs(std::size_t count, Team& team, const Visit& visit) {
     team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
@@ -45,13 +45,13 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     team.run(space_.bins.tiles(), [&](int index, int) { loops.draw(space_.tile(cloud, settings, index), canvas); });
 }
 
-// Points lie in the order of their places in space: those that no pixel sees come in stretches.
+// Points are in spatial order, so that invisible ones come in long runs, which are skipped.
 void Player::shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end) {
     constexpr std::size_t kStretch = 64;
     for (std::size_t first = begin; first < end; first += kStretch) {
         const std::size_t last = std::min(end, first + kStretch);
         std::size_t tiles = 0;
-        for (std::size_t i = first; i < last; ++i) tiles += points::tile_count(space_.bins.reach(i));
+        for (std::size_t i = first; i < last; ++i) tiles += points::tile_count(space_.bins.tile_range(i));
         if (tiles > 0) shade::shade_some(frame.points, shading, first, last, colour_.data());
     }
 }

@@ -1,5 +1,5 @@
-// The arguments of the point renderer's functions, checked and converted; on the CPU and on a GPU. Values are checked
-// by fourd/ops/points/validation.py, shapes here, since a wrong one would read past an array.
+// Checks and conversions of the point renderer's arguments, for the CPU and a GPU. fourd/ops/points/validation.py
+// checks values; shapes are checked here, since a wrong one would read past an array.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -16,11 +16,11 @@ namespace fourd {
 
 // camera: K, R (row-major) and T, 21 numbers. Throws std::invalid_argument.
 inline points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
-                                        int layers, double near, double transmittance_min, int threads,
+                                        int layers, double near_depth, double transmittance_min, int threads,
                                         const std::string& simd) {
     constexpr std::size_t kLongest = points::kLongestSide;
     const bool sized = width >= 1 && height >= 1 && width <= kLongest && height <= kLongest;
-    require(camera.size() == 21 && sized && layers >= 1 && near > 0 && threads >= 1,
+    require(camera.size() == 21 && sized && layers >= 1 && near_depth > 0 && threads >= 1,
             "camera, width, height, layers, near, threads: out of range");
     points::Settings settings;
     for (int i = 0; i < 9; ++i) settings.camera.intrinsics[i] = static_cast<float>(camera[i]);
@@ -28,7 +28,7 @@ inline points::Settings points_settings(const std::vector<double>& camera, std::
     for (int i = 0; i < 3; ++i) settings.camera.translation[i] = static_cast<float>(camera[18 + i]);
     settings.camera.width = static_cast<int>(width);
     settings.camera.height = static_cast<int>(height);
-    settings.near = static_cast<float>(near);
+    settings.near_depth = static_cast<float>(near_depth);
     settings.layers = layers;
     settings.transmittance_min = static_cast<float>(transmittance_min);
     settings.threads = clamp_threads(threads);

@@ -1,4 +1,4 @@
-// The point renderer's Python face: fourd/ops/points/op.py says what is computed.
+// Python bindings of the point renderer; fourd/ops/points/op.py documents what they compute.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -16,7 +16,7 @@ namespace {
 
 using Arguments = PointArguments<nb::device::cpu>;
 
-// A thread's memory from one picture to the next; what is more than this is given back.
+// A thread keeps its workspace between pictures, unless it is larger than this.
 constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
 
 class KeptWorkspace {
@@ -31,39 +31,38 @@ class KeptWorkspace {
 };
 
 void render(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Arguments::Column& radius,
-            const Arguments::Column& density, const std::vector<double>& camera, int layers, double near,
+            const Arguments::Column& density, const std::vector<double>& camera, int layers, double near_depth,
             double transmittance_min, int threads, const std::string& simd, const Arguments::PictureOut& out_features,
             const Arguments::RowsOut& out_alpha, const Arguments::RowsOut& out_depth) {
     const points::Cloud cloud = Arguments::cloud(xyz, features, radius, density);
     const points::Image image = Arguments::image(cloud, out_features, out_alpha, out_depth);
-    const points::Settings settings = points_settings(camera, out_alpha.shape(1), out_alpha.shape(0), layers, near,
-                                                      transmittance_min, threads, simd);
+    const points::Settings settings = points_settings(camera, out_alpha.shape(1), out_alpha.shape(0), layers,
+                                                      near_depth, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
     points::render(cloud, settings, KeptWorkspace().space(), image);
 }
 
 void render_backward(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Arguments::Column& radius,
-                     const Arguments::Column& density, const std::vector<double>& camera, int layers, double near,
+                     const Arguments::Column& density, const std::vector<double>& camera, int layers, double near_depth,
                      int threads, const std::string& simd, const Arguments::Picture& grad_features,
                      const Arguments::Rows& grad_alpha, const std::optional<Arguments::Rows>& grad_depth,
                      const Arguments::XyzOut& out_xyz, const Arguments::RowsOut& out_features,
                      const Arguments::ColumnOut& out_radius, const Arguments::ColumnOut& out_density) {
     const points::Cloud cloud = Arguments::cloud(xyz, features, radius, density);
     const points::ImageGradient gradient = Arguments::image_gradient(cloud, grad_features, grad_alpha, grad_depth);
-    const points::CloudGradient out =
-        Arguments::cloud_gradient(cloud, out_xyz, out_features, out_radius, out_density);
+    const points::CloudGradient out = Arguments::cloud_gradient(cloud, out_xyz, out_features, out_radius, out_density);
     const points::Settings settings =
-        points_settings(camera, grad_alpha.shape(1), grad_alpha.shape(0), layers, near, 0.0, threads, simd);
+        points_settings(camera, grad_alpha.shape(1), grad_alpha.shape(0), layers, near_depth, 0.0, threads, simd);
     nb::gil_scoped_release release;
     points::render_backward(cloud, settings, KeptWorkspace().space(), gradient, out);
 }
 
 void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Arguments::Column& density,
-                const std::vector<double>& camera, std::size_t width, std::size_t height, int layers, double near,
+                const std::vector<double>& camera, std::size_t width, std::size_t height, int layers, double near_depth,
                 int threads, const std::string& simd, const Arguments::ColumnOut& out) {
     const points::Cloud cloud = Arguments::bare_cloud(xyz, radius, density);
     require(out.shape(0) == cloud.count, "out: unexpected shape");
-    const points::Settings settings = points_settings(camera, width, height, layers, near, 0.0, threads, simd);
+    const points::Settings settings = points_settings(camera, width, height, layers, near_depth, 0.0, threads, simd);
     nb::gil_scoped_release release;
     points::visibility(cloud, settings, KeptWorkspace().space(), out.data());
 }
@@ -72,9 +71,8 @@ void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, cons
 
 void bind_points(nb::module_& module) {
     module.def("render_points", &render, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"), nb::arg("density"),
-               nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
-               nb::arg("threads"), nb::arg("simd"), nb::arg("out_features"), nb::arg("out_alpha"),
-               nb::arg("out_depth"));
+               nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"), nb::arg("threads"),
+               nb::arg("simd"), nb::arg("out_features"), nb::arg("out_alpha"), nb::arg("out_depth"));
     module.def("render_points_backward", &render_backward, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"),
                nb::arg("density"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("threads"),
                nb::arg("simd"), nb::arg("grad_features"), nb::arg("grad_alpha"), nb::arg("grad_depth").none(),

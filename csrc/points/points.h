@@ -1,4 +1,4 @@
-// The CPU point renderer. Callers check shapes; every pointer is to a dense row-major array.
+// The point renderer on the CPU. Callers check shapes; every pointer is to a dense row-major array.
 #pragma once
 
 #include <cstddef>
@@ -20,9 +20,9 @@ struct Cloud {
 
 struct Settings {
     Pinhole camera;
-    float near;               // points with camera depth below it are culled; above 0
+    float near_depth;         // points with a smaller camera depth are culled; positive
     int layers;               // K, at least 1
-    float transmittance_min;  // a pixel ends where its transmittance is this or less; 0 is exact
+    float transmittance_min;  // a pixel ends at this transmittance or below; 0 is exact
     int threads;              // at least 1; the result does not depend on it
     Simd simd;                // one that this machine runs
 };
@@ -33,7 +33,7 @@ struct Image {
     float* depth;     // (height, width), 0 where alpha is 0
 };
 
-// A picture of three channels.
+// A picture of three channels, as bytes.
 struct Canvas {
     std::uint8_t* rgba;   // (height, width, 4): colours over the background, and alpha; rounded
     float background[3];  // in [0, 1]
@@ -42,7 +42,7 @@ struct Canvas {
 struct ImageGradient {
     const float* features;
     const float* alpha;
-    const float* depth;  // or null for none
+    const float* depth;  // may be null
 };
 
 struct CloudGradient {
@@ -52,16 +52,15 @@ struct CloudGradient {
     float* density;
 };
 
-struct Workspace;  // in cpu/workspace.h: memory that the next picture can use again
+struct Workspace;  // defined in cpu/workspace.h; reusable memory
 
 void render(const Cloud& cloud, const Settings& settings, Workspace& space, const Image& out);
 
-// transmittance_min is taken as 0: gradients see every one of the K layers.
+// transmittance_min is ignored: gradients see all K layers.
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
                      const CloudGradient& out);
 
-// out (count,): the largest weight (transmittance * alpha) that each point has in any pixel.
-// cloud.features is not read.
+// out (count,): each point's largest weight (transmittance * alpha) in any pixel. cloud.features is not read.
 void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, float* out);
 
 }  // namespace fourd::points

@@ -1,4 +1,4 @@
-// The arguments of shading, checked and converted; on the CPU and on a GPU.
+// Checks and conversions of shading's arguments, for the CPU and a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -12,12 +12,12 @@
 
 namespace fourd {
 
-// Of the views to blend, and of a camera's centre; both in the host's memory.
+// The views to blend, and a camera's centre; both in host memory.
 using ChosenArray = nanobind::ndarray<const std::int32_t, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
 using CentreArray = nanobind::ndarray<const double, nanobind::shape<3>, nanobind::c_contig, nanobind::device::cpu>;
 
-inline shade::Settings shade_settings(const ChosenArray& chosen, std::size_t views, const CentreArray& centre, float sh_range,
-                               float sh_base, int threads, const std::string& simd) {
+inline shade::Settings shade_settings(const ChosenArray& chosen, std::size_t views, const CentreArray& centre,
+                                      float sh_range, float sh_base, int threads, const std::string& simd) {
     require(chosen.shape(0) <= shade::kMaxChosen, "chosen: expected at most 64 views");
     for (std::size_t i = 0; i < chosen.shape(0); ++i) {
         require(chosen.data()[i] >= 0 && static_cast<std::size_t>(chosen.data()[i]) < views,
@@ -32,7 +32,7 @@ inline shade::Settings shade_settings(const ChosenArray& chosen, std::size_t vie
             simd_named(simd.c_str())};
 }
 
-// Half: the 16-bit integer type that float16 values arrive as.
+// Half: the 16-bit integer type that float16 values are passed as.
 template <typename Device, typename Half>
 struct ShadeArguments {
     static_assert(sizeof(Half) == sizeof(std::uint16_t));

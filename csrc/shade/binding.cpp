@@ -1,4 +1,4 @@
-// Checks and converts; csrc/shade knows no framework.
+// Python bindings of shading; fourd/ops/shade/op.py documents what they compute.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
@@ -16,9 +16,8 @@ using Arguments = ShadeArguments<nb::device::cpu, std::uint16_t>;
 using Output = nb::ndarray<nb::numpy, float, nb::shape<-1, 3>>;
 
 Output shade_all(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
-                 const Arguments::Colours& rgb,
-                 const ChosenArray& chosen, const CentreArray& centre, float sh_range, float sh_base, int threads,
-                 const std::string& simd) {
+                 const Arguments::Colours& rgb, const ChosenArray& chosen, const CentreArray& centre, float sh_range,
+                 float sh_base, int threads, const std::string& simd) {
     const shade::Points points = Arguments::points(xyz, sh, weights, rgb);
     const shade::Settings settings = shade_settings(chosen, points.views, centre, sh_range, sh_base, threads, simd);
     float* out = new float[std::max<std::size_t>(3 * points.count, 1)];

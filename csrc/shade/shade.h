@@ -1,5 +1,5 @@
-// Colour of baked points seen from a camera: a blend of a few source views and spherical harmonics.
-// Callers check shapes; every pointer is to a dense row-major array.
+// Colours of baked points seen from a camera: a blend of a few source views, plus spherical harmonics. Callers check
+// shapes; every pointer is to a dense row-major array.
 #pragma once
 
 #include <cstddef>
@@ -9,14 +9,14 @@
 
 namespace fourd::shade {
 
-constexpr int kTerms = 16;       // real spherical harmonics of degree 3
-constexpr int kMaxChosen = 64;   // source views blended at most
+constexpr int kTerms = 16;      // real spherical harmonics up to degree 3
+constexpr int kMaxChosen = 64;  // maximum number of source views to blend
 
 struct Points {
-    const float* xyz;               // (count, 3)
-    const std::uint16_t* sh;        // (count, 3, 16) float16
-    const std::uint16_t* weights;   // (count, views) float16, not negative
-    const std::uint8_t* rgb;        // (count, views, 3)
+    const float* xyz;              // (count, 3)
+    const std::uint16_t* sh;       // (count, 3, 16) float16
+    const std::uint16_t* weights;  // (count, views) float16, not negative
+    const std::uint8_t* rgb;       // (count, views, 3)
     std::size_t count;
     std::size_t views;
 };
@@ -27,14 +27,14 @@ struct Settings {
     double centre[3];            // of the camera, in the world
     float sh_range;              // colour += sh_base + sh_range * tanh(sh . Y(d))
     float sh_base;
-    int threads;                 // at least 1; the result does not depend on it
-    Simd simd;                   // one that this machine runs
+    int threads;  // at least 1; the result does not depend on it
+    Simd simd;    // one that this machine runs
 };
 
-// out (count, 3). The same bits whatever the number of threads.
+// out (count, 3). The same bits for any number of threads.
 void shade(const Points& points, const Settings& settings, float* out);
 
-// The same for points begin to end, on the caller's thread; out is still by point.
+// The same for points begin to end, on the caller's thread; out is by point.
 void shade_some(const Points& points, const Settings& settings, std::size_t begin, std::size_t end, float* out);
 
 }  // namespace fourd::shade

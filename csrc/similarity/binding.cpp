@@ -1,4 +1,4 @@
-// Structural similarity's Python face: fourd/ops/similarity/op.py says what is computed.
+// Python bindings of structural similarity; fourd/ops/similarity/op.py documents what they compute.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/optional.h>
@@ -33,8 +33,12 @@ double similarity_of(const Picture& picture, const Picture& truth, int threads, 
             "picture: expected sides from 11 to 2^18 pixels and 1 to 64 channels");
     require(like(truth, picture), "truth: expected the picture's shape");
     require(!out_gradient || like(*out_gradient, picture), "out_gradient: expected the picture's shape");
-    const similarity::Pictures pictures{picture.data(), truth.data(), static_cast<int>(width), static_cast<int>(height),
-                                        static_cast<int>(channels), clamp_threads(threads),
+    const similarity::Pictures pictures{picture.data(),
+                                        truth.data(),
+                                        static_cast<int>(width),
+                                        static_cast<int>(height),
+                                        static_cast<int>(channels),
+                                        clamp_threads(threads),
                                         simd_named(simd.c_str())};
     float* const gradient = out_gradient ? out_gradient->data() : nullptr;
     nb::gil_scoped_release release;

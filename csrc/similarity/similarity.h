@@ -1,5 +1,5 @@
-// Structural similarity of two pictures (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5, for values
-// of range 1, and its gradient. Callers check shapes; every pointer is to a dense row-major array.
+// Structural similarity (SSIM, Wang et al. 2004) of two pictures with an 11 x 11 Gaussian window of sigma 1.5, for
+// values in [0, 1], and its gradient. Callers check shapes; every pointer is to a dense row-major array.
 #pragma once
 
 #include <cstddef>
@@ -12,15 +12,15 @@ constexpr int kWindow = 11;
 
 struct Pictures {
     const float* picture;  // (height, width, channels)
-    const float* truth;    // the same
+    const float* truth;    // shaped as picture
     int width, height;     // at least kWindow
     int channels;          // at least 1
     int threads;           // at least 1; the result does not depend on it
     Simd simd;             // one that this machine runs
 };
 
-// The mean over channels and over the pixels whose window lies in the picture. gradient (height, width, channels) of
-// it with respect to the picture is written unless it is null.
+// The mean over channels and over the pixels whose window lies in the picture. Writes its gradient (height, width,
+// channels) with respect to the picture, unless null.
 double similarity(const Pictures& pictures, float* gradient);
 
 }  // namespace fourd::similarity

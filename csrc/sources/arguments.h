@@ -1,4 +1,4 @@
-// The arguments of the sampling of source views, checked and converted; on the CPU and on a GPU.
+// Checks and conversions of the arguments of sampling source views, for the CPU and a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -24,12 +24,12 @@ struct SourceArguments {
     using Grey = Array<const float, nanobind::ndim<3>>;
     using Channels = Array<const float, nanobind::ndim<3>>;
     using ChannelsOut = Array<float, nanobind::ndim<3>>;
-    using TrustOut = Array<float, nanobind::ndim<2>>;
+    using VisibilityOut = Array<float, nanobind::ndim<2>>;
     using Softness = Array<const float, nanobind::ndim<1>>;
 
-    static constexpr std::size_t kNumbers = 21;  // of a camera: K, R (row by row) and T
-    static constexpr std::size_t kMostViews = 1 << 16;
-    static constexpr std::size_t kMostChannels = 256;
+    static constexpr std::size_t kNumbers = 21;  // per camera: K, R (row-major) and T
+    static constexpr std::size_t kMaxViews = 1 << 16;
+    static constexpr std::size_t kMaxChannels = 256;
     static constexpr std::size_t kLongestSide = 1 << 24;
 
     std::vector<sources::Pinhole> cameras;
@@ -61,11 +61,11 @@ struct SourceArguments {
         query.simd = simd;
     }
 
-    sources::Samples samples(const ChannelsOut& channels, const TrustOut& trust) const {
+    sources::Samples samples(const ChannelsOut& channels, const VisibilityOut& visibility) const {
         require_channels(channels);
-        require(trust.shape(0) == cameras.size() && trust.shape(1) == query.count,
+        require(visibility.shape(0) == cameras.size() && visibility.shape(1) == query.count,
                 "trust: expected shape (views, points)");
-        return {channels.data(), trust.data()};
+        return {channels.data(), visibility.data()};
     }
 
     const float* gradient(const Channels& channels) const {
@@ -87,7 +87,7 @@ struct SourceArguments {
 
   private:
     static std::vector<sources::Pinhole> cameras_of(const std::vector<double>& numbers, std::size_t views) {
-        require(views >= 1 && views <= kMostViews, "images: expected 1 to 2^16 views");
+        require(views >= 1 && views <= kMaxViews, "images: expected 1 to 2^16 views");
         require(numbers.size() == kNumbers * views, "cameras: expected 21 numbers a view");
         std::vector<sources::Pinhole> out(views);
         for (std::size_t view = 0; view < views; ++view) {
@@ -107,7 +107,7 @@ struct SourceArguments {
         require(features.shape(0) == cameras.size() && features.shape(1) >= 1 && features.shape(2) >= 1 &&
                     features.shape(1) <= kLongestSide && features.shape(2) <= kLongestSide,
                 "features: expected (views, height, width, channels)");
-        require(features.shape(3) >= 1 && features.shape(3) <= kMostChannels, "features: expected 1 to 256 channels");
+        require(features.shape(3) >= 1 && features.shape(3) <= kMaxChannels, "features: expected 1 to 256 channels");
         query.maps.features = features.data();
         query.maps.feature_height = static_cast<int>(features.shape(1));
         query.maps.feature_width = static_cast<int>(features.shape(2));
@@ -117,7 +117,8 @@ struct SourceArguments {
     template <typename Array>
     void require_channels(const Array& array) const {
         require(array.shape(0) == cameras.size() &&
-                    array.shape(1) == static_cast<std::size_t>(query.maps.channels + 3) && array.shape(2) == query.count,
+                    array.shape(1) == static_cast<std::size_t>(query.maps.channels + 3) &&
+                    array.shape(2) == query.count,
                 "channels: expected shape (views, channels and 3, points)");
     }
 };

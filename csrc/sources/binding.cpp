@@ -1,4 +1,4 @@
-// Source views sampled on the CPU: fourd/ops/sources/op.py says what is computed.
+// Python bindings of sampling source views; fourd/ops/sources/op.py documents what they compute.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -25,10 +25,10 @@ Arguments arguments_of(const Arguments::Xyz& xyz, const Arguments::Images& image
 void sample(const Arguments::Xyz& xyz, const Arguments::Images& images, const Arguments::Grey& mattes,
             const std::optional<Arguments::Grey>& depth, const std::optional<Arguments::Features>& features,
             const std::vector<double>& cameras, const Arguments::Softness& softness, int threads,
-            const std::string& simd, const Arguments::ChannelsOut& out_channels, const Arguments::TrustOut& out_trust) {
-    const Arguments arguments =
-        arguments_of(xyz, images, mattes, depth, features, cameras, &softness, threads, simd);
-    const sources::Samples out = arguments.samples(out_channels, out_trust);
+            const std::string& simd, const Arguments::ChannelsOut& out_channels,
+            const Arguments::VisibilityOut& out_visibility) {
+    const Arguments arguments = arguments_of(xyz, images, mattes, depth, features, cameras, &softness, threads, simd);
+    const sources::Samples out = arguments.samples(out_channels, out_visibility);
     nb::gil_scoped_release release;
     sources::sample(arguments.query, out);
 }
@@ -50,7 +50,7 @@ void sample_backward(const Arguments::Xyz& xyz, const Arguments::Images& images,
 void bind_sources(nb::module_& module) {
     module.def("sample_sources", &sample, nb::arg("xyz"), nb::arg("images"), nb::arg("mattes"), nb::arg("depth").none(),
                nb::arg("features").none(), nb::arg("cameras"), nb::arg("softness"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("out_channels"), nb::arg("out_trust"));
+               nb::arg("out_channels"), nb::arg("out_visibility"));
     module.def("sample_sources_backward", &sample_backward, nb::arg("xyz"), nb::arg("images"), nb::arg("mattes"),
                nb::arg("features").none(), nb::arg("cameras"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"),
                nb::arg("out_xyz"), nb::arg("out_features").none());

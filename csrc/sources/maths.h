@@ -1,4 +1,4 @@
-// What a source view holds at a point: bilinear samples of its maps where the point projects to.
+// Bilinear samples of a source view's maps at the projections of points.
 #pragma once
 
 #include <cstddef>
@@ -8,21 +8,21 @@
 
 namespace fourd::sources {
 
-// A pinhole: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z.
+// A pinhole camera: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z.
 struct Pinhole {
     float intrinsics[9];
     float rotation[9];
     float translation[3];
 };
 
-// A point in a view. Where it is not in front of the camera, it lies far outside the image, and moves nothing.
-struct Projected {
+// A point projected to a view. Points behind the camera are placed far outside the image and have no gradient.
+struct Projection {
     float u, v;  // pixels of the image
     float z;
     bool in_front;
 };
 
-FOURD_HD FOURD_INLINE Projected project(const Pinhole& camera, const float* xyz) {
+FOURD_HD FOURD_INLINE Projection project(const Pinhole& camera, const float* xyz) {
     const float *r = camera.rotation, *k = camera.intrinsics;
     float at[3];
     for (int i = 0; i < 3; ++i) {
@@ -33,9 +33,9 @@ FOURD_HD FOURD_INLINE Projected project(const Pinhole& camera, const float* xyz)
             at[2], true};
 }
 
-// Adds to the point's gradient what moves its pixel by (grad_u, grad_v).
-FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Projected& at, float grad_u, float grad_v,
-                                             float* grad_xyz) {
+// Writes the gradient with respect to the point, given that with respect to its pixel.
+FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Projection& at, float grad_u, float grad_v,
+                                            float* grad_xyz) {
     if (!at.in_front) return;
     const float *r = camera.rotation, *k = camera.intrinsics;
     const float x = (k[0] * grad_u + k[3] * grad_v) / at.z;
@@ -44,24 +44,24 @@ FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Project
     for (int i = 0; i < 3; ++i) grad_xyz[i] = r[i] * x + r[3 + i] * y + r[6 + i] * z;
 }
 
-// The four samples around a place in a map of height x width, row by row, as torch's grid_sample takes them with
-// align_corners off: sample (0, 0) lies half a sample from the border. Where there is none, another's offset stands
-// for it, and all that multiplies it is 0.
-struct Around {
+// The four samples around a position in a map of height x width, row by row, as torch's grid_sample takes them without
+// align_corners: sample (0, 0) is half a sample from the border. A sample outside the map has the offset of another one
+// and weight 0.
+struct Bilinear {
     std::size_t offset[4];
     float weight[4];
-    float across[4];  // the weights' slopes along the width, per sample
-    float down[4];
+    float slope_x[4];  // derivatives of the weights along the width, per sample
+    float slope_y[4];
 };
 
-FOURD_HD FOURD_INLINE Around around(float x, float y, int width, int height) {
-    // Beyond these nothing is near, and what is no number is beyond. The place is moved to where all is 0.
-    const bool near = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
-    x = near ? x : -1.0f;
-    y = near ? y : -1.0f;
+FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int height) {
+    // Positions outside these bounds, and NaN, touch no sample; they are moved to where all weights are 0.
+    const bool inside = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
+    x = inside ? x : -1.0f;
+    y = inside ? y : -1.0f;
     const int left = static_cast<int>(x + 1.0f) - 1, top = static_cast<int>(y + 1.0f) - 1;
     const float right_share = x - static_cast<float>(left), bottom_share = y - static_cast<float>(top);
-    const float in_left = near && left >= 0 ? 1.0f : 0.0f, in_right = near && left + 1 < width ? 1.0f : 0.0f;
+    const float in_left = inside && left >= 0 ? 1.0f : 0.0f, in_right = inside && left + 1 < width ? 1.0f : 0.0f;
     const float in_top = top >= 0 ? 1.0f : 0.0f, in_bottom = top + 1 < height ? 1.0f : 0.0f;
     const float wl = (1.0f - right_share) * in_left, wr = right_share * in_right;
     const float wt = (1.0f - bottom_share) * in_top, wb = bottom_share * in_bottom;
@@ -74,19 +74,19 @@ FOURD_HD FOURD_INLINE Around around(float x, float y, int width, int height) {
             {-wl * in_top, -wr * in_top, wl * in_bottom, wr * in_bottom}};
 }
 
-FOURD_HD FOURD_INLINE float sample(const float* map, const Around& at) {
+FOURD_HD FOURD_INLINE float sample(const float* map, const Bilinear& at) {
     return at.weight[0] * map[at.offset[0]] + at.weight[1] * map[at.offset[1]] + at.weight[2] * map[at.offset[2]] +
            at.weight[3] * map[at.offset[3]];
 }
 
-// What moves a place by one sample in x and y, times g: how the sum of a map's samples changes.
-struct Pull {
+// A gradient with respect to a position in samples.
+struct PixelGradient {
     float u, v;
 };
 
-FOURD_HD FOURD_INLINE void pull(Pull& sum, const Around& at, int corner, float value_times_g) {
-    sum.u += at.across[corner] * value_times_g;
-    sum.v += at.down[corner] * value_times_g;
+FOURD_HD FOURD_INLINE void add_pixel_gradient(PixelGradient& sum, const Bilinear& at, int corner, float value_times_g) {
+    sum.u += at.slope_x[corner] * value_times_g;
+    sum.v += at.slope_y[corner] * value_times_g;
 }
 
 }  // namespace fourd::sources

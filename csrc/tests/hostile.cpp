@@ -1,5 +1,5 @@
-// Runs the kernels on small random and hostile inputs, for sanitizer builds: whatever a point holds, nothing is
-// read or written out of bounds, no thread races another, and what comes out is finite.
+// Runs the kernels on small random and hostile inputs, for sanitizer builds: no access out of bounds, no data race, and
+// finite results, whatever the points are.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -21,21 +21,21 @@ using fourd::tests::expect_finite;
 using fourd::tests::Floats;
 using fourd::tests::Random;
 using fourd::tests::random_floats;
+using fourd::tests::random_int;
 using fourd::tests::random_settings;
-using fourd::tests::whole;
 
 void run_points(unsigned seed, const char* simd) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 400));
-    const std::size_t channels = static_cast<std::size_t>(whole(random, 1, 32));
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 400));
+    const std::size_t channels = static_cast<std::size_t>(random_int(random, 1, 32));
     const float hostile = seed % 2 ? 0.2f : 0.0f;
     const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, hostile);
     const Floats features = random_floats(random, channels * count, -1, 1, 0);
-    const Floats radius = random_floats(random, count, 0, whole(random, 0, 3) ? 0.2f : 5.0f, hostile);
+    const Floats radius = random_floats(random, count, 0, random_int(random, 0, 3) ? 0.2f : 5.0f, hostile);
     const Floats density = random_floats(random, count, 0, 1, hostile);
     fourd::points::Settings settings = random_settings(random, simd);
-    const fourd::points::Cloud cloud{xyz.data(), features.data(), radius.data(), density.data(), count,
-                                     static_cast<int>(channels)};
+    const fourd::points::Cloud cloud{xyz.data(),     features.data(), radius.data(),
+                                     density.data(), count,           static_cast<int>(channels)};
     const std::size_t pixels = static_cast<std::size_t>(settings.camera.width) * settings.camera.height;
     Floats image(pixels * channels), alpha(pixels), depth(pixels), seen(count);
     fourd::points::Workspace space;
@@ -59,54 +59,61 @@ void run_points(unsigned seed, const char* simd) {
 
 void run_planes(unsigned seed, const char* simd) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 700));
-    const int features = whole(random, 0, 2) ? 8 : whole(random, 1, 64);
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 700));
+    const int features = random_int(random, 0, 2) ? 8 : random_int(random, 1, 64);
     const Floats coordinates = random_floats(random, 4 * count, -1.2f, 1.2f, seed % 2 ? 0.2f : 0.0f);
     std::vector<Floats> values, gradients;
     std::vector<fourd::planes::Plane> planes;
     std::vector<float*> targets;
-    for (int k = whole(random, 1, 7); k > 0; --k) {
-        const int columns = whole(random, 2, 40), rows = whole(random, 2, 40);
+    for (int k = random_int(random, 1, 7); k > 0; --k) {
+        const int columns = random_int(random, 2, 40), rows = random_int(random, 2, 40);
         const std::size_t size = static_cast<std::size_t>(columns) * rows * features;
         values.push_back(random_floats(random, size, -1, 1, 0));
         gradients.emplace_back(size);
-        planes.push_back({nullptr, columns, rows, whole(random, 0, 3), whole(random, 0, 3)});
+        planes.push_back({nullptr, columns, rows, random_int(random, 0, 3), random_int(random, 0, 3)});
     }
     for (std::size_t k = 0; k < planes.size(); ++k) {
         planes[k].values = values[k].data();
         targets.push_back(gradients[k].data());
     }
-    const fourd::planes::Query query{planes.data(), static_cast<int>(planes.size()), features, coordinates.data(), count,
-                                     whole(random, 1, 4), fourd::simd_named(simd)};
+    const fourd::planes::Query query{planes.data(),
+                                     static_cast<int>(planes.size()),
+                                     features,
+                                     coordinates.data(),
+                                     count,
+                                     random_int(random, 1, 4),
+                                     fourd::simd_named(simd)};
     Floats out(count * planes.size() * features), to_coordinates(4 * count);
     fourd::planes::sample(query, out.data());
     expect_finite(out, "samples", seed);
-    fourd::planes::sample_backward(query, out.data(), targets.data(), whole(random, 0, 2) ? to_coordinates.data() : nullptr);
+    fourd::planes::sample_backward(query, out.data(), targets.data(),
+                                   random_int(random, 0, 2) ? to_coordinates.data() : nullptr);
     for (const Floats& gradient : gradients) expect_finite(gradient, "gradient of planes", seed);
     expect_finite(to_coordinates, "gradient of coordinates", seed);
 }
 
 void run_hashgrid(unsigned seed, const char* simd) {
     Random random(seed);
-    fourd::tests::HashGridInputs inputs(random, whole(random, 0, 700), seed % 2 ? 0.2f : 0.0f);
+    fourd::tests::HashGridInputs inputs(random, random_int(random, 0, 700), seed % 2 ? 0.2f : 0.0f);
     inputs.query.simd = fourd::simd_named(simd);
     fourd::hashgrid::encode(inputs.query, inputs.out.data());
     fourd::hashgrid::encode_backward(inputs.query, inputs.out.data(), inputs.grad_table(), inputs.grad_coordinates());
-    inputs.expect_sound(seed);
+    inputs.expect_finite_results(seed);
 }
 
 void run_blend(unsigned seed, const char* simd) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 400)), views = whole(random, 1, 5);
-    const int hidden = whole(random, 0, 2) ? 64 : whole(random, 1, 256), channels = whole(random, 1, 64);
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 400)), views = random_int(random, 1, 5);
+    const int hidden = random_int(random, 0, 2) ? 64 : random_int(random, 1, 256), channels = random_int(random, 1, 64);
     const std::size_t weights = static_cast<std::size_t>(hidden) * channels;
     const Floats weight = random_floats(random, weights, -1, 1, 0), out = random_floats(random, hidden, -1, 1, 0);
     const Floats point = random_floats(random, count * hidden, -3, 3, 0);
     const Floats samples = random_floats(random, views * channels * count, -1, 1, 0);
     const fourd::blend::Mlp mlp{weight.data(), out.data(), 0.1f, 5.0f, channels, hidden};
-    const fourd::blend::Inputs inputs{point.data(), samples.data(), count, views, whole(random, 1, 4),
-                                      fourd::simd_named(simd)};
-    Floats logits(views * count), to_point(point.size()), to_samples(samples.size()), to_weight(weights), to_out(hidden);
+    const fourd::blend::Inputs inputs{point.data(), samples.data(),           count,
+                                      views,        random_int(random, 1, 4), fourd::simd_named(simd)};
+    Floats logits(views * count), to_point(point.size()), to_samples(samples.size()), to_weight(weights),
+        to_out(hidden);
     float to_bias = 0;
     fourd::blend::logits(mlp, inputs, logits.data());
     expect_finite(logits, "logits", seed);
@@ -119,13 +126,13 @@ void run_blend(unsigned seed, const char* simd) {
 
 void run_play(unsigned seed, const char* simd) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 500));
-    const std::size_t views = static_cast<std::size_t>(whole(random, 1, 5));
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 500));
+    const std::size_t views = static_cast<std::size_t>(random_int(random, 1, 5));
     const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, seed % 2 ? 0.2f : 0.0f);
     std::vector<std::uint16_t> sh(48 * count, 0x3000), weights(views * count, 0x3c00), radius(count), density(count);
     std::vector<std::uint8_t> rgb(3 * views * count, 200);
-    for (auto& half : radius) half = static_cast<std::uint16_t>(whole(random, 0, 0x7bff));
-    for (auto& half : density) half = static_cast<std::uint16_t>(whole(random, 0, 0x3c00));
+    for (auto& half : radius) half = static_cast<std::uint16_t>(random_int(random, 0, 0x7bff));
+    for (auto& half : density) half = static_cast<std::uint16_t>(random_int(random, 0, 0x3c00));
     const std::int32_t chosen[] = {0};
     fourd::play::Player player;
     fourd::play::DepthSorter sorter;
@@ -133,8 +140,8 @@ void run_play(unsigned seed, const char* simd) {
         const fourd::points::Settings settings = random_settings(random, simd);
         const fourd::shade::Settings shading{chosen, 1, {0, 0, -3}, 0.25f, 0.0f, settings.threads, settings.simd};
         std::vector<std::uint8_t> rgba(std::size_t{4} * settings.camera.width * settings.camera.height);
-        const fourd::play::Frame frame{{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views},
-                                       radius.data(), density.data()};
+        const fourd::play::Frame frame{
+            {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views}, radius.data(), density.data()};
         player.draw(frame, settings, shading, {rgba.data(), {0, 0.5f, 1}});
         std::vector<std::uint32_t> order(count);
         order.resize(sorter.sort(frame, settings, order.data()));
@@ -149,19 +156,19 @@ void run_play(unsigned seed, const char* simd) {
 
 void run_shade(unsigned seed, const char* simd) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 700));
-    const std::size_t views = static_cast<std::size_t>(whole(random, 0, 9));
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 700));
+    const std::size_t views = static_cast<std::size_t>(random_int(random, 0, 9));
     const Floats xyz = random_floats(random, 3 * count, -1, 1, 0);
     std::vector<std::uint16_t> sh(48 * count), weights(views * count);
     std::vector<std::uint8_t> rgb(3 * views * count);
-    for (auto& value : sh) value = static_cast<std::uint16_t>(whole(random, 0, 0x7bff));
-    for (auto& value : weights) value = static_cast<std::uint16_t>(whole(random, 0, 0x6400));
-    for (auto& value : rgb) value = static_cast<std::uint8_t>(whole(random, 0, 255));
+    for (auto& value : sh) value = static_cast<std::uint16_t>(random_int(random, 0, 0x7bff));
+    for (auto& value : weights) value = static_cast<std::uint16_t>(random_int(random, 0, 0x6400));
+    for (auto& value : rgb) value = static_cast<std::uint8_t>(random_int(random, 0, 255));
     std::vector<std::int32_t> chosen;
     for (std::size_t view = 0; view < views; view += 2) chosen.push_back(static_cast<std::int32_t>(view));
     const fourd::shade::Points points{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views};
-    const fourd::shade::Settings settings{chosen.data(), static_cast<int>(chosen.size()), {0.5, 0.1, -3.0}, 0.25f, 0.0f,
-                                          whole(random, 1, 4), fourd::simd_named(simd)};
+    const fourd::shade::Settings settings{chosen.data(), static_cast<int>(chosen.size()), {0.5, 0.1, -3.0},       0.25f,
+                                          0.0f,          random_int(random, 1, 4),        fourd::simd_named(simd)};
     Floats out(3 * count);
     fourd::shade::shade(points, settings, out.data());
     expect_finite(out, "colours", seed);
@@ -169,12 +176,13 @@ void run_shade(unsigned seed, const char* simd) {
 
 void run_similarity(unsigned seed, const char* simd) {
     Random random(seed);
-    const int width = whole(random, 11, 40), height = whole(random, 11, 60), channels = whole(random, 1, 4);
+    const int width = random_int(random, 11, 40), height = random_int(random, 11, 60),
+              channels = random_int(random, 1, 4);
     const std::size_t size = static_cast<std::size_t>(width) * height * channels;
     const Floats picture = random_floats(random, size, 0, 1, 0), truth = random_floats(random, size, 0, 1, 0);
     Floats gradient(size);
     const double value = fourd::similarity::similarity(
-        {picture.data(), truth.data(), width, height, channels, whole(random, 1, 4), fourd::simd_named(simd)},
+        {picture.data(), truth.data(), width, height, channels, random_int(random, 1, 4), fourd::simd_named(simd)},
         seed % 4 ? gradient.data() : nullptr);
     expect_finite({static_cast<float>(value)}, "similarity", seed);
     expect_finite(gradient, "gradient of similarity", seed);
@@ -186,13 +194,13 @@ void run_sources(unsigned seed, const char* simd) {
     inputs.query.simd = fourd::simd_named(simd);
     fourd::sources::sample(inputs.query, inputs.out());
     fourd::sources::sample_backward(inputs.query, inputs.samples.data(), inputs.gradients());
-    inputs.expect_sound(seed);
+    inputs.expect_finite_results(seed);
 }
 
 }  // namespace
 
-int main(int count, char** words) {
-    const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(words[1])) : 200;
+int main(int count, char** arguments) {
+    const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(arguments[1])) : 200;
     for (const char* simd : {"baseline", "avx2", "avx512"}) {
         if (!fourd::simd_available(simd)) continue;
         for (unsigned seed = 0; seed < runs; ++seed) {

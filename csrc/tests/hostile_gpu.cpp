@@ -1,6 +1,5 @@
-// Runs the emulated CUDA kernels on small random and hostile inputs, for sanitizer builds: whatever a point holds and
-// however little room there is, nothing is read or written out of bounds, no warp loses a lane, and what comes out
-// is finite.
+// Runs the emulated CUDA kernels on small random and hostile inputs, for sanitizer builds: no access out of bounds, no
+// diverging lane, and finite results, whatever the points are and however small the workspace.
 #include <cstdio>
 #include <cstdlib>
 #include <vector>
@@ -20,38 +19,37 @@ using fourd::tests::expect_finite;
 using fourd::tests::Floats;
 using fourd::tests::Random;
 using fourd::tests::random_floats;
+using fourd::tests::random_int;
 using fourd::tests::random_settings;
-using fourd::tests::whole;
 
-// Memory of just the size that is asked for.
+// Memory of exactly the requested size.
 class Memory {
   public:
     Memory(std::size_t bytes, std::size_t entries) : bytes_(bytes), room_{bytes_.data(), entries, &needed_} {}
-    const fourd::points::cuda::Room& room() const { return room_; }
+    const fourd::points::cuda::EntryBuffer& room() const { return room_; }
 
   private:
     std::vector<unsigned char> bytes_;
     std::uint64_t needed_ = 0;
-    fourd::points::cuda::Room room_;
+    fourd::points::cuda::EntryBuffer room_;
 };
 
 void run_points(unsigned seed) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 150));
-    const std::size_t channels = static_cast<std::size_t>(whole(random, 1, 32));
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 150));
+    const std::size_t channels = static_cast<std::size_t>(random_int(random, 1, 32));
     const float hostile = seed % 2 ? 0.2f : 0.0f;
     const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, hostile);
     const Floats features = random_floats(random, channels * count, -1, 1, 0);
-    const Floats radius = random_floats(random, count, 0, whole(random, 0, 3) ? 0.2f : 5.0f, hostile);
+    const Floats radius = random_floats(random, count, 0, random_int(random, 0, 3) ? 0.2f : 5.0f, hostile);
     const Floats density = random_floats(random, count, 0, 1, hostile);
     const fourd::points::Settings settings = random_settings(random, "");
-    const fourd::points::Cloud cloud{xyz.data(), features.data(), radius.data(), density.data(), count,
-                                     static_cast<int>(channels)};
+    const fourd::points::Cloud cloud{xyz.data(),     features.data(), radius.data(),
+                                     density.data(), count,           static_cast<int>(channels)};
     const int width = settings.camera.width, height = settings.camera.height;
     const std::size_t pixels = static_cast<std::size_t>(width) * height;
-    const std::size_t entries = static_cast<std::size_t>(whole(random, 0, 2) ? 4000 : whole(random, 0, 20));
-    const Memory memory(
-        fourd::points::cuda::workspace_bytes(count, cloud.channels, width, height, entries), entries);
+    const std::size_t entries = static_cast<std::size_t>(random_int(random, 0, 2) ? 4000 : random_int(random, 0, 20));
+    const Memory memory(fourd::points::cuda::workspace_bytes(count, cloud.channels, width, height, entries), entries);
     Floats image(pixels * channels), alpha(pixels), depth(pixels), seen(count);
     fourd::points::cuda::render(cloud, settings, memory.room(), {image.data(), alpha.data(), depth.data()}, nullptr);
     expect_finite(image, "features", seed);
@@ -74,32 +72,32 @@ void run_points(unsigned seed) {
 
 void run_play(unsigned seed) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 150));
-    const std::size_t views = static_cast<std::size_t>(whole(random, 1, 5));
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 150));
+    const std::size_t views = static_cast<std::size_t>(random_int(random, 1, 5));
     const Floats xyz = random_floats(random, 3 * count, -1.5f, 1.5f, seed % 2 ? 0.2f : 0.0f);
     std::vector<std::uint16_t> sh(48 * count, 0x3000), weights(views * count, 0x3c00), radius(count), density(count);
     std::vector<std::uint8_t> rgb(3 * views * count, 200);
-    for (auto& half : radius) half = static_cast<std::uint16_t>(whole(random, 0, 0x7bff));
-    for (auto& half : density) half = static_cast<std::uint16_t>(whole(random, 0, 0x3c00));
+    for (auto& half : radius) half = static_cast<std::uint16_t>(random_int(random, 0, 0x7bff));
+    for (auto& half : density) half = static_cast<std::uint16_t>(random_int(random, 0, 0x3c00));
     const std::int32_t chosen[] = {0};
     const fourd::points::Settings settings = random_settings(random, "");
     const int width = settings.camera.width, height = settings.camera.height;
     const fourd::shade::Settings shading{chosen, 1, {0, 0, -3}, 0.25f, 0.0f, 1, settings.simd};
     std::vector<std::uint8_t> rgba(std::size_t{4} * width * height);
-    const fourd::play::Frame frame{{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views},
-                                   radius.data(), density.data()};
+    const fourd::play::Frame frame{
+        {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views}, radius.data(), density.data()};
     const Memory memory(fourd::play::cuda::workspace_bytes(count, width, height, 1000), 1000);
     fourd::play::cuda::draw(frame, settings, shading, memory.room(), {rgba.data(), {0, 0.5f, 1}}, nullptr);
 }
 
 void run_planes(unsigned seed) {
     Random random(seed);
-    const std::size_t count = static_cast<std::size_t>(whole(random, 0, 200));
-    const int features = whole(random, 0, 2) ? 8 : whole(random, 1, 64);
-    const int columns = whole(random, 2, 40), rows = whole(random, 2, 40);
+    const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 200));
+    const int features = random_int(random, 0, 2) ? 8 : random_int(random, 1, 64);
+    const int columns = random_int(random, 2, 40), rows = random_int(random, 2, 40);
     const Floats coordinates = random_floats(random, 4 * count, -1.2f, 1.2f, seed % 2 ? 0.2f : 0.0f);
     const Floats values = random_floats(random, static_cast<std::size_t>(columns) * rows * features, -1, 1, 0);
-    const fourd::planes::Plane plane{values.data(), columns, rows, whole(random, 0, 3), whole(random, 0, 3)};
+    const fourd::planes::Plane plane{values.data(), columns, rows, random_int(random, 0, 3), random_int(random, 0, 3)};
     const fourd::planes::Query query{&plane, 1, features, coordinates.data(), count, 1, fourd::Simd::baseline};
     Floats out(count * features), to_values(values.size()), to_coordinates(4 * count);
     float* const target = to_values.data();
@@ -112,11 +110,11 @@ void run_planes(unsigned seed) {
 
 void run_hashgrid(unsigned seed) {
     Random random(seed);
-    fourd::tests::HashGridInputs inputs(random, whole(random, 0, 200), seed % 2 ? 0.2f : 0.0f);
+    fourd::tests::HashGridInputs inputs(random, random_int(random, 0, 200), seed % 2 ? 0.2f : 0.0f);
     fourd::hashgrid::cuda::encode(inputs.query, inputs.out.data(), nullptr);
     fourd::hashgrid::cuda::encode_backward(inputs.query, inputs.out.data(), inputs.grad_table(),
                                            inputs.grad_coordinates(), nullptr);
-    inputs.expect_sound(seed);
+    inputs.expect_finite_results(seed);
 }
 
 void run_sources(unsigned seed) {
@@ -124,13 +122,13 @@ void run_sources(unsigned seed) {
     fourd::tests::SourceInputs inputs(random, seed % 2 ? 0.2f : 0.0f);
     fourd::sources::cuda::sample(inputs.query, inputs.out(), nullptr);
     fourd::sources::cuda::sample_backward(inputs.query, inputs.samples.data(), inputs.gradients(), nullptr);
-    inputs.expect_sound(seed);
+    inputs.expect_finite_results(seed);
 }
 
 }  // namespace
 
-int main(int count, char** words) {
-    const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(words[1])) : 100;
+int main(int count, char** arguments) {
+    const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(arguments[1])) : 100;
     for (unsigned seed = 0; seed < runs; ++seed) {
         run_points(seed);
         run_play(seed);

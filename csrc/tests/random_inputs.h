@@ -1,4 +1,4 @@
-// Random and hostile inputs of kernels, the same for a seed.
+// Random and hostile inputs of kernels, determined by a seed.
 #pragma once
 
 #include <cmath>
@@ -15,15 +15,17 @@ namespace fourd::tests {
 using Random = std::mt19937;
 using Floats = std::vector<float>;
 
-constexpr float kNothing = std::numeric_limits<float>::quiet_NaN();
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
-constexpr float kHostile[] = {kNothing, kInfinity, -kInfinity, 3e38f, -3e38f, 1e-42f, 0.0f, -0.0f, -1.0f};
+constexpr float kHostile[] = {kNan, kInfinity, -kInfinity, 3e38f, -3e38f, 1e-42f, 0.0f, -0.0f, -1.0f};
 
 inline float uniform(Random& random, float low, float high) {
     return std::uniform_real_distribution<float>(low, high)(random);
 }
 
-inline int whole(Random& random, int low, int high) { return std::uniform_int_distribution<int>(low, high)(random); }
+inline int random_int(Random& random, int low, int high) {
+    return std::uniform_int_distribution<int>(low, high)(random);
+}
 
 inline void expect_finite(const Floats& values, const char* what, unsigned seed) {
     for (const float value : values) {
@@ -37,14 +39,14 @@ inline Floats random_floats(Random& random, std::size_t count, float low, float 
     Floats values(count);
     for (float& value : values) {
         value = uniform(random, low, high);
-        if (uniform(random, 0, 1) < hostile_share) value = kHostile[whole(random, 0, 8)];
+        if (uniform(random, 0, 1) < hostile_share) value = kHostile[random_int(random, 0, 8)];
     }
     return values;
 }
 
 inline points::Settings random_settings(Random& random, const char* simd) {
     points::Settings settings{};
-    const int width = whole(random, 1, 70), height = whole(random, 1, 50);
+    const int width = random_int(random, 1, 70), height = random_int(random, 1, 50);
     const float focal = uniform(random, 1, 100);
     const float intrinsics[9] = {focal, 0, width / 2.0f, 0, focal, height / 2.0f, 0, 0, 1};
     const float rotation[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
@@ -54,9 +56,9 @@ inline points::Settings random_settings(Random& random, const char* simd) {
     for (int i = 0; i < 3; ++i) settings.camera.translation[i] = translation[i];
     settings.camera.width = width;
     settings.camera.height = height;
-    settings.near = 0.01f;
-    settings.layers = whole(random, 1, 30);
-    settings.threads = whole(random, 1, 4);
+    settings.near_depth = 0.01f;
+    settings.layers = random_int(random, 1, 30);
+    settings.threads = random_int(random, 1, 4);
     settings.simd = simd_named(simd);
     return settings;
 }

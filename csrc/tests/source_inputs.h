@@ -1,4 +1,4 @@
-// Random source views and points in and out of them.
+// Random source views, and points inside and outside them.
 #pragma once
 
 #include "sources/sources.h"
@@ -10,13 +10,14 @@ struct SourceInputs {
     Floats images, mattes, depth, features, xyz, softness;
     std::vector<sources::Pinhole> cameras;
     sources::Query query{};
-    Floats samples, trust, to_xyz, to_features;  // room for results
+    Floats samples, visibility, to_xyz, to_features;  // results
 
     SourceInputs(Random& random, float hostile) {
-        const std::size_t count = static_cast<std::size_t>(whole(random, 0, 200)), views = whole(random, 1, 4);
-        const int width = whole(random, 1, 30), height = whole(random, 1, 30);
-        const int channels = whole(random, 0, 2) ? 16 : whole(random, 0, 6);
-        const int across = whole(random, 1, 20), down = whole(random, 1, 20);
+        const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 200)),
+                          views = random_int(random, 1, 4);
+        const int width = random_int(random, 1, 30), height = random_int(random, 1, 30);
+        const int channels = random_int(random, 0, 2) ? 16 : random_int(random, 0, 6);
+        const int across = random_int(random, 1, 20), down = random_int(random, 1, 20);
         const std::size_t pixels = static_cast<std::size_t>(width) * height;
         images = random_floats(random, 3 * views * pixels, 0, 1, 0);
         mattes = random_floats(random, views * pixels, 0, 1, 0);
@@ -32,28 +33,34 @@ struct SourceInputs {
             for (int i = 0; i < 3; ++i) to.translation[i] = from.translation[i];
             cameras.push_back(to);
         }
-        const bool occluded = whole(random, 0, 1) == 1;
-        query.maps = {images.data(), mattes.data(), occluded ? depth.data() : nullptr,
-                      channels ? features.data() : nullptr, width, height, channels, channels ? across : 0,
+        const bool occluded = random_int(random, 0, 1) == 1;
+        query.maps = {images.data(),
+                      mattes.data(),
+                      occluded ? depth.data() : nullptr,
+                      channels ? features.data() : nullptr,
+                      width,
+                      height,
+                      channels,
+                      channels ? across : 0,
                       channels ? down : 0};
         query.cameras = cameras.data();
         query.views = static_cast<int>(views);
         query.xyz = xyz.data();
         query.count = count;
         query.softness = softness.data();
-        query.threads = whole(random, 1, 4);
+        query.threads = random_int(random, 1, 4);
         samples.resize(views * (channels + 3) * count);
-        trust.resize(views * count);
+        visibility.resize(views * count);
         to_xyz.resize(3 * count);
         to_features.resize(features.size());
     }
 
-    sources::Samples out() { return {samples.data(), trust.data()}; }
+    sources::Samples out() { return {samples.data(), visibility.data()}; }
     sources::Gradients gradients() { return {to_xyz.data(), features.empty() ? nullptr : to_features.data()}; }
 
-    void expect_sound(unsigned seed) const {
+    void expect_finite_results(unsigned seed) const {
         expect_finite(samples, "channels", seed);
-        expect_finite(trust, "trust", seed);
+        expect_finite(visibility, "trust", seed);
         expect_finite(to_features, "gradient of features", seed);
     }
 };

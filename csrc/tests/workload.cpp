@@ -1,7 +1,7 @@
 // Runs one kernel on a synthetic figure, for profilers and for counting instructions:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
 // KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity, hashgrid or
-// hashgrid_backward (where LAYERS is the logarithm of a level's most entries). Prints the milliseconds of a repeat.
+// hashgrid_backward (where LAYERS is log2 of a level's maximum number of entries). Prints the milliseconds per repeat.
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -30,7 +30,7 @@ struct Size {
     fourd::Simd simd;
 };
 
-// The figure of fourd/benchmarks/workloads.py: a closed surface of even points that fills 40% of the picture.
+// The figure of fourd/benchmarks/workloads.py: a closed surface of evenly spaced points that covers 40% of the picture.
 struct Figure {
     Floats xyz, features, radius, density;
 
@@ -64,7 +64,7 @@ fourd::points::Settings settings_of(const Size& size) {
     std::memcpy(out.camera.translation, translation, sizeof translation);
     out.camera.width = size.width;
     out.camera.height = size.height;
-    out.near = 0.01f;
+    out.near_depth = 0.01f;
     out.layers = size.layers;
     out.threads = size.threads;
     out.simd = size.simd;
@@ -118,7 +118,7 @@ std::function<void()> playing(const Size& size) {
     };
 }
 
-std::function<void()> looking_up(const Size& size, bool backward) {
+std::function<void()> sampling_planes(const Size& size, bool backward) {
     constexpr int kFeatures = 8, kLevels = 4;
     constexpr int kPairs[6][2] = {{0, 1}, {0, 2}, {1, 2}, {0, 3}, {1, 3}, {2, 3}};
     std::mt19937 random(6);
@@ -141,8 +141,9 @@ std::function<void()> looking_up(const Size& size, bool backward) {
             planes[k].values = values[k].data();
             targets.push_back(gradients[k].data());
         }
-        const fourd::planes::Query query{planes.data(), static_cast<int>(planes.size()), kFeatures, coordinates.data(),
-                                         size.points, size.threads, size.simd};
+        const fourd::planes::Query query{
+            planes.data(), static_cast<int>(planes.size()), kFeatures, coordinates.data(), size.points, size.threads,
+            size.simd};
         if (backward) {
             fourd::planes::sample_backward(query, samples.data(), targets.data(), nullptr);
         } else {
@@ -151,8 +152,8 @@ std::function<void()> looking_up(const Size& size, bool backward) {
     };
 }
 
-// Points along random lines, as samples of rays are, in 16 levels of 2 features from 16 to 2048 cells a side,
-// each of up to 2^layers entries.
+// Points along random lines, like samples of rays, in 16 levels of 2 features from 16 to 2048 cells per side, each with
+// up to 2^layers entries.
 std::function<void()> encoding(const Size& size, bool backward) {
     constexpr std::size_t kPerLine = 128;
     constexpr int kLevels = 16, kFeatures = 2;
@@ -187,8 +188,8 @@ std::function<void()> encoding(const Size& size, bool backward) {
     };
 }
 
-// In four views beside one another, with 16 features at half the pictures' resolution.
-std::function<void()> sampling(const Size& size, bool backward) {
+// Four adjacent views, with 16 features at half the pictures' resolution.
+std::function<void()> sampling_sources(const Size& size, bool backward) {
     constexpr int kViews = 4, kChannels = 16;
     const Figure figure(size.points);
     const fourd::points::Pinhole from = settings_of(size).camera;
@@ -202,17 +203,17 @@ std::function<void()> sampling(const Size& size, bool backward) {
     const std::size_t pixels = static_cast<std::size_t>(size.width) * size.height;
     return [=, images = Floats(3 * kViews * pixels, 0.4f), mattes = Floats(kViews * pixels, 1.0f),
             depth = Floats(kViews * pixels, 3.0f), features = Floats(kViews * kChannels * (pixels / 4), 0.2f),
-            samples = Floats(kViews * (kChannels + 3) * size.points, 0.5f), trust = Floats(kViews * size.points),
+            samples = Floats(kViews * (kChannels + 3) * size.points, 0.5f), visibility = Floats(kViews * size.points),
             to_features = Floats(kViews * kChannels * (pixels / 4)), to_xyz = Floats(3 * size.points),
             softness = Floats(size.points, 0.02f)]() mutable {
-        const fourd::sources::Maps maps{images.data(), mattes.data(), depth.data(), features.data(), size.width,
+        const fourd::sources::Maps maps{images.data(), mattes.data(), depth.data(),   features.data(), size.width,
                                         size.height,   kChannels,     size.width / 2, size.height / 2};
         const fourd::sources::Query query{maps,        cameras.data(),  kViews,       figure.xyz.data(),
                                           size.points, softness.data(), size.threads, size.simd};
         if (backward) {
             fourd::sources::sample_backward(query, samples.data(), {to_xyz.data(), to_features.data()});
         } else {
-            fourd::sources::sample(query, {samples.data(), trust.data()});
+            fourd::sources::sample(query, {samples.data(), visibility.data()});
         }
     };
 }
@@ -232,30 +233,34 @@ std::function<void()> comparing(const Size& size) {
 
 }  // namespace
 
-int main(int count, char** words) {
+int main(int count, char** arguments) {
     if (count < 8) {
         std::fprintf(stderr, "workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]\n");
         return 2;
     }
-    const std::string kernel = words[1];
-    const Size size{static_cast<std::size_t>(std::atoll(words[2])), std::atoi(words[3]), std::atoi(words[4]),
-                    std::atoi(words[5]), std::atoi(words[7]), fourd::simd_named(count > 8 ? words[8] : "")};
+    const std::string kernel = arguments[1];
+    const Size size{static_cast<std::size_t>(std::atoll(arguments[2])),
+                    std::atoi(arguments[3]),
+                    std::atoi(arguments[4]),
+                    std::atoi(arguments[5]),
+                    std::atoi(arguments[7]),
+                    fourd::simd_named(count > 8 ? arguments[8] : "")};
     std::function<void()> work;
     if (kernel == "render") work = rendering(size, false);
     if (kernel == "backward") work = rendering(size, true);
     if (kernel == "play") work = playing(size);
-    if (kernel == "planes") work = looking_up(size, false);
-    if (kernel == "planes_backward") work = looking_up(size, true);
+    if (kernel == "planes") work = sampling_planes(size, false);
+    if (kernel == "planes_backward") work = sampling_planes(size, true);
     if (kernel == "hashgrid") work = encoding(size, false);
     if (kernel == "hashgrid_backward") work = encoding(size, true);
-    if (kernel == "sources") work = sampling(size, false);
-    if (kernel == "sources_backward") work = sampling(size, true);
+    if (kernel == "sources") work = sampling_sources(size, false);
+    if (kernel == "sources_backward") work = sampling_sources(size, true);
     if (kernel == "similarity") work = comparing(size);
     if (!work) {
-        std::fprintf(stderr, "workload: no kernel %s\n", words[1]);
+        std::fprintf(stderr, "workload: no kernel %s\n", arguments[1]);
         return 2;
     }
-    const int repeats = std::atoi(words[6]);
+    const int repeats = std::atoi(arguments[6]);
     const auto started = std::chrono::steady_clock::now();
     for (int i = 0; i < repeats; ++i) work();
     const std::chrono::duration<double, std::milli> spent = std::chrono::steady_clock::now() - started;

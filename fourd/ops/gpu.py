@@ -26,12 +26,12 @@ class Gpu:
 
     Attributes:
         kernels: ``fourd._cuda``, or ``fourd._emulated`` for the CPU.
-        rooms: native object that predicts how many (point, tile) entries the next picture on this device needs.
+        estimator: native object that predicts how many (point, tile) entries the next picture on this device needs.
         device: the device.
     """
 
     kernels: ModuleType
-    rooms: Any
+    estimator: Any
     device: torch.device
 
     @property
@@ -59,7 +59,7 @@ def load_gpu(device: torch.device) -> Gpu:
         kernels = import_module("fourd._cuda")
     else:
         kernels = import_module("fourd._emulated")
-    return Gpu(kernels, kernels.Rooms(), device)
+    return Gpu(kernels, kernels.EntryEstimator(), device)
 
 
 @cache

@@ -90,7 +90,7 @@ def test_too_few_entries_give_the_same_picture(entries: int, gpu: torch.device, 
     for capacity in (entries, 200_000):
         # More bytes than needed: entries written past their memory overwrite other arrays of the workspace.
         workspace = torch.zeros(64 << 20, dtype=torch.uint8, device=gpu)
-        memory = (found.rooms, capacity, workspace, found.stream)
+        memory = (found.estimator, capacity, workspace, found.stream)
         out = [torch.empty(34, 50, 3, device=gpu), torch.empty(34, 50, device=gpu), torch.empty(34, 50, device=gpu)]
         found.kernels.render_points(*inputs, pack_camera(camera), 15, NEAR, 0.0, *memory, *out)
         gradient_out = [torch.empty_like(array) for array in inputs]
@@ -105,14 +105,14 @@ def test_too_few_entries_give_the_same_picture(entries: int, gpu: torch.device, 
 def test_the_entry_estimate_grows_to_the_need_of_pictures(gpu: torch.device) -> None:
     """Catches an estimate that never adapts, which keeps a scene of large points slow."""
     kernels = load_gpu(gpu).kernels
-    rooms, camera, count = kernels.Rooms(), turned_camera(128, 128), 3000
+    estimator, camera, count = kernels.EntryEstimator(), turned_camera(128, 128), 3000
     arrays = [torch.zeros(count, 3), torch.full((count,), 6.0), torch.full((count,), 0.5)]
     inputs = [array.to(gpu) for array in arrays]
     out = torch.empty(count, device=gpu)
     planned = []
     for _ in range(2):
-        entries, size = kernels.plan_points(rooms, count, 0, 128, 128)
-        memory = (rooms, entries, torch.empty(size, dtype=torch.uint8, device=gpu), load_gpu(gpu).stream)
+        entries, size = kernels.plan_points(estimator, count, 0, 128, 128)
+        memory = (estimator, entries, torch.empty(size, dtype=torch.uint8, device=gpu), load_gpu(gpu).stream)
         kernels.point_visibility(*inputs, pack_camera(camera), 128, 128, 15, NEAR, *memory, out)
         if gpu.type == "cuda":
             torch.cuda.synchronize()
@@ -141,7 +141,7 @@ def test_small_workspaces_and_wrong_shapes_are_rejected(gpu: torch.device, rng: 
 
     def draw(size: int, images: list[Tensor]) -> None:
         workspace = torch.empty(size, dtype=torch.uint8, device=gpu)
-        memory = (found.rooms, 1000, workspace, found.stream)
+        memory = (found.estimator, 1000, workspace, found.stream)
         found.kernels.render_points(*inputs, pack_camera(camera), 15, NEAR, 0.0, *memory, *images)
 
     with pytest.raises(ValueError, match="workspace: expected the bytes that the plan names"):

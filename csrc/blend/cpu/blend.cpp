@@ -12,9 +12,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 64 * kRun;
 
-int tasks_of(const Inputs& inputs) {
-    return static_cast<int>((inputs.count + kPointsPerTask - 1) / kPointsPerTask);
-}
+int tasks_of(const Inputs& inputs) { return static_cast<int>((inputs.count + kPointsPerTask - 1) / kPointsPerTask); }
 
 // Calls work(first, count) for each run of a task's points.
 template <typename Work>
@@ -25,12 +23,12 @@ void for_runs(const Inputs& inputs, int task, const Work& work) {
     }
 }
 
-// A task's sums, side by side.
+// The number of partial sums of a task.
 std::size_t sums_size(const Mlp& mlp) {
     return (static_cast<std::size_t>(mlp.channels) * mlp.hidden + mlp.hidden + 1) * kLanes;
 }
 
-// Adds number i of a task's sums, part by part.
+// The total of sum i over its kLanes parts.
 float total(const float* sums, std::size_t i) {
     float out = 0.0f;
     for (int lane = 0; lane < kLanes; ++lane) out += sums[i * kLanes + lane];
@@ -51,7 +49,7 @@ void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, 
                      const Gradients& out) {
     const Loops& loops = select_loops(inputs.simd);
     const std::size_t weights = static_cast<std::size_t>(mlp.channels) * mlp.hidden;
-    // Each task has its own sums, which are added in the tasks' order: the same for any number of threads.
+    // Each task has its own sums, added in the order of tasks: the result does not depend on the number of threads.
     std::vector<float> sums(tasks_of(inputs) * sums_size(mlp), 0.0f);
     Team team(inputs.threads);
     team.run(tasks_of(inputs), [&](int task, int) {

@@ -1,4 +1,4 @@
-// Lanes are points: no sum runs across a vector, and weights are scalars.
+// The inner loops over runs of points. Lanes are points: no sum runs across a vector, and weights are scalars.
 #include <cmath>
 #include <cstring>
 
@@ -16,14 +16,14 @@ constexpr int kNative = 4;
 #endif
 constexpr int kParts = kRun / kNative;
 constexpr int kSums = kLanes / kNative;
-typedef float Wide __attribute__((vector_size(4 * kNative)));
+typedef float Vector __attribute__((vector_size(4 * kNative)));
 
-// A number of every point of the run; 0 for those that the last run lacks.
-struct Row {
-    Wide part[kParts];
+// One value per point of a run; 0 for points that the last run lacks.
+struct RunValues {
+    Vector part[kParts];
 };
 
-inline void load_row(const float* from, int count, Row* to) {
+inline void load_run(const float* from, int count, RunValues* to) {
     if (count == kRun) {
         std::memcpy(to, from, sizeof *to);
         return;
@@ -32,32 +32,32 @@ inline void load_row(const float* from, int count, Row* to) {
     std::memcpy(to, from, count * sizeof(float));
 }
 
-inline void store_row(const Row& from, int count, float* to) { std::memcpy(to, &from, count * sizeof(float)); }
+inline void store_run(const RunValues& from, int count, float* to) { std::memcpy(to, &from, count * sizeof(float)); }
 
-// out[h] = the points' numbers h.
-inline void load_transposed(const float* from, int width, int count, Row* out) {
-    if (count < kRun) std::memset(out, 0, width * sizeof(Row));
+// out[h] holds value h of every point.
+inline void load_transposed(const float* from, int width, int count, RunValues* out) {
+    if (count < kRun) std::memset(out, 0, width * sizeof(RunValues));
     float* to = reinterpret_cast<float*>(out);
     for (int i = 0; i < count; ++i) {
         for (int h = 0; h < width; ++h) to[h * kRun + i] = from[static_cast<std::size_t>(i) * width + h];
     }
 }
 
-inline void store_transposed(const Row* from, int width, int count, float* to) {
+inline void store_transposed(const RunValues* from, int width, int count, float* to) {
     const float* rows = reinterpret_cast<const float*>(from);
     for (int i = 0; i < count; ++i) {
         for (int h = 0; h < width; ++h) to[static_cast<std::size_t>(i) * width + h] = rows[h * kRun + i];
     }
 }
 
-// Where a view's samples of channel c begin.
+// Offset of a view's samples of channel c.
 inline std::size_t sample_at(const Mlp& mlp, const Inputs& inputs, std::size_t view, int c, std::size_t first) {
     return (view * mlp.channels + c) * inputs.count + first;
 }
 
-// The run's hidden layer h before its ReLU.
-inline Row hidden_row(const Mlp& mlp, const Row& point, const Row* samples, int h) {
-    Row sum = point;
+// Hidden unit h of every point before its ReLU.
+inline RunValues hidden_values(const Mlp& mlp, const RunValues& point, const RunValues* samples, int h) {
+    RunValues sum = point;
     for (int c = 0; c < mlp.channels; ++c) {
         const float weight = mlp.weight[static_cast<std::size_t>(c) * mlp.hidden + h];
         for (int p = 0; p < kParts; ++p) sum.part[p] += weight * samples[c].part[p];
@@ -66,18 +66,18 @@ inline Row hidden_row(const Mlp& mlp, const Row& point, const Row* samples, int 
 }
 
 void forward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count, float* logits) {
-    Row point[kMostHidden], samples[kMostChannels];
+    RunValues point[kMaxHidden], samples[kMaxChannels];
     load_transposed(inputs.point + first * mlp.hidden, mlp.hidden, count, point);
     for (std::size_t view = 0; view < inputs.views; ++view) {
         for (int c = 0; c < mlp.channels; ++c) {
-            load_row(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
+            load_run(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
         }
-        Row raw;
-        for (int p = 0; p < kParts; ++p) raw.part[p] = mlp.bias - Wide{};
+        RunValues raw;
+        for (int p = 0; p < kParts; ++p) raw.part[p] = mlp.bias - Vector{};
         for (int h = 0; h < mlp.hidden; ++h) {
-            const Row hidden = hidden_row(mlp, point[h], samples, h);
+            const RunValues hidden = hidden_values(mlp, point[h], samples, h);
             for (int p = 0; p < kParts; ++p) {
-                raw.part[p] += mlp.out[h] * (hidden.part[p] > 0.0f ? hidden.part[p] : Wide{});
+                raw.part[p] += mlp.out[h] * (hidden.part[p] > 0.0f ? hidden.part[p] : Vector{});
             }
         }
         float values[kRun];
@@ -87,10 +87,10 @@ void forward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count,
     }
 }
 
-// Adds the sums over points of a times b, in kLanes parts.
-inline void add_products(const Row& a, const Row& b, float* sum) {
+// Adds the products a * b to kLanes partial sums over points.
+inline void add_products(const RunValues& a, const RunValues& b, float* sum) {
     for (int first = 0; first < kSums; ++first) {
-        Wide total;
+        Vector total;
         std::memcpy(&total, sum + first * kNative, sizeof total);
         for (int p = first; p < kParts; p += kSums) total += a.part[p] * b.part[p];
         std::memcpy(sum + first * kNative, &total, sizeof total);
@@ -99,35 +99,35 @@ inline void add_products(const Row& a, const Row& b, float* sum) {
 
 void backward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count, const float* logits,
               const float* gradient, const Gradients& out, const Sums& sums) {
-    Row point[kMostHidden], to_point[kMostHidden], samples[kMostChannels], back[kMostHidden];
+    RunValues point[kMaxHidden], to_point[kMaxHidden], samples[kMaxChannels], back[kMaxHidden];
     load_transposed(inputs.point + first * mlp.hidden, mlp.hidden, count, point);
-    std::memset(to_point, 0, mlp.hidden * sizeof(Row));
-    Row ones;
-    for (int p = 0; p < kParts; ++p) ones.part[p] = 1.0f - Wide{};
+    std::memset(to_point, 0, mlp.hidden * sizeof(RunValues));
+    RunValues ones;
+    for (int p = 0; p < kParts; ++p) ones.part[p] = 1.0f - Vector{};
     for (std::size_t view = 0; view < inputs.views; ++view) {
         for (int c = 0; c < mlp.channels; ++c) {
-            load_row(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
+            load_run(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
         }
-        Row share, raw;
-        load_row(logits + view * inputs.count + first, count, &share);
-        load_row(gradient + view * inputs.count + first, count, &raw);
+        RunValues share, raw;
+        load_run(logits + view * inputs.count + first, count, &share);
+        load_run(gradient + view * inputs.count + first, count, &raw);
         for (int p = 0; p < kParts; ++p) {
-            const Wide ratio = share.part[p] / mlp.range;
+            const Vector ratio = share.part[p] / mlp.range;
             raw.part[p] *= 1.0f - ratio * ratio;
         }
         add_products(raw, ones, sums.bias);
         for (int h = 0; h < mlp.hidden; ++h) {
-            Row hidden = hidden_row(mlp, point[h], samples, h);
+            RunValues hidden = hidden_values(mlp, point[h], samples, h);
             for (int p = 0; p < kParts; ++p) {
-                back[h].part[p] = hidden.part[p] > 0.0f ? mlp.out[h] * raw.part[p] : Wide{};
+                back[h].part[p] = hidden.part[p] > 0.0f ? mlp.out[h] * raw.part[p] : Vector{};
                 to_point[h].part[p] += back[h].part[p];
-                hidden.part[p] = hidden.part[p] > 0.0f ? hidden.part[p] : Wide{};
+                hidden.part[p] = hidden.part[p] > 0.0f ? hidden.part[p] : Vector{};
             }
             add_products(raw, hidden, sums.out + h * kLanes);
         }
         for (int c = 0; c < mlp.channels; ++c) {
             const std::size_t row = static_cast<std::size_t>(c) * mlp.hidden;
-            Row to_sample = {};
+            RunValues to_sample = {};
             for (int h = 0; h < mlp.hidden; ++h) {
                 const float weight = mlp.weight[row + h];
                 for (int p = 0; p < kParts; ++p) to_sample.part[p] += weight * back[h].part[p];
@@ -135,7 +135,7 @@ void backward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count
             for (int h = 0; h < mlp.hidden; ++h) {
                 add_products(back[h], samples[c], sums.weight + (row + h) * kLanes);
             }
-            store_row(to_sample, count, out.samples + sample_at(mlp, inputs, view, c, first));
+            store_run(to_sample, count, out.samples + sample_at(mlp, inputs, view, c, first));
         }
     }
     store_transposed(to_point, mlp.hidden, count, out.point + first * mlp.hidden);

@@ -9,9 +9,9 @@
 namespace fourd::blend {
 
 constexpr int kLanes = 16;
-constexpr int kRun = 64;  // points that are worked on together, side by side in vectors
+constexpr int kRun = 64;  // points processed together, as vectors
 
-// What a task adds up for the MLP's gradient, each number in kLanes parts.
+// A task's sums for the MLP's gradient, each in kLanes parts.
 struct Sums {
     float* weight;  // (channels, hidden, kLanes)
     float* out;     // (hidden, kLanes)

@@ -8,10 +8,10 @@
 namespace fourd::hashgrid {
 namespace {
 
-// Few enough that their rows stay in the second-level cache from level to level, many enough that a level does too.
+// Few enough that their rows stay in the L2 cache from level to level, many enough that a level does too.
 constexpr std::size_t kPointsPerTask = 4096;
 
-// Calls work(begin, end) for stretches of the points, on every worker of the team.
+// Calls work(begin, end) for parts of the points, on every worker of the team.
 template <typename Work>
 void for_stretches(const Query& query, Team& team, const Work& work) {
     team.run(static_cast<int>((query.count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
@@ -20,7 +20,7 @@ void for_stretches(const Query& query, Team& team, const Work& work) {
     });
 }
 
-// Zeros in a level's entries, and in those between it and the next.
+// Zeroes a level's entries and the padding after them.
 void clear(const Query& query, int l, float* grad_table) {
     const std::size_t begin = query.levels[l].first;
     const std::size_t end = l + 1 < query.level_count ? query.levels[l + 1].first : query.entries;
@@ -42,9 +42,9 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     Team team(query.threads);
     if (grad_table != nullptr) {
         prefer_huge_pages(grad_table, query.entries * query.features * sizeof(float));
-        // One worker does a level from its first point to its last: nothing to lock, and sums taken in one order.
+        // One worker does a level from its first point to its last: no locks, and sums in one order.
         team.run(query.level_count, [&](int task, int) {
-            const int l = query.level_count - 1 - task;  // the small levels last, to fill what time is left
+            const int l = query.level_count - 1 - task;  // the small levels last, for an even load
             clear(query, l, grad_table);
             loops.scatter(query, l, gradient, grad_table);
         });
@@ -52,7 +52,8 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     if (grad_coordinates == nullptr) return;
     for_stretches(query, team, [&](std::size_t begin, std::size_t end) {
         std::memset(grad_coordinates + 3 * begin, 0, 3 * (end - begin) * sizeof(float));
-        for (int l = 0; l < query.level_count; ++l) loops.move(query, l, begin, end, gradient, grad_coordinates);
+        for (int l = 0; l < query.level_count; ++l)
+            loops.coordinate_gradient(query, l, begin, end, gradient, grad_coordinates);
     });
 }
 

@@ -1,4 +1,4 @@
-// What is done with runs of points at one level, as plain loops that compilers turn into vectors.
+// Loops over the points of one level, written so that compilers vectorise them.
 #include "hashgrid/cpu/loops.h"
 
 #include <cstdint>
@@ -9,9 +9,9 @@
 namespace fourd::hashgrid::FOURD_SIMD {
 namespace {
 
-constexpr int kRun = 16;  // points whose cells are found together, and fetched while those before are used
+constexpr int kRun = 16;  // points whose cells are computed together; the next run is prefetched meanwhile
 
-// So many floats that are added and multiplied together.
+// A vector of Width floats.
 template <int Width>
 struct Vector;
 template <>
@@ -32,7 +32,7 @@ constexpr int width_of(int features) { return features % 4 == 0 ? 4 : features %
 constexpr int width_of(int) { return 1; }
 #endif
 
-// The features of an entry, or of its gradient.
+// The features of an entry, or their gradient.
 template <int Features>
 struct Entry {
     static constexpr int kWidth = width_of(Features), kParts = Features / kWidth;
@@ -65,10 +65,10 @@ FOURD_INLINE void add(float weight, const Entry<Features>& from, Entry<Features>
 struct Cells {
     std::uint32_t entry[kCorners][kRun];
     float weight[kCorners / 2][kRun];
-    float share[kRun];
+    float fraction[kRun];
 };
 
-// A run's coordinates, by axis. Places after the last point hold zeros.
+// A run's coordinates, by axis; zeros after the last point.
 struct Coordinates {
     float at[3][kRun];
 };
@@ -87,15 +87,15 @@ FOURD_INLINE void find_cells_as(const Level& level, const Coordinates& from, Cel
     Level known = level;
     known.hashed = Hashed;
     for (int i = 0; i < kRun; ++i) {
-        const Cell cell = cell_of(known, between(level, from.at[0][i]), between(level, from.at[1][i]),
-                                  between(level, from.at[2][i]));
+        const Cell cell = cell_of(known, interpolate_axis(level, from.at[0][i]), interpolate_axis(level, from.at[1][i]),
+                                  interpolate_axis(level, from.at[2][i]));
         for (int corner = 0; corner < kCorners; ++corner) out->entry[corner][i] = cell.entry[corner];
         for (int edge = 0; edge < kCorners / 2; ++edge) out->weight[edge][i] = cell.weight[edge];
-        out->share[i] = cell.share;
+        out->fraction[i] = cell.fraction;
     }
 }
 
-// The cells of count points, at most kRun. Not inlined by force: it is most of what is compiled, and the same for all uses.
+// The cells of count points, at most kRun. Not forced inline: it is most of the code, and the same for all callers.
 void find_cells(const Level& level, const float* coordinates, int count, Cells* out) {
     Coordinates run;
     gather(coordinates, count, &run);
@@ -111,40 +111,44 @@ FOURD_INLINE std::size_t entry_of(const Cells& cells, int corner, int i) {
     return std::size_t{cells.entry[corner][i]} * Features;
 }
 
-// Fetches the lines of point i's entries.
+// Prefetches the entries of point i.
 template <int Features, int Write>
-FOURD_INLINE void fetch(const Cells& cells, int i, const float* values) {
+FOURD_INLINE void prefetch_entries(const Cells& cells, int i, const float* values) {
     for (int corner = 0; corner < kCorners; ++corner) {
-        __builtin_prefetch(values + entry_of<Features>(cells, corner, i), Write);
+        if (Write) {
+            prefetch_for_write(values + entry_of<Features>(cells, corner, i));
+        } else {
+            prefetch(values + entry_of<Features>(cells, corner, i));
+        }
     }
 }
 
-// The weighted mean of the corners' entries.
+// The trilinear interpolation of the corners' entries.
 template <int Features>
-FOURD_INLINE void mix(const Cells& cells, int i, const float* values, float* out) {
-    Entry<Features> near = {}, far = {}, entry;
+FOURD_INLINE void interpolate(const Cells& cells, int i, const float* values, float* out) {
+    Entry<Features> lower = {}, upper = {}, entry;
     for (int edge = 0; edge < kCorners / 2; ++edge) {
         load(values + entry_of<Features>(cells, 2 * edge, i), &entry);
-        add(cells.weight[edge][i], entry, &near);
+        add(cells.weight[edge][i], entry, &lower);
         load(values + entry_of<Features>(cells, 2 * edge + 1, i), &entry);
-        add(cells.weight[edge][i], entry, &far);
+        add(cells.weight[edge][i], entry, &upper);
     }
-    add(-1.0f, near, &far);
-    add(cells.share[i], far, &near);
-    store(near, out);
+    add(-1.0f, lower, &upper);
+    add(cells.fraction[i], upper, &lower);
+    store(lower, out);
 }
 
-// Adds the corners' shares of a gradient to their entries.
+// Adds each corner's share of a gradient to its entry.
 template <int Features>
-FOURD_INLINE void spread(const Cells& cells, int i, const float* gradient, float* values) {
-    Entry<Features> near, far = {}, entry;
-    load(gradient, &near);
-    add(cells.share[i], near, &far);
-    add(-1.0f, far, &near);
+FOURD_INLINE void scatter_sample(const Cells& cells, int i, const float* gradient, float* values) {
+    Entry<Features> lower, upper = {}, entry;
+    load(gradient, &lower);
+    add(cells.fraction[i], lower, &upper);
+    add(-1.0f, upper, &lower);
     for (int corner = 0; corner < kCorners; ++corner) {
         float* const at = values + entry_of<Features>(cells, corner, i);
         load(at, &entry);
-        add(cells.weight[corner / 2][i], corner % 2 ? far : near, &entry);
+        add(cells.weight[corner / 2][i], corner % 2 ? upper : lower, &entry);
         store(entry, at);
     }
 }
@@ -153,10 +157,10 @@ FOURD_INLINE int run_length(std::size_t begin, std::size_t end) {
     return end - begin < kRun ? static_cast<int>(end - begin) : kRun;
 }
 
-// Calls use(cells, i, point) for the points from begin to end, and fetch(cells, i, point) for each a run before that.
+// Calls use(cells, i, point) for the points from begin to end, and prefetch_entries(cells, i, point) one run earlier.
 template <typename Fetch, typename Use>
 FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::size_t begin, std::size_t end,
-                            const Fetch& fetch, const Use& use) {
+                            const Fetch& prefetch_entries, const Use& use) {
     Cells cells[2];
     int count = run_length(begin, end);
     find_cells(level, coordinates + 3 * begin, count, &cells[0]);
@@ -165,7 +169,7 @@ FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::s
         const int later = run_length(ahead, end);
         if (later > 0) find_cells(level, coordinates + 3 * ahead, later, &cells[1 - turn]);
         for (int i = 0; i < later; ++i) {
-            fetch(cells[1 - turn], i, ahead + i);
+            prefetch_entries(cells[1 - turn], i, ahead + i);
             use(cells[turn], i, begin + i);
         }
         for (int i = later; i < count; ++i) use(cells[turn], i, begin + i);
@@ -174,69 +178,69 @@ FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::s
     }
 }
 
-// The parts of arrays that a level has to do with.
+// One level's part of the arrays.
 template <int Features>
-struct At {
+struct LevelView {
     const Level& level;
     std::size_t width;   // of a row of the encoding
-    std::size_t column;  // where the level's features begin in it
-    std::size_t values;  // where its entries begin in the table
+    std::size_t column;  // of the level's first feature in a row
+    std::size_t values;  // offset of the level's entries in the table
 
-    At(const Query& query, int l)
+    LevelView(const Query& query, int l)
         : level(query.levels[l]),
           width(static_cast<std::size_t>(query.level_count) * Features),
           column(static_cast<std::size_t>(l) * Features),
           values(query.levels[l].first * Features) {}
 };
 
-// One level's part of the encoding of the points from begin to end.
+// Encodes the points from begin to end at one level.
 template <int Features>
 FOURD_INLINE void encode_level(const Query& query, int l, std::size_t begin, std::size_t end, float* out) {
-    const At<Features> at(query, l);
+    const LevelView<Features> at(query, l);
     const float* const values = query.table + at.values;
     for_cells(
         at.level, query.coordinates, begin, end,
-        [&](const Cells& cells, int i, std::size_t) FOURD_ALWAYS { fetch<Features, 0>(cells, i, values); },
-        [&](const Cells& cells, int i, std::size_t point) FOURD_ALWAYS {
-            mix<Features>(cells, i, values, out + at.width * point + at.column);
-        });
+        [&](const Cells& cells, int i, std::size_t)
+            FOURD_INLINE_LAMBDA { prefetch_entries<Features, 0>(cells, i, values); },
+        [&](const Cells& cells, int i, std::size_t point)
+            FOURD_INLINE_LAMBDA { interpolate<Features>(cells, i, values, out + at.width * point + at.column); });
 }
 
-// Adds what one level gets of all points' gradient to its entries.
+// Adds the gradient of all points to one level's entries.
 template <int Features>
 FOURD_INLINE void scatter_level(const Query& query, int l, const float* gradient, float* grad_table) {
-    const At<Features> at(query, l);
+    const LevelView<Features> at(query, l);
     const float* const from = gradient + at.column;
     float* const values = grad_table + at.values;
     for_cells(
         at.level, query.coordinates, 0, query.count,
-        [&](const Cells& cells, int i, std::size_t point) FOURD_ALWAYS {
-            fetch<Features, 1>(cells, i, values);
-            __builtin_prefetch(from + at.width * point);
+        [&](const Cells& cells, int i, std::size_t point) FOURD_INLINE_LAMBDA {
+            prefetch_entries<Features, 1>(cells, i, values);
+            prefetch(from + at.width * point);
         },
-        [&](const Cells& cells, int i, std::size_t point) FOURD_ALWAYS {
-            spread<Features>(cells, i, from + at.width * point, values);
-        });
+        [&](const Cells& cells, int i, std::size_t point)
+            FOURD_INLINE_LAMBDA { scatter_sample<Features>(cells, i, from + at.width * point, values); });
 }
 
-// Adds what one level finds of the gradient in the points from begin to end.
+// Adds one level's part of the gradient with respect to the coordinates of the points from begin to end.
 template <int Features>
-FOURD_INLINE void move_level(const Query& query, int l, std::size_t begin, std::size_t end, const float* gradient,
-                             float* grad_coordinates) {
-    const At<Features> at(query, l);
+FOURD_INLINE void coordinate_gradient_level(const Query& query, int l, std::size_t begin, std::size_t end,
+                                            const float* gradient, float* grad_coordinates) {
+    const LevelView<Features> at(query, l);
     const float* const values = query.table + at.values;
     for_cells(
         at.level, query.coordinates, begin, end,
-        [&](const Cells& cells, int i, std::size_t) FOURD_ALWAYS { fetch<Features, 0>(cells, i, values); },
-        [&](const Cells& cells, int i, std::size_t point) FOURD_ALWAYS {
+        [&](const Cells& cells, int i, std::size_t)
+            FOURD_INLINE_LAMBDA { prefetch_entries<Features, 0>(cells, i, values); },
+        [&](const Cells& cells, int i, std::size_t point) FOURD_INLINE_LAMBDA {
             const float* const from = gradient + at.width * point + at.column;
-            float along[kCorners];  // the gradient's part in each corner's entry
+            float grad_corner[kCorners];  // gradient with respect to the corners' entries, dotted with them
             for (int corner = 0; corner < kCorners; ++corner) {
                 const float* const entry = values + entry_of<Features>(cells, corner, i);
-                along[corner] = 0.0f;
-                for (int f = 0; f < Features; ++f) along[corner] += from[f] * entry[f];
+                grad_corner[corner] = 0.0f;
+                for (int f = 0; f < Features; ++f) grad_corner[corner] += from[f] * entry[f];
             }
-            add_slopes(at.level, query.coordinates + 3 * point, along, grad_coordinates + 3 * point);
+            add_slopes(at.level, query.coordinates + 3 * point, grad_corner, grad_coordinates + 3 * point);
         });
 }
 
@@ -251,16 +255,17 @@ void scatter(const Query& query, int level, const float* gradient, float* out) {
 }
 
 template <int Features>
-void move(const Query& query, int level, std::size_t begin, std::size_t end, const float* gradient, float* out) {
-    move_level<Features>(query, level, begin, end, gradient, out);
+void coordinate_gradient(const Query& query, int level, std::size_t begin, std::size_t end, const float* gradient,
+                         float* out) {
+    coordinate_gradient_level<Features>(query, level, begin, end, gradient, out);
 }
 
 template <int Features>
-constexpr LevelLoops kLevelLoops = {encode<Features>, scatter<Features>, move<Features>};
+constexpr LevelLoops kLevelLoops = {encode<Features>, scatter<Features>, coordinate_gradient<Features>};
 
 }  // namespace
 
-static_assert(kMostFeatures == 8, "one entry for each number of features");
+static_assert(kMaxFeatures == 8, "one entry for each number of features");
 const Loops loops = {{kLevelLoops<1>, kLevelLoops<2>, kLevelLoops<3>, kLevelLoops<4>, kLevelLoops<5>, kLevelLoops<6>,
                       kLevelLoops<7>, kLevelLoops<8>}};
 

@@ -9,17 +9,17 @@ namespace fourd::hashgrid {
 struct LevelLoops {
     void (*encode)(const Query&, int level, std::size_t begin, std::size_t end, float* out);
     void (*scatter)(const Query&, int level, const float* gradient, float* grad_table);
-    void (*move)(const Query&, int level, std::size_t begin, std::size_t end, const float* gradient,
-                 float* grad_coordinates);
+    void (*coordinate_gradient)(const Query&, int level, std::size_t begin, std::size_t end, const float* gradient,
+                                float* grad_coordinates);
 };
 
 struct Loops {
-    LevelLoops by_features[kMostFeatures];
+    LevelLoops by_features[kMaxFeatures];
 
     const LevelLoops& of(int features) const { return by_features[features - 1]; }
 };
 
-// Memory bandwidth is the limit: loops for AVX-512 would be 5% faster, which is not worth their size.
+// Memory bandwidth is the limit: AVX-512 would be 5% faster, which is not worth its code size.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::hashgrid

@@ -1,4 +1,4 @@
-// The hash grid on a GPU: fourd/ops/hashgrid/op.py says what is computed.
+// Python bindings of the hash grid on a GPU; fourd/ops/hashgrid/op.py documents what they compute.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

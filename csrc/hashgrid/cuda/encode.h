@@ -1,5 +1,5 @@
-// The hash grid on a GPU; see hashgrid/hashgrid.h. As points/cuda/render.h: the arrays are in the GPU's memory, and
-// nothing waits. query.levels is in the host's.
+// The hash grid on a GPU (hashgrid/hashgrid.h), asynchronous as points/cuda/render.h. Arrays are in GPU memory;
+// query.levels is in host memory.
 #pragma once
 
 #include "hashgrid/hashgrid.h"
@@ -8,7 +8,7 @@ namespace fourd::hashgrid::cuda {
 
 void encode(const Query& query, float* out, void* stream);
 
-// Sums over points are made in no set order: the last bits differ from run to run.
+// The order of sums over points is not fixed: the last bits differ between runs.
 void encode_backward(const Query& query, const float* gradient, float* grad_table, float* grad_coordinates,
                      void* stream);
 

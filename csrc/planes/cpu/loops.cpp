@@ -1,4 +1,4 @@
-// What is done with runs of points, as plain loops over features that compilers turn into vectors.
+// Loops over runs of points, written so that compilers vectorise them over features.
 #include "planes/cpu/loops.h"
 
 #include <cstring>
@@ -9,9 +9,9 @@
 namespace fourd::planes::FOURD_SIMD {
 namespace {
 
-constexpr int kAhead = 4;  // so many points ahead memory is asked for
+constexpr int kPrefetchDistance = 4;  // in points
 
-FOURD_INLINE void place_run(const Plan& plan, std::size_t begin, int count, const Places& out) {
+FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, const RunPositions& out) {
     float coordinates[4][kRun];
     for (int i = 0; i < count; ++i) {
         const float* at = plan.query->coordinates + 4 * static_cast<std::size_t>(plan.order[begin + i]);
@@ -21,18 +21,18 @@ FOURD_INLINE void place_run(const Plan& plan, std::size_t begin, int count, cons
         const float* from = coordinates[plan.axes[axis].coordinate];
         const int size = plan.axes[axis].size;
         for (int i = 0; i < count; ++i) {
-            const Between place = between(from[i], size);
+            const Interpolation place = interpolate_axis(from[i], size);
             out.low[axis * kRun + i] = place.low;
-            out.share[axis * kRun + i] = place.share;
+            out.fraction[axis * kRun + i] = place.fraction;
             out.slope[axis * kRun + i] = place.slope;
         }
     }
 }
 
-// Asks for the samples around a run's point i, in those of the planes first to last (not included) that are large;
-// values are the planes' or arrays like them.
+// Prefetches the samples around a run's point i, in the large planes among first to last (exclusive). values(k) is the
+// array of plane k or one like it.
 template <typename Values>
-FOURD_INLINE void prefetch_samples(const Plan& plan, const Places& places, int i, int first, int last,
+FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {
     const Query& query = *plan.query;
     const std::size_t pair = 2 * static_cast<std::size_t>(query.features) - 1;
@@ -40,18 +40,18 @@ FOURD_INLINE void prefetch_samples(const Plan& plan, const Places& places, int i
         const int k = plan.large[j];
         if (k < first || k >= last) continue;
         const std::size_t columns = static_cast<std::size_t>(query.planes[k].columns);
-        const std::size_t row = static_cast<std::size_t>(places.low[plan.down[k] * kRun + i]);
-        const float* at = values(k) + (row * columns + places.low[plan.across[k] * kRun + i]) * query.features;
+        const std::size_t row = static_cast<std::size_t>(positions.low[plan.y_axis[k] * kRun + i]);
+        const float* at = values(k) + (row * columns + positions.low[plan.x_axis[k] * kRun + i]) * query.features;
         for (int rows = 0; rows < 2; ++rows, at += columns * query.features) {
-            __builtin_prefetch(at);
-            __builtin_prefetch(at + pair);
+            prefetch(at);
+            prefetch(at + pair);
         }
     }
 }
 
-// The bilinear mean of four samples: those at top and bottom, and the ones right of them.
+// The bilinear interpolation of four samples: those at top and bottom, and their right neighbours.
 template <int Features>
-FOURD_INLINE void mix(const Corners& c, const float* top, const float* bottom, int features, float* to) {
+FOURD_INLINE void interpolate(const Corners& c, const float* top, const float* bottom, int features, float* to) {
 #if defined(FOURD_EIGHT)
     if (Features == 8) {
         Eight corner[4];
@@ -68,9 +68,9 @@ FOURD_INLINE void mix(const Corners& c, const float* top, const float* bottom, i
     }
 }
 
-// Adds the samples' shares of a gradient to theirs.
+// Adds each sample's share of a gradient.
 template <int Features>
-FOURD_INLINE void spread(const Corners& c, const float* gradient, int features, float* top, float* bottom) {
+FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int features, float* top, float* bottom) {
 #if defined(FOURD_EIGHT)
     if (Features == 8) {
         Eight from, to;
@@ -92,10 +92,10 @@ FOURD_INLINE void spread(const Corners& c, const float* gradient, int features, 
     }
 }
 
-// Adds what the gradient finds in the differences between samples, by feature: across to along_x, down to along_y.
+// Adds the gradient with respect to the query's position, by feature, to along_x and along_y.
 template <int Features>
-FOURD_INLINE void slopes(const Between& x, const Between& y, const float* gradient, const float* top,
-                         const float* bottom, int features, float* along_x, float* along_y) {
+FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, const float* gradient, const float* top,
+                             const float* bottom, int features, float* along_x, float* along_y) {
 #if defined(FOURD_EIGHT)
     if (Features == 8) {
         Eight from, corner[4], to_x, to_y;
@@ -104,10 +104,10 @@ FOURD_INLINE void slopes(const Between& x, const Between& y, const float* gradie
         const Eight across = corner[1] - corner[0], down = corner[2] - corner[0];
         const Eight twist = (corner[3] - corner[2]) - across;
         load(along_x, &to_x);
-        to_x += x.slope * from * (across + y.share * twist);
+        to_x += x.slope * from * (across + y.fraction * twist);
         std::memcpy(along_x, &to_x, sizeof to_x);
         load(along_y, &to_y);
-        to_y += y.slope * from * (down + x.share * twist);
+        to_y += y.slope * from * (down + x.fraction * twist);
         std::memcpy(along_y, &to_y, sizeof to_y);
         return;
     }
@@ -115,48 +115,52 @@ FOURD_INLINE void slopes(const Between& x, const Between& y, const float* gradie
     for (int f = 0; f < features; ++f) {
         const float across = top[features + f] - top[f], down = bottom[f] - top[f];
         const float twist = (bottom[features + f] - bottom[f]) - across;
-        along_x[f] += x.slope * gradient[f] * (across + y.share * twist);
-        along_y[f] += y.slope * gradient[f] * (down + x.share * twist);
+        along_x[f] += x.slope * gradient[f] * (across + y.fraction * twist);
+        along_y[f] += y.slope * gradient[f] * (down + x.fraction * twist);
     }
 }
 
-// Features is their number, or 0 for what the query says.
+// Features is the number of features, or 0 if it is the query's.
 template <int Features>
-FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, const Places& places, float* out) {
+FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions,
+                             float* out) {
     const Query& query = *plan.query;
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
-    place_run(plan, begin, count, places);
-    const auto values = [&](int k) FOURD_ALWAYS { return query.planes[k].values; };
+    locate_run(plan, begin, count, positions);
+    const auto values = [&](int k) FOURD_INLINE_LAMBDA { return query.planes[k].values; };
     for (int i = 0; i < count; ++i) {
-        if (i + kAhead < count) prefetch_samples(plan, places, i + kAhead, 0, query.plane_count, values);
+        if (i + kPrefetchDistance < count)
+            prefetch_samples(plan, positions, i + kPrefetchDistance, 0, query.plane_count, values);
         float* to = out + width * plan.order[begin + i];
         for (int k = 0; k < query.plane_count; ++k, to += features) {
             const Plane& plane = query.planes[k];
-            const Corners c = corners(plane, places.at(plan.across[k], i), places.at(plan.down[k], i), features);
-            mix<Features>(c, plane.values + c.top, plane.values + c.bottom, features, to);
+            const Corners c =
+                corners(plane, positions.at(plan.x_axis[k], i), positions.at(plan.y_axis[k], i), features);
+            interpolate<Features>(c, plane.values + c.top, plane.values + c.bottom, features, to);
         }
     }
 }
 
 template <int Features>
-FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, int count, const Places& places,
+FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions,
                                           const float* gradient, float* out) {
     const Query& query = *plan.query;
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
-    place_run(plan, begin, count, places);
-    const auto values = [&](int k) FOURD_ALWAYS { return query.planes[k].values; };
+    locate_run(plan, begin, count, positions);
+    const auto values = [&](int k) FOURD_INLINE_LAMBDA { return query.planes[k].values; };
     for (int i = 0; i < count; ++i) {
-        if (i + kAhead < count) prefetch_samples(plan, places, i + kAhead, 0, query.plane_count, values);
+        if (i + kPrefetchDistance < count)
+            prefetch_samples(plan, positions, i + kPrefetchDistance, 0, query.plane_count, values);
         const float* from = gradient + width * plan.order[begin + i];
-        float total[4][Features > 0 ? Features : kMostFeatures] = {};  // by coordinate and feature
+        float total[4][Features > 0 ? Features : kMaxFeatures] = {};  // by coordinate and feature
         for (int k = 0; k < query.plane_count; ++k, from += features) {
             const Plane& plane = query.planes[k];
-            const Between x = places.at(plan.across[k], i), y = places.at(plan.down[k], i);
+            const Interpolation x = positions.at(plan.x_axis[k], i), y = positions.at(plan.y_axis[k], i);
             const Corners c = corners(plane, x, y, features);
-            slopes<Features>(x, y, from, plane.values + c.top, plane.values + c.bottom, features, total[plane.across],
-                             total[plane.down]);
+            add_slopes<Features>(x, y, from, plane.values + c.top, plane.values + c.bottom, features,
+                                 total[plane.x_axis], total[plane.y_axis]);
         }
         float* to = out + 4 * static_cast<std::size_t>(plan.order[begin + i]);
         for (int axis = 0; axis < 4; ++axis) {
@@ -167,44 +171,45 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
     }
 }
 
-// Adds what planes first to last (not included) get of the gradient to out, arrays like the planes' values.
+// Adds the gradient of planes first to last (exclusive) to out, arrays like the planes' values.
 template <int Features>
-FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const Places& places, int first, int last,
-                              const float* gradient, float* const* out) {
+FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions, int first,
+                              int last, const float* gradient, float* const* out) {
     const Query& query = *plan.query;
     const int features = Features > 0 ? Features : query.features;
     const std::size_t width = static_cast<std::size_t>(query.plane_count) * features;
-    place_run(plan, begin, count, places);
-    const auto values = [&](int k) FOURD_ALWAYS { return out[k]; };
+    locate_run(plan, begin, count, positions);
+    const auto values = [&](int k) FOURD_INLINE_LAMBDA { return out[k]; };
     for (int i = 0; i < count; ++i) {
-        if (i + kAhead < count) {
-            prefetch_samples(plan, places, i + kAhead, first, last, values);
-            const float* ahead = gradient + width * plan.order[begin + i + kAhead];
-            for (int f = first * features; f < last * features; f += 16) __builtin_prefetch(ahead + f);
+        if (i + kPrefetchDistance < count) {
+            prefetch_samples(plan, positions, i + kPrefetchDistance, first, last, values);
+            const float* ahead = gradient + width * plan.order[begin + i + kPrefetchDistance];
+            for (int f = first * features; f < last * features; f += 16) prefetch(ahead + f);
         }
         const float* from = gradient + width * plan.order[begin + i] + static_cast<std::size_t>(first) * features;
         for (int k = first; k < last; ++k, from += features) {
-            const Corners c = corners(query.planes[k], places.at(plan.across[k], i), places.at(plan.down[k], i), features);
-            spread<Features>(c, from, features, out[k] + c.top, out[k] + c.bottom);
+            const Corners c =
+                corners(query.planes[k], positions.at(plan.x_axis[k], i), positions.at(plan.y_axis[k], i), features);
+            scatter_sample<Features>(c, from, features, out[k] + c.top, out[k] + c.bottom);
         }
     }
 }
 
 template <int Features>
-void sample(const Plan& plan, std::size_t begin, int count, const Places& places, float* out) {
-    sample_run<Features>(plan, begin, count, places, out);
+void sample(const Plan& plan, std::size_t begin, int count, const RunPositions& positions, float* out) {
+    sample_run<Features>(plan, begin, count, positions, out);
 }
 
 template <int Features>
-void coordinate_gradient(const Plan& plan, std::size_t begin, int count, const Places& places, const float* gradient,
-                         float* out) {
-    coordinate_gradient_run<Features>(plan, begin, count, places, gradient, out);
+void coordinate_gradient(const Plan& plan, std::size_t begin, int count, const RunPositions& positions,
+                         const float* gradient, float* out) {
+    coordinate_gradient_run<Features>(plan, begin, count, positions, gradient, out);
 }
 
 template <int Features>
-void scatter(const Plan& plan, std::size_t begin, int count, const Places& places, int first, int last,
+void scatter(const Plan& plan, std::size_t begin, int count, const RunPositions& positions, int first, int last,
              const float* gradient, float* const* out) {
-    scatter_run<Features>(plan, begin, count, places, first, last, gradient, out);
+    scatter_run<Features>(plan, begin, count, positions, first, last, gradient, out);
 }
 
 }  // namespace

@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 16 * kRun;
 constexpr std::size_t kCachedBytes = 1 << 20;
-constexpr int kCellBits = 5;  // a cell of this order spans 16 x 16 samples of a plane with 512
+constexpr int kCellBits = 5;  // a cell of the spatial order spans 16 x 16 samples of a plane of side 512
 
 std::size_t bytes_of(const Query& query, int k) {
     return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features * sizeof(float);
@@ -20,10 +20,10 @@ std::size_t bytes_of(const Query& query, int k) {
 
 // The coordinate's cell on a grid of 2^kCellBits over [-1, 1].
 std::uint32_t cell_of(float coordinate) {
-    return static_cast<std::uint32_t>(between(coordinate, (1 << kCellBits) + 1).low);
+    return static_cast<std::uint32_t>(interpolate_axis(coordinate, (1 << kCellBits) + 1).low);
 }
 
-// The points sorted by their cell in space, then by index.
+// The points sorted by their spatial cell, then by index.
 Buffer<std::uint32_t> order_by_cell(const Query& query) {
     constexpr std::size_t kCells = std::size_t{1} << (3 * kCellBits);
     Buffer<std::uint32_t> cells(query.count), order(query.count);
@@ -38,13 +38,13 @@ Buffer<std::uint32_t> order_by_cell(const Query& query) {
     return order;
 }
 
-// Owns what a Plan points to, and room for the places of each worker's run.
-class Planned {
+// Owns the arrays of a Plan, and the memory of each worker's run.
+class QueryPlan {
   public:
-    Planned(const Query& query, int workers) : order_(order_by_cell(query)) {
+    QueryPlan(const Query& query, int workers) : order_(order_by_cell(query)) {
         for (int k = 0; k < query.plane_count; ++k) {
-            across_.push_back(axis_of({query.planes[k].across, query.planes[k].columns}));
-            down_.push_back(axis_of({query.planes[k].down, query.planes[k].rows}));
+            x_axis_.push_back(axis_index({query.planes[k].x_axis, query.planes[k].columns}));
+            y_axis_.push_back(axis_index({query.planes[k].y_axis, query.planes[k].rows}));
         }
         for (int k = 0; k < query.plane_count; ++k) {
             if (bytes_of(query, k) > kCachedBytes) large_.push_back(k);
@@ -53,20 +53,22 @@ class Planned {
         low_ = Buffer<int>(workers * room);
         share_ = Buffer<float>(workers * room);
         slope_ = Buffer<float>(workers * room);
-        plan_ = {&query,       axes_.data(),  static_cast<int>(axes_.size()),  across_.data(),
-                 down_.data(), large_.data(), static_cast<int>(large_.size()), order_.data()};
+        plan_ = {&query,         axes_.data(),  static_cast<int>(axes_.size()),  x_axis_.data(),
+                 y_axis_.data(), large_.data(), static_cast<int>(large_.size()), order_.data()};
     }
 
     const Plan& plan() const { return plan_; }
 
-    Places places(int worker) {
+    RunPositions positions(int worker) {
         const std::size_t at = worker * axes_.size() * kRun;
         return {low_.data() + at, share_.data() + at, slope_.data() + at};
     }
 
   private:
-    int axis_of(Axis wanted) {
-        const auto same = [&](const Axis& axis) { return axis.coordinate == wanted.coordinate && axis.size == wanted.size; };
+    int axis_index(Axis wanted) {
+        const auto same = [&](const Axis& axis) {
+            return axis.coordinate == wanted.coordinate && axis.size == wanted.size;
+        };
         const auto found = std::find_if(axes_.begin(), axes_.end(), same);
         if (found != axes_.end()) return static_cast<int>(found - axes_.begin());
         axes_.push_back(wanted);
@@ -74,7 +76,7 @@ class Planned {
     }
 
     std::vector<Axis> axes_;
-    std::vector<int> across_, down_, large_;
+    std::vector<int> x_axis_, y_axis_, large_;
     Buffer<std::uint32_t> order_;
     Buffer<int> low_;
     Buffer<float> share_, slope_;
@@ -102,19 +104,19 @@ void for_all_runs(const Query& query, Team& team, const Work& work) {
 void sample(const Query& query, float* out) {
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
-    Planned planned(query, team.size());
+    QueryPlan planned(query, team.size());
     prefer_huge_pages(out, query.count * query.plane_count * query.features * sizeof(float));
     for_all_runs(query, team, [&](std::size_t begin, int count, int worker) {
-        loops.sample(planned.plan(), begin, count, planned.places(worker), out);
+        loops.sample(planned.plan(), begin, count, planned.positions(worker), out);
     });
 }
 
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates) {
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
-    Planned planned(query, team.size());
-    // One worker does a plane from its first point to its last: nothing to lock, and sums taken in one
-    // order. It does as many planes as it can at once, since they share a gradient's cache lines.
+    QueryPlan planned(query, team.size());
+    // One worker does a plane from its first point to its last: no locks, and sums in one order. It does its planes
+    // together, since they share a gradient's cache lines.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;
@@ -123,12 +125,12 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
             std::memset(grad_planes[k], 0, bytes_of(query, k));
         }
         for_runs(0, query.count, [&](std::size_t begin, int count) {
-            loops.scatter(planned.plan(), begin, count, planned.places(worker), first, last, gradient, grad_planes);
+            loops.scatter(planned.plan(), begin, count, planned.positions(worker), first, last, gradient, grad_planes);
         });
     });
     if (grad_coordinates == nullptr) return;
     for_all_runs(query, team, [&](std::size_t begin, int count, int worker) {
-        loops.coordinate_gradient(planned.plan(), begin, count, planned.places(worker), gradient, grad_coordinates);
+        loops.coordinate_gradient(planned.plan(), begin, count, planned.positions(worker), gradient, grad_coordinates);
     });
 }
 

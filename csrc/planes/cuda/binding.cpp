@@ -1,4 +1,4 @@
-// K-Planes on a GPU: fourd/ops/planes/op.py says what is computed.
+// Python bindings of K-Planes on a GPU; fourd/ops/planes/op.py documents what they compute.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
@@ -15,7 +15,7 @@ using Arguments = PlaneArguments<Where>;
 
 Arguments arguments_of(const Arguments::Coordinates& coordinates, const std::vector<Arguments::Values>& values,
                        const std::vector<int>& axes) {
-    require(values.size() <= planes::cuda::kMostPlanes, "planes: expected at most 64 on a GPU");
+    require(values.size() <= planes::cuda::kMaxPlanes, "planes: expected at most 64 on a GPU");
     return Arguments(coordinates, values, axes, 1, Simd::baseline);
 }
 
@@ -40,8 +40,8 @@ void sample_backward(const Arguments::Coordinates& coordinates, const std::vecto
 }  // namespace
 
 void bind_planes(nb::module_& module) {
-    module.def("sample_planes", &sample, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
-               nb::arg("stream"), nb::arg("out"));
+    module.def("sample_planes", &sample, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"), nb::arg("stream"),
+               nb::arg("out"));
     module.def("sample_planes_backward", &sample_backward, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
                nb::arg("stream"), nb::arg("gradient"), nb::arg("out_planes"), nb::arg("out_coordinates").none());
 }

@@ -1,50 +1,50 @@
 #include "planes/cuda/sample.h"
 
 #include "device/clear.h"
-#include "device/machine.h"
+#include "device/executor.h"
 
 namespace fourd::planes::cuda {
 namespace {
 
-// Kernels over a query's points and planes, plane by plane within a point, so that threads side by side write
-// side by side.
-struct Table {
-    Plane planes[kMostPlanes];
+// Kernels over a query's points and planes, plane by plane within a point, so that adjacent threads write adjacent
+// memory.
+struct PlaneTable {
+    Plane planes[kMaxPlanes];
     int plane_count, features;
     const float* coordinates;
 
-    explicit Table(const Query& query)
+    explicit PlaneTable(const Query& query)
         : plane_count(query.plane_count), features(query.features), coordinates(query.coordinates) {
         for (int k = 0; k < plane_count; ++k) planes[k] = query.planes[k];
     }
 };
 
-struct Place {
+struct Location {
     std::size_t point;
     int plane;
-    Between x, y;
+    Interpolation x, y;
     Corners corners;
 
-    FOURD_DEVICE Place(const Table& table, std::size_t index) {
+    FOURD_DEVICE Location(const PlaneTable& table, std::size_t index) {
         point = index / table.plane_count;
         plane = static_cast<int>(index % table.plane_count);
         const Plane& of = table.planes[plane];
-        x = between(table.coordinates[4 * point + of.across], of.columns);
-        y = between(table.coordinates[4 * point + of.down], of.rows);
+        x = interpolate_axis(table.coordinates[4 * point + of.x_axis], of.columns);
+        y = interpolate_axis(table.coordinates[4 * point + of.y_axis], of.rows);
         corners = planes::corners(of, x, y, table.features);
     }
 };
 
 struct Sample {
-    Table table;
+    PlaneTable table;
     float* out;
 
     FOURD_DEVICE void operator()(std::size_t index) const {
-        const Place place(table, index);
-        const Corners& at = place.corners;
+        const Location location(table, index);
+        const Corners& at = location.corners;
         const int features = table.features;
-        const float* top = table.planes[place.plane].values + at.top;
-        const float* bottom = table.planes[place.plane].values + at.bottom;
+        const float* top = table.planes[location.plane].values + at.top;
+        const float* bottom = table.planes[location.plane].values + at.bottom;
         float* to = out + index * features;
         for (int f = 0; f < features; ++f) {
             to[f] = at.weight[0][0] * top[f] + at.weight[0][1] * top[features + f] + at.weight[1][0] * bottom[f] +
@@ -54,54 +54,54 @@ struct Sample {
 };
 
 struct SampleBackward {
-    Table table;
+    PlaneTable table;
     const float* gradient;
-    float* to_planes[kMostPlanes];
-    float* to_coordinates;  // or null
+    float* to_planes[kMaxPlanes];
+    float* to_coordinates;  // may be null
 
     FOURD_DEVICE void operator()(std::size_t index) const {
-        const Place place(table, index);
-        const Corners& at = place.corners;
-        const Plane& plane = table.planes[place.plane];
+        const Location location(table, index);
+        const Corners& at = location.corners;
+        const Plane& plane = table.planes[location.plane];
         const int features = table.features;
         const float *top = plane.values + at.top, *bottom = plane.values + at.bottom;
-        float *to_top = to_planes[place.plane] + at.top, *to_bottom = to_planes[place.plane] + at.bottom;
+        float *to_top = to_planes[location.plane] + at.top, *to_bottom = to_planes[location.plane] + at.bottom;
         float across = 0.0f, down = 0.0f;
         for (int f = 0; f < features; ++f) {
             const float g = gradient[index * features + f];
-            device::add_shared(to_top + f, at.weight[0][0] * g);
-            device::add_shared(to_top + features + f, at.weight[0][1] * g);
-            device::add_shared(to_bottom + f, at.weight[1][0] * g);
-            device::add_shared(to_bottom + features + f, at.weight[1][1] * g);
+            device::atomic_add(to_top + f, at.weight[0][0] * g);
+            device::atomic_add(to_top + features + f, at.weight[0][1] * g);
+            device::atomic_add(to_bottom + f, at.weight[1][0] * g);
+            device::atomic_add(to_bottom + features + f, at.weight[1][1] * g);
             const float upper = top[features + f] - top[f], lower = bottom[features + f] - bottom[f];
-            across += g * (upper + place.y.share * (lower - upper));
+            across += g * (upper + location.y.fraction * (lower - upper));
             const float left = bottom[f] - top[f], right = bottom[features + f] - top[features + f];
-            down += g * (left + place.x.share * (right - left));
+            down += g * (left + location.x.fraction * (right - left));
         }
         if (!to_coordinates) return;
-        device::add_shared(to_coordinates + 4 * place.point + plane.across, across * place.x.slope);
-        device::add_shared(to_coordinates + 4 * place.point + plane.down, down * place.y.slope);
+        device::atomic_add(to_coordinates + 4 * location.point + plane.x_axis, across * location.x.slope);
+        device::atomic_add(to_coordinates + 4 * location.point + plane.y_axis, down * location.y.slope);
     }
 };
 
 }  // namespace
 
 void sample(const Query& query, float* out, void* stream) {
-    device::Machine(stream).each(query.count * query.plane_count, Sample{Table(query), out});
+    device::Executor(stream).for_each(query.count * query.plane_count, Sample{PlaneTable(query), out});
 }
 
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates,
                      void* stream) {
-    const device::Machine machine(stream);
-    SampleBackward kernel{Table(query), gradient, {}, grad_coordinates};
+    const device::Executor executor(stream);
+    SampleBackward kernel{PlaneTable(query), gradient, {}, grad_coordinates};
     for (int k = 0; k < query.plane_count; ++k) {
         const Plane& plane = query.planes[k];
         const std::size_t size = static_cast<std::size_t>(plane.rows) * plane.columns * query.features;
-        machine.each(size, device::Clear{grad_planes[k]});
+        executor.for_each(size, device::Clear{grad_planes[k]});
         kernel.to_planes[k] = grad_planes[k];
     }
-    if (grad_coordinates) machine.each(4 * query.count, device::Clear{grad_coordinates});
-    machine.each(query.count * query.plane_count, kernel);
+    if (grad_coordinates) executor.for_each(4 * query.count, device::Clear{grad_coordinates});
+    executor.for_each(query.count * query.plane_count, kernel);
 }
 
 }  // namespace fourd::planes::cuda

@@ -1,16 +1,16 @@
-// K-Planes on a GPU; see planes/planes.h. As points/cuda/render.h: the arrays are in the GPU's memory, and nothing
-// waits. query.planes itself, and the pointers of grad_planes, are in the host's.
+// K-Planes on a GPU (planes/planes.h), asynchronous as points/cuda/render.h. Arrays are in GPU memory; query.planes
+// itself and the pointers of grad_planes are in host memory.
 #pragma once
 
 #include "planes/planes.h"
 
 namespace fourd::planes::cuda {
 
-constexpr int kMostPlanes = 64;  // they travel as a kernel's argument
+constexpr int kMaxPlanes = 64;  // they are passed by value as a kernel's argument
 
 void sample(const Query& query, float* out, void* stream);
 
-// Sums over points are made in no set order: the last bits differ from run to run.
+// The order of sums over points is not fixed: the last bits differ between runs.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates,
                      void* stream);
 

@@ -1,4 +1,4 @@
-// Baked frames on a GPU: fourd/baking/gpu_player.py says what is computed.
+// Python bindings of drawing baked frames on a GPU; fourd/ops/play/cuda.py documents what they compute.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "binding/cuda_arrays.h"
-#include "points/cuda/room_arguments.h"
+#include "points/cuda/entry_arguments.h"
 #include "play/arguments.h"
 #include "points/arguments.h"
 #include "play/cuda/draw.h"
@@ -18,29 +18,29 @@ namespace nb = nanobind;
 namespace fourd::cuda {
 namespace {
 
-// torch counts its sixteen bits with a sign.
+// torch passes float16 values as int16.
 using Arguments = FrameArguments<Where, std::int16_t>;
 using Picture = Array<std::uint8_t, nb::shape<-1, -1, 4>>;
 using ColourOut = Array<float, nb::shape<-1, 3>>;
 
-std::pair<std::size_t, std::size_t> plan(device::Rooms& rooms, std::size_t count, int width, int height) {
-    const std::size_t entries = rooms.entries(count);
+std::pair<std::size_t, std::size_t> plan(device::EntryEstimator& estimator, std::size_t count, int width, int height) {
+    const std::size_t entries = estimator.entries(count);
     return {entries, play::cuda::workspace_bytes(count, width, height, entries)};
 }
 
 void draw(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Arguments::Column& density,
           const Arguments::Harmonics& sh, const Arguments::Weights& weights, const Arguments::Colours& rgb,
           const ChosenArray& chosen, const CentreArray& centre, float sh_range, float sh_base,
-          const std::vector<double>& camera, int layers, double near, double transmittance_min,
-          const std::array<float, 3>& background, const device::Rooms& rooms, std::size_t entries,
+          const std::vector<double>& camera, int layers, double near_depth, double transmittance_min,
+          const std::array<float, 3>& background, const device::EntryEstimator& estimator, std::size_t entries,
           const Workspace& workspace, std::uintptr_t stream, const Picture& out) {
     const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
     const shade::Settings shading = shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, 1, "");
     const points::Settings settings =
-        points_settings(camera, out.shape(1), out.shape(0), layers, near, transmittance_min, 1, "");
-    const RoomArguments room{rooms, entries, workspace};
-    const std::size_t bytes = play::cuda::workspace_bytes(frame.points.count, settings.camera.width,
-                                                          settings.camera.height, entries);
+        points_settings(camera, out.shape(1), out.shape(0), layers, near_depth, transmittance_min, 1, "");
+    const EntryBufferArguments room{estimator, entries, workspace};
+    const std::size_t bytes =
+        play::cuda::workspace_bytes(frame.points.count, settings.camera.width, settings.camera.height, entries);
     play::cuda::draw(frame, settings, shading, room.checked(bytes),
                      {out.data(), {background[0], background[1], background[2]}}, stream_of(stream));
 }
@@ -57,13 +57,13 @@ void shade(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Argu
 }  // namespace
 
 void bind_play(nb::module_& module) {
-    module.def("plan_draw", &plan, nb::arg("rooms"), nb::arg("count"), nb::arg("width"), nb::arg("height"),
+    module.def("plan_draw", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("width"), nb::arg("height"),
                "Room for entries, and the bytes of workspace, for the next picture.");
     module.def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
                nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
-               nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
-               nb::arg("transmittance_min"), nb::arg("background"), nb::arg("rooms"), nb::arg("entries"),
-               nb::arg("workspace"), nb::arg("stream"), nb::arg("out"));
+               nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
+               nb::arg("background"), nb::arg("estimator"), nb::arg("entries"), nb::arg("workspace"), nb::arg("stream"),
+               nb::arg("out"));
     module.def("shade", &shade, nb::arg("xyz"), nb::arg("sh"), nb::arg("blend_weights"), nb::arg("rgb"),
                nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("stream"),
                nb::arg("out"));

@@ -2,7 +2,7 @@
 
 #include "common/half.h"
 #include "device/arena.h"
-#include "device/machine.h"
+#include "device/executor.h"
 #include "shade/cuda/shade.h"
 
 namespace fourd::play::cuda {
@@ -18,7 +18,7 @@ struct Unpack {
     }
 };
 
-// A frame's arrays as floats, at the front of the workspace.
+// A frame's arrays as float32, at the front of the workspace.
 struct Floats {
     float *radius, *density, *colour;
 
@@ -35,20 +35,20 @@ std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_
 }
 
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-          const points::cuda::Room& room, const points::Canvas& canvas, void* stream) {
-    const device::Machine machine(stream);
+          const points::cuda::EntryBuffer& room, const points::Canvas& canvas, void* stream) {
+    const device::Executor executor(stream);
     const std::size_t count = frame.points.count;
     device::Arena arena(room.memory);
     const Floats floats(arena, count);
-    machine.each(count, Unpack{frame, floats.radius, floats.density});
-    machine.each(count, shade::cuda::ShadePoint(frame.points, shading, floats.colour));
+    executor.for_each(count, Unpack{frame, floats.radius, floats.density});
+    executor.for_each(count, shade::cuda::ShadePoint(frame.points, shading, floats.colour));
     const points::Cloud cloud{frame.points.xyz, floats.colour, floats.radius, floats.density, count, 3};
     unsigned char* const rest = static_cast<unsigned char*>(room.memory) + arena.bytes();
     points::cuda::draw(cloud, settings, {rest, room.entries, room.needed}, canvas, stream);
 }
 
 void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream) {
-    device::Machine(stream).each(points.count, shade::cuda::ShadePoint(points, shading, out));
+    device::Executor(stream).for_each(points.count, shade::cuda::ShadePoint(points, shading, out));
 }
 
 }  // namespace fourd::play::cuda

@@ -1,5 +1,5 @@
-// A baked frame drawn from a camera on a GPU, from float16 arrays to bytes. As points/cuda/render.h: pointers are
-// to the GPU's memory, and nothing waits.
+// Draws a baked frame on a GPU, from float16 arrays to bytes; asynchronous as points/cuda/render.h. Pointers are to GPU
+// memory.
 #pragma once
 
 #include "play/frame.h"
@@ -9,11 +9,11 @@ namespace fourd::play::cuda {
 
 std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_t entries);
 
-// shading.chosen is in the host's memory.
+// shading.chosen is in host memory.
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-          const points::cuda::Room& room, const points::Canvas& canvas, void* stream);
+          const points::cuda::EntryBuffer& room, const points::Canvas& canvas, void* stream);
 
-// Colours (count, 3) alone.
+// Colours (count, 3) only.
 void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream);
 
 }  // namespace fourd::play::cuda

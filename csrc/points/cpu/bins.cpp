@@ -2,6 +2,8 @@
 
 #include <algorithm>
 
+#include "common/inline.h"
+
 namespace fourd::points {
 namespace {
 
@@ -14,11 +16,11 @@ struct KeyRange {
     }
 };
 
-// Calls visit(tile) for each tile of a reach.
+// Calls visit(tile) for each tile of a range.
 template <typename Visit>
-void for_each_tile(const Reach& reach, int columns, Visit visit) {
-    for (int row = reach.top; row <= reach.bottom; ++row) {
-        for (int column = reach.left; column <= reach.right; ++column) visit(row * columns + column);
+void for_each_tile(const TileRange& range, int columns, Visit visit) {
+    for (int row = range.top; row <= range.bottom; ++row) {
+        for (int column = range.left; column <= range.right; ++column) visit(row * columns + column);
     }
 }
 
@@ -32,14 +34,14 @@ std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
     return runs;
 }
 
-// The items of visible points lie at the beginning of each returned run.
+// The items of visible points are at the beginning of each returned run.
 std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& settings, Team& team) {
     const Loops& loops = select_loops(settings.simd);
     std::vector<Run> runs = split(cloud.count, team.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         Run& run = runs[part];
-        run.end = run.begin + loops.project(cloud, settings, run.begin, run.end, splats_.data(),
-                                              reaches_.data(), items_.data() + run.begin);
+        run.end = run.begin + loops.project(cloud, settings, run.begin, run.end, splats_.data(), tile_ranges_.data(),
+                                            items_.data() + run.begin);
     });
     visible_ = 0;
     for (const Run& run : runs) visible_ += run.end - run.begin;
@@ -75,7 +77,7 @@ void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift
     std::swap(items_, spare_);
 }
 
-// Sorts the runs of items_ by key, stably; they end up side by side.
+// Sorts the runs of items_ by key, stably, and makes them contiguous.
 void Bins::sort(std::vector<Run> runs, Team& team) {
     std::vector<KeyRange> ranges(runs.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
@@ -88,8 +90,8 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
     const std::uint32_t low = all.low, high = all.high;
     int bits = 0;
     while (visible_ > 0 && bits < 32 && ((high - low) >> bits) != 0) ++bits;
-    constexpr int kMostBits = 12;  // a histogram of 4096 counters stays in the first cache
-    const int passes = std::max(1, (bits + kMostBits - 1) / kMostBits);
+    constexpr int kMaxBits = 12;  // a histogram of 4096 counters stays in the L1 cache
+    const int passes = std::max(1, (bits + kMaxBits - 1) / kMaxBits);
     const int digit = std::max(1, (bits + passes - 1) / passes);
     for (int pass = 0; pass < passes; ++pass) {
         radix_pass(runs, low, pass * digit, digit, team);
@@ -97,7 +99,7 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// Counts each part's entries by tile, and lays the reaches side by side in the order of ranks.
+// Counts each part's entries by tile, and copies the tile ranges in the order of ranks.
 std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());
@@ -105,16 +107,16 @@ std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team&
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         std::size_t* here = counts.data() + part * count;
         for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
-            if (rank + kAhead < runs[part].end) __builtin_prefetch(&reaches_[items_[rank + kAhead].point]);
-            const Reach reach = reaches_[items_[rank].point];
-            ranked_reaches_[rank] = reach;
-            for_each_tile(reach, columns_, [&](int tile) { ++here[tile]; });
+            if (rank + kAhead < runs[part].end) prefetch(&tile_ranges_[items_[rank + kAhead].point]);
+            const TileRange range = tile_ranges_[items_[rank].point];
+            ranked_tile_ranges_[rank] = range;
+            for_each_tile(range, columns_, [&](int tile) { ++here[tile]; });
         }
     });
     return counts;
 }
 
-// Lets each part write its entries after those of the parts before it. places: what count_entries counted.
+// Each part writes its entries after those of the parts before it; places holds the counts of count_entries.
 void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
     std::size_t total = 0;
@@ -133,14 +135,14 @@ void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> pla
         std::size_t* place = places.data() + part * count;
         for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
             const std::uint32_t point = items_[rank].point;
-            for_each_tile(ranked_reaches_[rank], columns_, [&](int tile) { entries_[place[tile]++] = point; });
+            for_each_tile(ranked_tile_ranges_[rank], columns_, [&](int tile) { entries_[place[tile]++] = point; });
         }
     });
 }
 
 void Bins::sort_points(const Cloud& cloud, const Settings& settings, Team& team) {
     splats_.require(cloud.count);
-    reaches_.require(cloud.count);
+    tile_ranges_.require(cloud.count);
     items_.require(cloud.count);
     spare_.require(cloud.count);
     sort(project_all(cloud, settings, team), team);
@@ -149,7 +151,7 @@ void Bins::sort_points(const Cloud& cloud, const Settings& settings, Team& team)
 void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
     columns_ = (settings.camera.width + kTile - 1) / kTile;
     rows_ = (settings.camera.height + kTile - 1) / kTile;
-    ranked_reaches_.require(cloud.count);
+    ranked_tile_ranges_.require(cloud.count);
     tile_begin_.require(static_cast<std::size_t>(tiles()) + 1);
     sort_points(cloud, settings, team);
     const std::vector<Run> runs = split(visible_, team.size());
@@ -157,7 +159,7 @@ void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
 }
 
 std::size_t Bins::bytes() const {
-    return sizeof(Splat) * splats_.size() + sizeof(Reach) * (reaches_.size() + ranked_reaches_.size()) +
+    return sizeof(Splat) * splats_.size() + sizeof(TileRange) * (tile_ranges_.size() + ranked_tile_ranges_.size()) +
            sizeof(Item) * (items_.size() + spare_.size()) + sizeof(std::uint32_t) * entries_.size() +
            sizeof(std::size_t) * tile_begin_.size();
 }

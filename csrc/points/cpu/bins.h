@@ -1,4 +1,4 @@
-// Points projected, ordered by depth and sorted into 16 x 16 pixel tiles.
+// Projects points, sorts them by depth and bins them into tiles of 16 x 16 pixels.
 #pragma once
 
 #include <cstdint>
@@ -11,30 +11,30 @@
 
 namespace fourd::points {
 
-// A visible point's rank is its place from near to far: 0 is the nearest, ties are in the order of their indices.
-// The buffers are kept from one picture to the next, and may be larger than what they hold.
+// A visible point's rank is its position in depth order: 0 is the nearest, ties are in the order of their indices. The
+// buffers are kept between pictures and may be larger than their contents.
 class Bins {
   public:
-    // Projects, sorts and bins; what was here before is forgotten.
+    // Projects, sorts and bins; replaces the previous contents.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // Projects and sorts alone; order() is what is then there to read.
+    // Projects and sorts only, which fills order().
     void sort_points(const Cloud& cloud, const Settings& settings, Team& team);
     const Item* order() const { return items_.data(); }  // by rank
 
-    int columns() const { return columns_; }  // tiles across
+    int columns() const { return columns_; }  // number of tiles per row
     int tiles() const { return columns_ * rows_; }
-    std::size_t visible() const { return visible_; }  // how many points are
-    const Splat* splats() const { return splats_.data(); }                // by point; of visible ones
-    const Reach& reach(std::size_t point) const { return reaches_[point]; }
-    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,) into entries
-    const std::uint32_t* entries() const { return entries_.data(); }      // each tile's points, by rank
+    std::size_t visible() const { return visible_; }        // number of visible points
+    const Splat* splats() const { return splats_.data(); }  // by point; of visible points only
+    const TileRange& tile_range(std::size_t point) const { return tile_ranges_[point]; }
+    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,) offsets into entries
+    const std::uint32_t* entries() const { return entries_.data(); }      // each tile's points, in the order of ranks
 
-    std::size_t bytes() const;  // of memory that is kept
+    std::size_t bytes() const;  // of the memory that is kept
 
   private:
-    // A run of items: each thread's part of a pass. Parts are merged in order, so the result is the
-    // same for any number of them.
+    // A run of items: one thread's part of a pass. Parts are merged in order, so that the result does not depend on
+    // their number.
     struct Run {
         std::size_t begin, end;
     };
@@ -49,7 +49,7 @@ class Bins {
     int columns_ = 0, rows_ = 0;
     std::size_t visible_ = 0;
     Buffer<Splat> splats_;
-    Buffer<Reach> reaches_, ranked_reaches_;  // by point, by rank
+    Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // by point, by rank
     Buffer<Item> items_, spare_;
     Buffer<std::uint32_t> entries_;
     Buffer<std::size_t> tile_begin_;

@@ -1,6 +1,6 @@
-// Sixteen floats, one per pixel of a tile's row, on whatever vectors this file is compiled for.
-// Included by tiles.cpp alone, inside its namespace per instruction set; sums are taken in
-// the same order everywhere, so that every instruction set gives the same bits.
+// Sixteen floats, one per pixel of a 4 x 4 block, in the vectors of the instruction set that this file is compiled for.
+// Included by tiles.cpp inside its namespace. Sums are taken in the same order everywhere, so that every instruction
+// set gives the same bits.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 
@@ -11,7 +11,7 @@ struct Lanes {
     __m512 value;
 };
 
-inline Lanes all_lanes(float x) { return {_mm512_set1_ps(x)}; }
+inline Lanes broadcast(float x) { return {_mm512_set1_ps(x)}; }
 inline Lanes load(const float* p) { return {_mm512_loadu_ps(p)}; }
 inline void store(float* p, Lanes a) { _mm512_storeu_ps(p, a.value); }
 inline Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.value, b.value)}; }
@@ -24,7 +24,7 @@ inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & 
 inline bool any(Mask a) { return a.bits != 0; }
 inline Lanes select(Mask m, Lanes a, Lanes b) { return {_mm512_mask_blend_ps(m.bits, b.value, a.value)}; }
 inline Lanes keep(Mask m, Lanes a) { return {_mm512_maskz_mov_ps(m.bits, a.value)}; }
-// Four lanes of bytes (0 to 255.99, cut) as one number each, the first lowest.
+// Packs four lanes of bytes (0 to 255.99, truncated) into one word each, the first lowest.
 inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     __m512i packed = _mm512_cvttps_epi32(bytes[0].value);
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[1].value), 8));
@@ -32,8 +32,8 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[3].value), 24));
     _mm512_storeu_si512(to, packed);
 }
-// Lane i with i + 8, then i + 4.
-inline __m128 quartered(Lanes a) {
+// Lane i plus i + 8, then plus i + 4.
+inline __m128 sum_of_quarters(Lanes a) {
     const __m256 half = _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
     return _mm_add_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps(half, 1));
 }
@@ -56,11 +56,11 @@ struct Lanes {
     NativeFloat part[kParts];
 };
 
-#define FOURD_PER_PART(expression)                            \
+#define FOURD_PER_PART(expression)                             \
     for (int p = 0; p < kParts; ++p) out.part[p] = expression; \
     return out
 
-inline Lanes all_lanes(float x) {
+inline Lanes broadcast(float x) {
     Lanes out;
     FOURD_PER_PART(x - NativeFloat{});
 }
@@ -131,17 +131,17 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
 #undef FOURD_PER_PART
 
 #if defined(__AVX__)
-inline __m128 quartered(Lanes a) {
+inline __m128 sum_of_quarters(Lanes a) {
     const __m256 half = (__m256)(a.part[0] + a.part[1]);
     return _mm_add_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps(half, 1));
 }
 #elif defined(__SSE2__)
-inline __m128 quartered(Lanes a) { return (__m128)((a.part[0] + a.part[2]) + (a.part[1] + a.part[3])); }
+inline __m128 sum_of_quarters(Lanes a) { return (__m128)((a.part[0] + a.part[2]) + (a.part[1] + a.part[3])); }
 #endif
 
 #endif
 
-// The sum of the sixteen: lane i with i + 8, then i + 4, i + 2, i + 1.
+// The sum of all lanes: i with i + 8, then i + 4, i + 2, i + 1.
 inline float sum(Lanes a) {
     float v[16];
     store(v, a);
@@ -151,13 +151,13 @@ inline float sum(Lanes a) {
     return v[0];
 }
 
-// The same of some Lanes, four at a time.
+// The sums of several Lanes, four at a time, in the same order.
 inline void store_sums(const Lanes* from, int count, float* to) {
     int k = 0;
 #if defined(__SSE2__)
     for (; k + 4 <= count; k += 4) {
-        const __m128 a = quartered(from[k]), b = quartered(from[k + 1]);
-        const __m128 c = quartered(from[k + 2]), d = quartered(from[k + 3]);
+        const __m128 a = sum_of_quarters(from[k]), b = sum_of_quarters(from[k + 1]);
+        const __m128 c = sum_of_quarters(from[k + 2]), d = sum_of_quarters(from[k + 3]);
         const __m128 ab = _mm_add_ps(_mm_unpacklo_ps(a, b), _mm_unpackhi_ps(a, b));
         const __m128 cd = _mm_add_ps(_mm_unpacklo_ps(c, d), _mm_unpackhi_ps(c, d));
         _mm_storeu_ps(to + k, _mm_add_ps(_mm_movelh_ps(ab, cd), _mm_movehl_ps(cd, ab)));
@@ -166,8 +166,8 @@ inline void store_sums(const Lanes* from, int count, float* to) {
     for (; k < count; ++k) to[k] = sum(from[k]);
 }
 
-// The largest of the sixteen.
-inline float largest(Lanes a) {
+// The maximum of all lanes.
+inline float max_lane(Lanes a) {
     float v[16];
     store(v, a);
     for (int half = 8; half > 0; half /= 2) {

@@ -20,7 +20,7 @@ void for_points(std::size_t count, Team& team, const Work& work) {
 Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     Fingerprint out;
     out.add(&settings.camera, sizeof settings.camera);
-    out.add(&settings.near, sizeof settings.near);
+    out.add(&settings.near_depth, sizeof settings.near_depth);
     out.add(&cloud.count, sizeof cloud.count);
     out.add(cloud.xyz, 3 * cloud.count * sizeof(float));
     out.add(cloud.features, cloud.channels * cloud.count * sizeof(float));
@@ -29,7 +29,8 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-// Sums a point's slots in order and carries them to the point. Channels is their number, or 0 for what the cloud says.
+// Sums a point's slots in order and back-projects the sum. Channels is the number of channels, or 0 if it is the
+// cloud's.
 template <int Channels>
 void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& space, std::size_t point,
                      const CloudGradient& out) {
@@ -67,7 +68,7 @@ std::size_t Workspace::assign_slots(std::size_t count) {
     std::size_t total = 0;
     for (std::size_t point = 0; point < count; ++point) {
         slots[point] = total;
-        total += tile_count(bins.reach(point));
+        total += tile_count(bins.tile_range(point));
     }
     slots[count] = total;
     return total;
@@ -77,9 +78,9 @@ void Workspace::slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const 
     out.require(tile.count);
     for (std::size_t entry = 0; entry < tile.count; ++entry) {
         const std::uint32_t point = tile.entries[entry];
-        const Reach& reach = bins.reach(point);
-        const std::size_t column = tile.column / kTile - reach.left, row = tile.row / kTile - reach.top;
-        out[entry] = slots[point] + row * tiles_across(reach) + column;
+        const TileRange& range = bins.tile_range(point);
+        const std::size_t column = tile.column / kTile - range.left, row = tile.row / kTile - range.top;
+        out[entry] = slots[point] + row * tiles_across(range) + column;
     }
 }
 
@@ -125,8 +126,7 @@ void render(const Cloud& cloud, const Settings& settings, Workspace& space, cons
     Team team(settings.threads);
     space.fill(cloud, settings, team);
     space.made_from = fingerprint(cloud, settings);
-    team.run(space.bins.tiles(),
-             [&](int index, int) { loops.render(space.tile(cloud, settings, index), out); });
+    team.run(space.bins.tiles(), [&](int index, int) { loops.render(space.tile(cloud, settings, index), out); });
 }
 
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
@@ -145,7 +145,7 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& sp
         scratch.transmittance.require(16 * visits);
         scratch.tags.require(visits);
         loops.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data(), visits},
-                                scratch.slots.data(), space.sums.data());
+                              scratch.slots.data(), space.sums.data());
     });
     for_points(cloud.count, team, [&](std::size_t begin, std::size_t end) {
         const auto gather = cloud.channels == 3   ? gather_gradient<3>

@@ -4,6 +4,7 @@
 #include <immintrin.h>
 #endif
 
+#include "common/inline.h"
 #include "points/cpu/tiles.h"
 
 namespace fourd::points::FOURD_SIMD {
@@ -15,31 +16,32 @@ namespace {
 #error "pairs of 16 bits are written as words, the first one low"
 #endif
 
-constexpr int kMostChannels = 32;
+constexpr int kMaxChannels = 32;
 
-// Some points in the image, number by number: their maths becomes vectors so.
+// Projected points as a structure of arrays, so that compilers vectorise the projection.
 struct Projections {
-    static constexpr std::size_t kMost = 64;
-    float u[kMost], v[kMost], inverse_square[kMost], density[kMost], z[kMost], rho[kMost];
-    std::uint32_t blocks_across[kMost], blocks_down[kMost];  // the first, and the last 16 bits higher
-    std::uint32_t tiles_across[kMost], tiles_down[kMost];
-    std::uint32_t visible[kMost];
+    static constexpr std::size_t kMax = 64;
+    float u[kMax], v[kMax], inverse_square[kMax], density[kMax], z[kMax], rho[kMax];
+    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // first block, and last block in the upper 16 bits
+    std::uint32_t tiles_across[kMax], tiles_down[kMax];
+    std::uint32_t visible[kMax];
 };
 
 inline std::uint32_t pair(int first, int last) {
     return static_cast<std::uint32_t>(first) | static_cast<std::uint32_t>(last) << 16;
 }
 
-// Returns how many are visible.
+// Projects count points from begin on; returns the number of visible ones.
 inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t count,
                                   Projections& out) {
     constexpr int kBlocksPerSide = kTile / kBlock;
-    const Pinhole camera = settings.camera;  // a copy, which nothing that is written here can be part of
-    const float near = settings.near;
+    const Pinhole camera = settings.camera;  // a copy: the compiler knows that nothing written here aliases it
+    const float near_depth = settings.near_depth;
     std::uint32_t visible = 0;
     for (std::size_t i = 0; i < count; ++i) {
         const std::size_t point = begin + i;
-        const Projection at = project(camera, near, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point]);
+        const Projection at =
+            project(camera, near_depth, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point]);
         out.u[i] = at.u;
         out.v[i] = at.v;
         out.inverse_square[i] = at.inverse_square;
@@ -58,7 +60,7 @@ inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, 
     return visible;
 }
 
-// A number's bits.
+// The bits of a 32-bit value.
 template <typename Number>
 inline std::uint32_t word(const Number& number) {
     static_assert(sizeof number == sizeof(std::uint32_t), "one word");
@@ -67,9 +69,9 @@ inline std::uint32_t word(const Number& number) {
     return out;
 }
 
-// Side by side in memory, as words: what is written of points that are not visible is not read.
+// Interleaves the arrays into splats, as words. The splats of invisible points are written but not read.
 inline void store_splats(const Projections& some, std::size_t count, Splat* splats) {
-    std::uint32_t words[8 * Projections::kMost];
+    std::uint32_t words[8 * Projections::kMax];
     static_assert(sizeof(Splat) == 32, "eight words, in the order of Splat's members");
     for (std::size_t i = 0; i < count; ++i) {
         words[8 * i] = word(some.u[i]);
@@ -84,28 +86,28 @@ inline void store_splats(const Projections& some, std::size_t count, Splat* spla
     std::memcpy(splats, words, count * sizeof(Splat));
 }
 
-inline void store_reaches(const Projections& some, std::size_t count, Reach* reaches) {
-    std::uint32_t words[2 * Projections::kMost];
-    static_assert(sizeof(Reach) == 8, "two words, in the order of Reach's members");
+inline void store_tile_ranges(const Projections& some, std::size_t count, TileRange* tile_ranges) {
+    std::uint32_t words[2 * Projections::kMax];
+    static_assert(sizeof(TileRange) == 8, "two words, in the order of Reach's members");
     for (std::size_t i = 0; i < count; ++i) {
         words[2 * i] = some.tiles_across[i];
         words[2 * i + 1] = some.tiles_down[i];
     }
-    std::memcpy(reaches, words, count * sizeof(Reach));
+    std::memcpy(tile_ranges, words, count * sizeof(TileRange));
 }
 
 std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end, Splat* splats,
-                        Reach* reaches, Item* items) {
+                        TileRange* tile_ranges, Item* items) {
     Projections some;
     std::size_t count = 0;
-    for (std::size_t first = begin; first < end; first += Projections::kMost) {
-        const std::size_t here = end - first < Projections::kMost ? end - first : Projections::kMost;
+    for (std::size_t first = begin; first < end; first += Projections::kMax) {
+        const std::size_t here = end - first < Projections::kMax ? end - first : Projections::kMax;
         const std::uint32_t visible = project_some(cloud, settings, first, here, some);
-        store_reaches(some, here, reaches + first);
+        store_tile_ranges(some, here, tile_ranges + first);
         if (visible == 0) continue;
         store_splats(some, here, splats + first);
         for (std::size_t i = 0; i < here; ++i) {
-            // Always written and seldom kept, which needs no branch: count is at most first + i - begin.
+            // Branch-free: the item is always written, and kept if visible. count is at most first + i - begin.
             items[count] = {word(some.z[i]), static_cast<std::uint32_t>(first + i)};
             count += some.visible[i];
         }
@@ -113,29 +115,29 @@ std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_
     return count;
 }
 
-#include "points/cpu/walk.inc"
+#include "points/cpu/traversal.inc"
 #include "points/cpu/picture.inc"
 #include "points/cpu/gradient.inc"
 
-struct Largest {
+struct MaxWeight {
     static constexpr bool kCountsVisits = false;
     const std::size_t* slots;
     float* weights;
 
-    void take(const Chunk& chunk, int place, int, const Touch& at, Mask hit, Lanes transmittance) {
+    void take(const Chunk& chunk, int position, int, const Coverage& coverage, Mask hit, Lanes transmittance) {
         if (!any(hit)) return;
-        float& weight = weights[slots[chunk.first + place]];
-        const float here = largest(keep(hit, transmittance * at.alpha));
+        float& weight = weights[slots[chunk.first + position]];
+        const float here = max_lane(keep(hit, transmittance * coverage.alpha));
         weight = here > weight ? here : weight;
     }
 };
 
 void tile_visibility(const Tile& tile, const std::size_t* slots, float* weights) {
-    const Grid grid = grid_of(tile);
-    Progress progress = begin(tile, grid);
-    Largest found[kBlocks];
-    for (Largest& block : found) block = {slots, weights};
-    walk(tile, grid, tile.transmittance_min, progress, found);
+    const Grid grid = pixel_grid(tile);
+    PixelState state = initial_state(tile, grid);
+    MaxWeight found[kBlocks];
+    for (MaxWeight& block : found) block = {slots, weights};
+    traverse(tile, grid, tile.transmittance_min, state, found);
 }
 
 }  // namespace

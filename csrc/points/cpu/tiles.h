@@ -1,5 +1,4 @@
-// What is done to runs of points and to single tiles: compiled once for each instruction set, chosen when
-// the program runs.
+// The inner loops over points and over single tiles, compiled once for each instruction set.
 #pragma once
 
 #include <cstddef>
@@ -10,9 +9,9 @@
 
 namespace fourd::points {
 
-constexpr int kBlocks = 16;  // of a tile, row by row; one vector of lanes.h each
+constexpr int kBlocks = 16;  // blocks of a tile, row by row; each is one Lanes (lanes.h)
 
-// What is sorted: the depth's bits, which order like the depth since it is positive, and the point.
+// A sort item: the bits of the depth, which sort like the depth since it is positive, and the point.
 struct Item {
     std::uint32_t key;
     std::uint32_t point;
@@ -30,37 +29,38 @@ struct Tile {
     int width, height;  // of the image
 };
 
-// Where the backward pass remembers what it met on its way forward: the visits of entries to blocks, entry by
-// entry and block by block.
+// Scratch memory of the backward pass: the forward pass's visits of entries to blocks, in the order of entries, then
+// blocks.
 struct Visits {
-    float* transmittance;  // 16 a visit: before the entry, negative where the pixel was not hit
-    std::uint64_t* tags;   // 16 * entry + block, or kNoVisit where no pixel was hit
+    float* transmittance;  // 16 per visit: before the entry; negative for pixels that it does not hit
+    std::uint64_t* tags;   // 16 * entry + block, or kNoVisit if no pixel was hit
     std::size_t count;     // count_visits of the tile
 };
 
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 struct Loops {
-    // Projects points begin to end into splats and reaches, by point, and lists the visible ones; returns how many.
+    // Projects points begin to end into splats and tile_ranges, by point, and lists the visible ones in items; returns
+    // their number.
     std::size_t (*project)(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end,
-                           Splat* splats, Reach* reaches, Item* items);
+                           Splat* splats, TileRange* tile_ranges, Item* items);
 
     void (*render)(const Tile& tile, const Image& out);
 
     // Three channels over a background, as bytes.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // sums: by slot, one SplatGradient and the features' gradient (5 + channels floats).
+    // sums: by slot, one SplatGradient and the gradient of the features (5 + channels floats).
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 
-    // weights: by slot, zero before.
+    // weights: by slot, initially 0.
     void (*visibility)(const Tile& tile, const std::size_t* slots, float* weights);
 };
 
 FOURD_DISPATCH(Loops, Simd::avx512)
 
-// How often the tile's entries meet its blocks, hit or not.
+// The number of (entry, block) pairs of a tile, hit or not.
 std::size_t count_visits(const Tile& tile);
 
 }  // namespace fourd::points

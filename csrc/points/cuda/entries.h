@@ -1,16 +1,16 @@
-// Points projected, ordered by depth and sorted into tiles, on a GPU.
+// Projects points, sorts them by depth and bins them into tiles, on a GPU.
 #pragma once
 
 #include <cstring>
 
 #include "device/arena.h"
-#include "device/machine.h"
+#include "device/executor.h"
 #include "points/cuda/render.h"
 
 namespace fourd::points::cuda {
 
 constexpr int kTilePixels = kTile * kTile;
-constexpr std::uint32_t kCulled = 0xffffffffu;  // orders behind every depth
+constexpr std::uint32_t kCulled = 0xffffffffu;  // sorts behind every depth
 
 struct Tiles {
     int columns, rows;
@@ -20,34 +20,34 @@ struct Tiles {
 
 inline Tiles tiles_of(int width, int height) { return {(width + kTile - 1) / kTile, (height + kTile - 1) / kTile}; }
 
-// The arrays of the workspace. A point's rank is its place by depth, ties by index; culled points come last.
+// The arrays of the workspace. A point's rank is its position in depth order, ties by index; culled points come last.
 struct Entries {
-    std::size_t count;      // of points
-    std::size_t room;       // for entries
+    std::size_t count;     // of points
+    std::size_t capacity;  // for entries
     Tiles tiles;
     Splat* by_point;
-    Splat* splats;          // by rank
-    std::uint32_t* keys;    // of a sort: depths by point, then tiles by entry
-    std::uint32_t* values;  // of a sort: points, then ranks by entry
-    std::uint32_t* depths;  // by rank: the depth's bits
-    std::uint32_t* points;  // by rank
-    std::uint64_t* reach;   // by rank, and 0
-    std::uint64_t* begin;   // by rank: the sum of reach before; last the number of entries
-    std::uint32_t* entry_tiles;  // by tile
-    std::uint32_t* entry_ranks;  // by tile, in each by rank
+    Splat* splats;               // by rank
+    std::uint32_t* keys;         // of a sort: depths by point, then tiles by entry
+    std::uint32_t* values;       // of a sort: points, then ranks by entry
+    std::uint32_t* depths;       // by rank: the bits of the depth
+    std::uint32_t* points;       // by rank
+    std::uint64_t* tile_counts;  // by rank: number of tiles; then a 0
+    std::uint64_t* begin;        // by rank: exclusive sum of tile_counts; last the number of entries
+    std::uint32_t* entry_tiles;  // sorted by tile
+    std::uint32_t* entry_ranks;  // sorted by tile, then by rank
     std::uint32_t* tile_begin;   // by tile, and the end
-    std::uint32_t* visible;      // how many points are
-    float* sums;                 // by rank, of gradients
+    std::uint32_t* visible;      // number of visible points
+    float* sums;                 // by rank: sums of gradients
     void* scratch;
     std::size_t scratch_bytes;
 };
 
-// width of sums: floats a point.
-inline Entries lay_out(device::Arena& arena, std::size_t count, int sums, Tiles tiles, std::size_t room) {
+// sums: floats per point.
+inline Entries allocate_entries(device::Arena& arena, std::size_t count, int sums, Tiles tiles, std::size_t capacity) {
     Entries out{};
-    const std::size_t sorted = count > room ? count : room;
+    const std::size_t sorted = count > capacity ? count : capacity;
     out.count = count;
-    out.room = room;
+    out.capacity = capacity;
     out.tiles = tiles;
     out.by_point = arena.take<Splat>(count);
     out.splats = arena.take<Splat>(count);
@@ -55,19 +55,19 @@ inline Entries lay_out(device::Arena& arena, std::size_t count, int sums, Tiles 
     out.values = arena.take<std::uint32_t>(sorted);
     out.depths = arena.take<std::uint32_t>(count);
     out.points = arena.take<std::uint32_t>(count);
-    out.reach = arena.take<std::uint64_t>(count + 1);
+    out.tile_counts = arena.take<std::uint64_t>(count + 1);
     out.begin = arena.take<std::uint64_t>(count + 1);
-    out.entry_tiles = arena.take<std::uint32_t>(room);
-    out.entry_ranks = arena.take<std::uint32_t>(room);
+    out.entry_tiles = arena.take<std::uint32_t>(capacity);
+    out.entry_ranks = arena.take<std::uint32_t>(capacity);
     out.tile_begin = arena.take<std::uint32_t>(tiles.count() + 1);
     out.visible = arena.take<std::uint32_t>(1);
     out.sums = arena.take<float>(count * static_cast<std::size_t>(sums));
-    out.scratch_bytes = device::Machine::scratch_bytes(sorted + 1);
+    out.scratch_bytes = device::Executor::scratch_bytes(sorted + 1);
     out.scratch = arena.take<unsigned char>(out.scratch_bytes);
     return out;
 }
 
-// Where value would stand in an ascending array.
+// The index of the first element that is not below value, in an ascending array.
 template <typename T>
 FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t count, T value) {
     std::size_t first = 0;
@@ -86,11 +86,12 @@ FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t 
 struct ProjectPoint {
     Cloud cloud;
     Pinhole camera;
-    float near;
+    float near_depth;
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t point) const {
-        const Projection at = project(camera, near, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point]);
+        const Projection at =
+            project(camera, near_depth, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point]);
         std::uint32_t key = kCulled;
         if (at.visible) memcpy(&key, &at.z, sizeof key);
         to.by_point[point] = at.visible ? splat_of(at) : Splat{};
@@ -99,37 +100,37 @@ struct ProjectPoint {
     }
 };
 
-// index 0 to count: the last closes the sums.
-struct RankPoint {
+// Called for ranks 0 to count; the last one ends the sums.
+struct GatherRank {
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t rank) const {
         if (rank == to.count) {
-            to.reach[rank] = 0;
+            to.tile_counts[rank] = 0;
             *to.visible = static_cast<std::uint32_t>(lower_bound(to.depths, to.count, kCulled));
             return;
         }
         const Splat splat = to.by_point[to.points[rank]];
         to.splats[rank] = splat;
-        to.reach[rank] = to.depths[rank] == kCulled ? 0 : tile_count(reach_of(splat));
+        to.tile_counts[rank] = to.depths[rank] == kCulled ? 0 : tile_count(tile_range_of(splat));
     }
 };
 
-// By entry, not by point: a point may reach one tile or all of them.
+// One thread per entry, not per point: a point covers one tile or all of them.
 struct EmitEntry {
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // none: behind all
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // no tile: sorts last
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
-            // The last rank that begins at or before the entry; those of no reach begin where the next does.
+            // The last rank that begins at or before the entry; ranks without tiles begin where the next one does.
             rank = static_cast<std::uint32_t>(lower_bound(to.begin, to.count + 1, std::uint64_t{entry} + 1) - 1);
-            const Reach reach = reach_of(to.splats[rank]);
+            const TileRange range = tile_range_of(to.splats[rank]);
             const std::uint64_t place = entry - to.begin[rank];
-            const std::uint64_t across = tiles_across(reach);
-            const int row = reach.top + static_cast<int>(place / across);
-            const int column = reach.left + static_cast<int>(place % across);
+            const std::uint64_t across = tiles_across(range);
+            const int row = range.top + static_cast<int>(place / across);
+            const int column = range.left + static_cast<int>(place % across);
             tile = static_cast<std::uint32_t>(row) * to.tiles.columns + column;
         }
         to.keys[entry] = tile;
@@ -137,37 +138,37 @@ struct EmitEntry {
     }
 };
 
-struct BeginTile {
+struct FindTileBegin {
     Entries to;
     std::uint64_t* needed;
 
     FOURD_DEVICE void operator()(std::size_t tile) const {
         to.tile_begin[tile] =
-            static_cast<std::uint32_t>(lower_bound(to.entry_tiles, to.room, static_cast<std::uint32_t>(tile)));
+            static_cast<std::uint32_t>(lower_bound(to.entry_tiles, to.capacity, static_cast<std::uint32_t>(tile)));
         if (tile == 0) *needed = to.begin[to.count];
     }
 };
 
-inline int bits_of(std::size_t largest) {
+inline int bits_of(std::size_t max) {
     int bits = 0;
-    while (largest >> bits != 0) ++bits;
+    while (max >> bits != 0) ++bits;
     return bits;
 }
 
-// Fills the entries of a cloud; sums has room for so many floats a point.
-inline Entries fill(const device::Machine& machine, const Cloud& cloud, const Settings& settings, const Room& room,
-                    int sums) {
-    device::Arena arena(room.memory);
+// Builds the entries of a cloud, with sums floats per point.
+inline Entries fill(const device::Executor& executor, const Cloud& cloud, const Settings& settings,
+                    const EntryBuffer& capacity, int sums) {
+    device::Arena arena(capacity.memory);
     const Tiles tiles = tiles_of(settings.camera.width, settings.camera.height);
-    const Entries to = lay_out(arena, cloud.count, sums, tiles, room.entries);
-    machine.each(cloud.count, ProjectPoint{cloud, settings.camera, settings.near, to});
-    machine.sort(to.keys, to.depths, to.values, to.points, cloud.count, 32, to.scratch, to.scratch_bytes);
-    machine.each(cloud.count + 1, RankPoint{to});
-    machine.sum_before(to.reach, to.begin, cloud.count + 1, to.scratch, to.scratch_bytes);
-    machine.each(room.entries, EmitEntry{to});
-    machine.sort(to.keys, to.entry_tiles, to.values, to.entry_ranks, room.entries, bits_of(tiles.count()), to.scratch,
-                 to.scratch_bytes);
-    machine.each(tiles.count() + 1, BeginTile{to, room.needed});
+    const Entries to = allocate_entries(arena, cloud.count, sums, tiles, capacity.entries);
+    executor.for_each(cloud.count, ProjectPoint{cloud, settings.camera, settings.near_depth, to});
+    executor.sort(to.keys, to.depths, to.values, to.points, cloud.count, 32, to.scratch, to.scratch_bytes);
+    executor.for_each(cloud.count + 1, GatherRank{to});
+    executor.exclusive_sum(to.tile_counts, to.begin, cloud.count + 1, to.scratch, to.scratch_bytes);
+    executor.for_each(capacity.entries, EmitEntry{to});
+    executor.sort(to.keys, to.entry_tiles, to.values, to.entry_ranks, capacity.entries, bits_of(tiles.count()),
+                  to.scratch, to.scratch_bytes);
+    executor.for_each(tiles.count() + 1, FindTileBegin{to, capacity.needed});
     return to;
 }
 

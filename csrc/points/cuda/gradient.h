@@ -5,26 +5,26 @@
 
 namespace fourd::points::cuda {
 
-// The image's gradient at a pixel. A layer has value = features . colour + per_weight * (z - nearest - behind), and
-// the image is the composite of these values. Alpha has its own term: as one more value it would be what is
-// left of nearly 1 - 1 where much is opaque.
-template <int kRoom>
+// The gradient with respect to the image, at a pixel. A layer has value = features . colour + per_weight * (z - nearest
+// - behind), and the image composites these values. Alpha has a term of its own: as one more channel it would suffer
+// cancellation near alpha = 1.
+template <int kCapacity>
 struct Upstream {
-    float colour[kRoom];
+    float colour[kCapacity];
     float alpha, depth;
 
     FOURD_DEVICE Upstream(const ImageGradient& gradient, const Pixel& pixel, int channels) {
-        for (int c = 0; c < kRoom; ++c) {
-            colour[c] = pixel.inside && c < channels ? gradient.features[pixel.place * channels + c] : 0.0f;
+        for (int c = 0; c < kCapacity; ++c) {
+            colour[c] = pixel.inside && c < channels ? gradient.features[pixel.index * channels + c] : 0.0f;
         }
-        alpha = pixel.inside ? gradient.alpha[pixel.place] : 0.0f;
-        depth = pixel.inside && gradient.depth ? gradient.depth[pixel.place] : 0.0f;
+        alpha = pixel.inside ? gradient.alpha[pixel.index] : 0.0f;
+        depth = pixel.inside && gradient.depth ? gradient.depth[pixel.index] : 0.0f;
     }
 };
 
-// A pixel goes forward and remembers what it composites, then comes back; the way back is shared by the warp,
-// which stops wherever one of its pixels has something to add.
-template <int kRoom, int kLayers>
+// A thread composites its pixel front to back and records the layers, then visits them back to front. The warp goes
+// back together and stops at every entry that one of its pixels recorded.
+template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // layers is at most kLayers
     const float* features;  // by point
@@ -33,52 +33,52 @@ struct GradientPixel {
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
         const Pixel pixel = view.pixel(index);
-        const Row row = row_of(view.entries, pixel.tile);
-        std::uint32_t places[kLayers];
+        const EntryList list = entry_list(view.entries, pixel.tile);
+        std::uint32_t positions[kLayers];
         float transmittances[kLayers];
-        int left = 0;
+        int count = 0;
         DepthSum depth;
-        // A transmittance of exactly 0 ends no pixel here: what lies behind a point of alpha 1 is the
-        // gradient of that alpha.
-        const float transmittance =
-            walk(view.entries, row, pixel, view.layers, -1.0f, lane,
-                 [&](std::size_t place, std::size_t, const Splat& splat, const PixelTouch& at, float passed) {
-                     places[left] = static_cast<std::uint32_t>(place);
-                     transmittances[left] = passed;
-                     ++left;
-                     depth.add(splat.z, passed * at.alpha);
-                 });
+        // A transmittance of exactly 0 does not end a pixel here: the gradient of a point with alpha 1 depends on what
+        // lies behind it.
+        const float transmittance = traverse(
+            view.entries, list, pixel, view.layers, -1.0f, lane,
+            [&](std::size_t position, std::size_t, const Splat& splat, const PixelCoverage& coverage, float passed) {
+                positions[count] = static_cast<std::uint32_t>(position);
+                transmittances[count] = passed;
+                ++count;
+                depth.add(splat.z, passed * coverage.alpha);
+            });
         const bool seen = 1.0f - transmittance > 0.0f;
-        const Upstream<kRoom> upstream(gradient, pixel, channels);
+        const Upstream<kCapacity> upstream(gradient, pixel, channels);
         const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
         const float mean_behind = seen ? depth.mean_behind() : 0.0f;
-        float behind = 0.0f;   // the composite value of what lies behind
-        float through = 1.0f;  // and the light that it lets through
+        float behind = 0.0f;                // composite value of the layers behind
+        float transmittance_behind = 1.0f;  // and their transmittance
         while (true) {
-            const std::uint32_t own = left > 0 ? places[left - 1] + 1 : 0;
-            const std::uint32_t next = lane.largest(own);
+            const std::uint32_t own = count > 0 ? positions[count - 1] + 1 : 0;
+            const std::uint32_t next = lane.max(own);
             if (next == 0) break;
-            const std::size_t rank = row.rank(next - 1);
-            float parts[5 + kRoom] = {};  // SplatGradient, and the features'
+            const std::size_t rank = list.rank(next - 1);
+            float parts[5 + kCapacity] = {};  // of SplatGradient's members, and of the features
             if (own == next) {
-                --left;
+                --count;
                 const Splat& splat = view.entries.splats[rank];
-                const PixelTouch at = touch_pixel(splat, pixel.x, pixel.y);
-                const float passed = transmittances[left], weight = passed * at.alpha;
+                const PixelCoverage coverage = pixel_coverage(splat, pixel.x, pixel.y);
+                const float passed = transmittances[count], weight = passed * coverage.alpha;
                 const float* feature = features + static_cast<std::size_t>(view.entries.points[rank]) * channels;
                 float value = per_weight * (splat.z - depth.nearest - mean_behind);
-                for (int c = 0; c < kRoom; ++c) {
+                for (int c = 0; c < kCapacity; ++c) {
                     if (c < channels) value += upstream.colour[c] * feature[c];
                     parts[5 + c] = weight * upstream.colour[c];
                 }
                 const float step = value - behind;
-                const float grad_alpha = passed * (step + upstream.alpha * through);
-                behind += at.alpha * step;
-                through *= 1.0f - at.alpha;
-                parts[0] = grad_alpha * at.dx;
-                parts[1] = grad_alpha * at.dy;
-                parts[2] = grad_alpha * at.square;
-                parts[3] = grad_alpha * at.falloff;
+                const float grad_alpha = passed * (step + upstream.alpha * transmittance_behind);
+                behind += coverage.alpha * step;
+                transmittance_behind *= 1.0f - coverage.alpha;
+                parts[0] = grad_alpha * coverage.dx;
+                parts[1] = grad_alpha * coverage.dy;
+                parts[2] = grad_alpha * coverage.square;
+                parts[3] = grad_alpha * coverage.falloff;
                 parts[4] = weight * per_weight;
             }
             add(rank, parts, lane);
@@ -88,15 +88,15 @@ struct GradientPixel {
   private:
     FOURD_DEVICE void add(std::size_t rank, const float* parts, const device::Lane& lane) const {
         float* to = view.entries.sums + rank * static_cast<std::size_t>(5 + channels);
-        for (int k = 0; k < 5 + kRoom; ++k) {
+        for (int k = 0; k < 5 + kCapacity; ++k) {
             if (k >= 5 + channels) break;
             const float total = lane.sum(parts[k]);
-            if (lane.first()) device::add_shared(to + k, total);
+            if (lane.is_first()) device::atomic_add(to + k, total);
         }
     }
 };
 
-// Carries the sums of a rank to its point; culled points get zeros.
+// Back-projects the sums of a rank to its point; culled points get zeros.
 struct GradientPoint {
     Entries entries;
     Pinhole camera;

@@ -1,11 +1,11 @@
-// Pictures, and what each point adds to them. Kernels over the pixels of whole tiles, see walk.h.
+// Pictures, and each point's largest weight. One thread per pixel of whole tiles (traversal.h).
 #pragma once
 
-#include "points/cuda/walk.h"
+#include "points/cuda/traversal.h"
 
 namespace fourd::points::cuda {
 
-// What a kernel over pixels knows.
+// The inputs of every kernel over pixels.
 struct View {
     Entries entries;
     int width, height, layers;
@@ -14,8 +14,8 @@ struct View {
     FOURD_DEVICE Pixel pixel(std::size_t index) const { return pixel_of(index, entries.tiles, width, height); }
 };
 
-// A pixel's depth from its layers' depths and weights. Depths are taken relative to the nearest, so that
-// rounding errors are not magnified by small weights.
+// A pixel's depth from its layers' depths and weights. Depths are relative to the nearest, so that small weights do not
+// magnify rounding errors.
 struct DepthSum {
     float nearest = -1.0f, weight = 0.0f, behind = 0.0f;
 
@@ -25,12 +25,12 @@ struct DepthSum {
         behind += w * (z - nearest);
     }
 
-    // Where the pixel is seen: weights too small to show in alpha say nothing of depth.
+    // Only for alpha above 0: smaller weights carry no information about depth.
     FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 
-// kRoom: at least as many as channels, so that loops over them have no index known only at run time.
-template <int kRoom>
+// kCapacity is at least the number of channels; loops over it have constant indices, which keeps arrays in registers.
+template <int kCapacity>
 struct RenderPixel {
     View view;
     const float* features;  // by point
@@ -39,25 +39,25 @@ struct RenderPixel {
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
         const Pixel pixel = view.pixel(index);
-        float colour[kRoom] = {};
+        float colour[kCapacity] = {};
         DepthSum depth;
-        const float transmittance = walk(
-            view.entries, row_of(view.entries, pixel.tile), pixel, view.layers, view.transmittance_min, lane,
-            [&](std::size_t, std::size_t rank, const Splat& splat, const PixelTouch& at, float passed) {
-                const float weight = passed * at.alpha;
+        const float transmittance = traverse(
+            view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, view.transmittance_min, lane,
+            [&](std::size_t, std::size_t rank, const Splat& splat, const PixelCoverage& coverage, float passed) {
+                const float weight = passed * coverage.alpha;
                 const float* feature = features + static_cast<std::size_t>(view.entries.points[rank]) * channels;
-                for (int c = 0; c < kRoom; ++c) {
+                for (int c = 0; c < kCapacity; ++c) {
                     if (c < channels) colour[c] += weight * feature[c];
                 }
                 depth.add(splat.z, weight);
             });
         if (!pixel.inside) return;
         const float alpha = 1.0f - transmittance;
-        for (int c = 0; c < kRoom; ++c) {
-            if (c < channels) out.features[pixel.place * channels + c] = colour[c];
+        for (int c = 0; c < kCapacity; ++c) {
+            if (c < channels) out.features[pixel.index * channels + c] = colour[c];
         }
-        out.alpha[pixel.place] = alpha;
-        out.depth[pixel.place] = alpha > 0.0f ? depth.nearest + depth.mean_behind() : 0.0f;
+        out.alpha[pixel.index] = alpha;
+        out.depth[pixel.index] = alpha > 0.0f ? depth.nearest + depth.mean_behind() : 0.0f;
     }
 };
 
@@ -68,35 +68,35 @@ FOURD_DEVICE static inline std::uint8_t byte_of(float value) {
 
 struct DrawPixel {
     View view;
-    const float* features;  // three a point
+    const float* features;  // (count, 3)
     Canvas out;
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
         const Pixel pixel = view.pixel(index);
         float colour[3] = {};
-        const float transmittance = walk(
-            view.entries, row_of(view.entries, pixel.tile), pixel, view.layers, view.transmittance_min, lane,
-            [&](std::size_t, std::size_t rank, const Splat&, const PixelTouch& at, float passed) {
+        const float transmittance = traverse(
+            view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, view.transmittance_min, lane,
+            [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage, float passed) {
                 const float* feature = features + 3 * static_cast<std::size_t>(view.entries.points[rank]);
-                for (int c = 0; c < 3; ++c) colour[c] += passed * at.alpha * feature[c];
+                for (int c = 0; c < 3; ++c) colour[c] += passed * coverage.alpha * feature[c];
             });
         if (!pixel.inside) return;
-        std::uint8_t* to = out.rgba + 4 * pixel.place;
+        std::uint8_t* to = out.rgba + 4 * pixel.index;
         for (int c = 0; c < 3; ++c) to[c] = byte_of(colour[c] + transmittance * out.background[c]);
         to[3] = byte_of(1.0f - transmittance);
     }
 };
 
-struct SeePixel {
+struct VisibilityPixel {
     View view;
-    float* out;  // by point, 0 before
+    float* out;  // by point, initially 0
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
         const Pixel pixel = view.pixel(index);
-        walk(view.entries, row_of(view.entries, pixel.tile), pixel, view.layers, 0.0f, lane,
-             [&](std::size_t, std::size_t rank, const Splat&, const PixelTouch& at, float passed) {
-                 device::raise_shared(out + view.entries.points[rank], passed * at.alpha);
-             });
+        traverse(view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, 0.0f, lane,
+                 [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage, float passed) {
+                     device::atomic_max(out + view.entries.points[rank], passed * coverage.alpha);
+                 });
     }
 };
 

@@ -1,4 +1,4 @@
-// Shading of a run of points, as loops that compilers turn into vectors.
+// Shading of runs of points, as loops that compilers vectorise.
 #include <cmath>
 #include <cstring>
 
@@ -19,19 +19,19 @@ namespace {
 FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, float (*basis)[kBlock]) {
     float dx[kBlock], dy[kBlock], dz[kBlock];
     for (int i = 0; i < count; ++i) {
-        // The difference in double: a camera may be far from the origin and near the point.
+        // Subtracted in double: a camera may be far from the origin and near the point.
         dx[i] = static_cast<float>(xyz[3 * i] - centre[0]);
         dy[i] = static_cast<float>(xyz[3 * i + 1] - centre[1]);
         dz[i] = static_cast<float>(xyz[3 * i + 2] - centre[2]);
     }
     for (int i = 0; i < count; ++i) {
-        harmonics(dx[i], dy[i], dz[i], [&](int k, float value) FOURD_ALWAYS { basis[k][i] = value; });
+        harmonics(dx[i], dy[i], dz[i], [&](int k, float value) FOURD_INLINE_LAMBDA { basis[k][i] = value; });
     }
 }
 
 #ifdef FOURD_SHADE_VECTORS
 
-// Eight points' rows of eight harmonics, from columns.
+// Transposes eight harmonics of eight points.
 FOURD_INLINE void transpose(const float (*basis)[kBlock], int first, __m256* rows) {
     __m256 a[8], b[8];
     for (int k = 0; k < 8; ++k) a[k] = _mm256_loadu_ps(basis[k] + first);
@@ -100,15 +100,15 @@ struct Rgb {
     float channel[3];
 };
 
-// Sum of the chosen views' colours (0 to 255) by weight, and of the weights.
-FOURD_INLINE float weighted(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
+// The weighted sum of the chosen views' colours (0 to 255); returns the sum of weights.
+FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
 #ifdef FOURD_SHADE_VECTORS
     const std::size_t last = points.count * points.views - 1;
     __m128 sum = _mm_setzero_ps();
     float total = 0;
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::size_t at = row + static_cast<std::size_t>(settings.chosen[v]);
-        std::uint32_t bytes = 0;  // the fourth is the next view's and counts for nothing
+        std::uint32_t bytes = 0;  // the fourth byte belongs to the next view and is ignored
         if (at < last) {
             std::memcpy(&bytes, points.rgb + 3 * at, 4);
         } else {
@@ -136,8 +136,8 @@ FOURD_INLINE float weighted(const Points& points, std::size_t row, const Setting
 #endif
 }
 
-// Where no chosen view has a say, all count evenly.
-FOURD_INLINE float even(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
+// The unweighted sum, for points whose chosen views all have weight 0; returns the number of views.
+FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
     *out = {{0, 0, 0}};
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::uint8_t* rgb = points.rgb + 3 * (row + static_cast<std::size_t>(settings.chosen[v]));
@@ -146,15 +146,15 @@ FOURD_INLINE float even(const Points& points, std::size_t row, const Settings& s
     return static_cast<float>(settings.chosen_count);
 }
 
-// colour (count, 3) += the chosen views' colours, by weights that are made to sum to 1.
+// colour (count, 3) += the chosen views' colours, blended with normalised weights.
 FOURD_INLINE void add_blend(const Points& points, std::size_t first, int count, const Settings& settings,
                             float* colour) {
     if (settings.chosen_count == 0) return;
     for (int i = 0; i < count; ++i) {
         const std::size_t row = (first + static_cast<std::size_t>(i)) * points.views;
         Rgb rgb;
-        float total = weighted(points, row, settings, &rgb);
-        if (!(total > 0)) total = even(points, row, settings, &rgb);
+        float total = weighted_sum(points, row, settings, &rgb);
+        if (!(total > 0)) total = plain_sum(points, row, settings, &rgb);
         const float scale = 1.0f / (255.0f * total);
         for (int c = 0; c < 3; ++c) colour[3 * i + c] += scale * rgb.channel[c];
     }
@@ -166,8 +166,7 @@ FOURD_INLINE void shade_block(const Points& points, std::size_t first, int count
     fill_basis(points.xyz + 3 * first, count, settings.centre, basis);
     float* colour = out + 3 * first;
     dot_harmonics(points.sh + 3 * kTerms * first, count, basis, colour);
-    for (int i = 0; i < 3 * count; ++i)
-        colour[i] = settings.sh_base + settings.sh_range * fast_tanh(colour[i]);
+    for (int i = 0; i < 3 * count; ++i) colour[i] = settings.sh_base + settings.sh_range * fast_tanh(colour[i]);
     add_blend(points, first, count, settings, colour);
 }
 

@@ -1,4 +1,4 @@
-// Shading of baked points on a GPU; see shade/shade.h. Pointers are to the GPU's memory.
+// Shading of baked points on a GPU (shade/shade.h). Pointers are to GPU memory.
 #pragma once
 
 #include "common/half.h"
@@ -7,11 +7,14 @@
 
 namespace fourd::shade::cuda {
 
-// A kernel over points. It holds the views to blend itself: what it is given lies in the host's memory.
+// A kernel over points. It copies the chosen views, which are in host memory.
 class ShadePoint {
   public:
     ShadePoint(const Points& points, const Settings& settings, float* out)
-        : points_(points), count_(settings.chosen_count), sh_range_(settings.sh_range), sh_base_(settings.sh_base),
+        : points_(points),
+          count_(settings.chosen_count),
+          sh_range_(settings.sh_range),
+          sh_base_(settings.sh_base),
           out_(out) {
         for (int v = 0; v < count_; ++v) chosen_[v] = settings.chosen[v];
         for (int axis = 0; axis < 3; ++axis) centre_[axis] = settings.centre[axis];
@@ -21,7 +24,7 @@ class ShadePoint {
         const float* xyz = points_.xyz + 3 * point;
         const std::uint16_t* sh = points_.sh + 3 * kTerms * point;
         float sums[3] = {};
-        // The difference in double: a camera may be far from the origin and near the point.
+        // Subtracted in double: a camera may be far from the origin and near the point.
         harmonics(static_cast<float>(xyz[0] - centre_[0]), static_cast<float>(xyz[1] - centre_[1]),
                   static_cast<float>(xyz[2] - centre_[2]), [&](int k, float value) {
                       for (int c = 0; c < 3; ++c) sums[c] += from_half(sh[c * kTerms + k]) * value;
@@ -32,21 +35,21 @@ class ShadePoint {
     }
 
   private:
-    // By weights that are made to sum to 1; where no chosen view has a say, all count evenly.
+    // Normalised weights; the plain mean if all chosen views have weight 0.
     FOURD_DEVICE void blend(std::size_t point, float* out) const {
-        float total = 0.0f, even[3] = {};
+        float total = 0.0f, plain[3] = {};
         for (int v = 0; v < count_; ++v) {
             const std::size_t at = point * points_.views + static_cast<std::size_t>(chosen_[v]);
             const float weight = from_half(points_.weights[at]);
             total += weight;
             for (int c = 0; c < 3; ++c) {
                 out[c] += weight * points_.rgb[3 * at + c];
-                even[c] += points_.rgb[3 * at + c];
+                plain[c] += points_.rgb[3 * at + c];
             }
         }
-        const bool trusted = total > 0.0f;
-        const float scale = 1.0f / (255.0f * (trusted ? total : static_cast<float>(count_)));
-        for (int c = 0; c < 3; ++c) out[c] = scale * (trusted ? out[c] : even[c]);
+        const bool weighted = total > 0.0f;
+        const float scale = 1.0f / (255.0f * (weighted ? total : static_cast<float>(count_)));
+        for (int c = 0; c < 3; ++c) out[c] = scale * (weighted ? out[c] : plain[c]);
     }
 
     Points points_;

@@ -1,4 +1,4 @@
-// The window's means along rows and columns, similarities and their slopes, as loops that compilers turn into vectors.
+// Window means along rows and columns, similarities and their derivatives, as loops that compilers vectorise.
 #include "similarity/cpu/loops.h"
 
 #include <cstddef>
@@ -11,11 +11,12 @@ namespace fourd::similarity::FOURD_SIMD {
 namespace {
 
 constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
-constexpr int kLanes = 8;  // of sums, so that they need not wait for one another
+constexpr int kLanes = 8;  // of sums, for independent additions
 
-// Down the columns, i and, for eight numbers, those after it; out has kMeans rows of stride.
+// Means along columns, for element i and, if Number is Eight, the seven after it; out has kMeans rows of stride.
 template <typename Number>
-FOURD_INLINE void down_at(const Plan& plan, const float* picture, const float* truth, std::size_t i, float* out) {
+FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const float* truth, std::size_t i,
+                                  float* out) {
     const std::size_t stride = plan.stride;
     Number mean_x{}, mean_y{}, square_x{}, square_y{}, product{};
     for (int k = 0; k < kWindow; ++k) {
@@ -36,10 +37,10 @@ FOURD_INLINE void down_at(const Plan& plan, const float* picture, const float* t
     store(&product, out + 4 * stride + i);
 }
 
-// The window's sum at from, which steps by step.
+// The weighted sum over window elements first to last, step apart.
 template <typename Number>
-FOURD_INLINE void window_at(const Window& window, int first, int last, const float* from, std::ptrdiff_t step,
-                            float* to) {
+FOURD_INLINE void window_sum_at(const Window& window, int first, int last, const float* from, std::ptrdiff_t step,
+                                float* to) {
     Number sum{};
     for (int k = first; k < last; ++k) {
         Number value;
@@ -49,33 +50,36 @@ FOURD_INLINE void window_at(const Window& window, int first, int last, const flo
     store(&sum, to);
 }
 
-// Along a row: count values, each from kWindow that lie step apart.
-FOURD_INLINE void along(const Window& window, const float* from, std::size_t count, std::size_t step, float* to) {
-    in_eights(count, [&](std::size_t i, auto* number) FOURD_ALWAYS {
-        window_at<NumberOf<decltype(number)>>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step), to + i);
+// Means along a row: count values, each over kWindow values that are step apart.
+FOURD_INLINE void row_means(const Window& window, const float* from, std::size_t count, std::size_t step, float* to) {
+    for_eights(count, [&](std::size_t i, auto* number) FOURD_INLINE_LAMBDA {
+        window_sum_at<NumberOf<decltype(number)>>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step),
+                                                  to + i);
     });
 }
 
-// A row's similarities from its means (rows of stride), and where wanted its slopes (kSlopes rows of valid).
-template <bool kWithSlopes>
-FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_ALONE values, float* FOURD_ALONE slopes) {
+// A row's similarities from its means (rows of stride), and their derivatives if wanted (kDerivatives rows of valid).
+template <bool kWithDerivatives>
+FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_RESTRICT values,
+                          float* FOURD_RESTRICT derivatives) {
     const std::size_t stride = plan.stride, valid = plan.valid;
-    const float *FOURD_ALONE mean_x = means, *FOURD_ALONE mean_y = means + stride;
-    const float *FOURD_ALONE square_x = means + 2 * stride, *FOURD_ALONE square_y = means + 3 * stride;
-    const float* FOURD_ALONE product = means + 4 * stride;
+    const float *FOURD_RESTRICT mean_x = means, *FOURD_RESTRICT mean_y = means + stride;
+    const float *FOURD_RESTRICT square_x = means + 2 * stride, *FOURD_RESTRICT square_y = means + 3 * stride;
+    const float* FOURD_RESTRICT product = means + 4 * stride;
     for (std::size_t i = 0; i < valid; ++i) {
         const float x = mean_x[i], y = mean_y[i];
         const float luminance_up = 2 * x * y + kLuminance, luminance_down = x * x + y * y + kLuminance;
         const float contrast_up = 2 * (product[i] - x * y) + kContrast;
         const float contrast_down = (square_x[i] - x * x) + (square_y[i] - y * y) + kContrast;
-        const float share = 1.0f / (luminance_down * contrast_down);
-        const float value = luminance_up * contrast_up * share;
+        const float inverse = 1.0f / (luminance_down * contrast_down);
+        const float value = luminance_up * contrast_up * inverse;
         values[i] = value;
-        if (!kWithSlopes) continue;
-        const float per_luminance = contrast_down * share, per_contrast = luminance_down * share;
-        slopes[i] = 2 * y * (contrast_up - luminance_up) * share + 2 * x * value * (per_contrast - per_luminance);
-        slopes[valid + i] = -value * per_contrast;
-        slopes[2 * valid + i] = 2 * luminance_up * share;
+        if (!kWithDerivatives) continue;
+        const float per_luminance = contrast_down * inverse, per_contrast = luminance_down * inverse;
+        derivatives[i] =
+            2 * y * (contrast_up - luminance_up) * inverse + 2 * x * value * (per_contrast - per_luminance);
+        derivatives[valid + i] = -value * per_contrast;
+        derivatives[2 * valid + i] = 2 * luminance_up * inverse;
     }
 }
 
@@ -90,48 +94,49 @@ FOURD_INLINE double sum_of(const float* values, std::size_t count) {
     return total;
 }
 
-double compare_row(const Plan& plan, std::size_t row, float* scratch, float* slopes) {
+double compare_row(const Plan& plan, std::size_t row, float* scratch, float* derivatives) {
     float* means = scratch + kMeans * plan.stride;
     const float* picture = plan.pictures.picture + row * plan.stride;
     const float* truth = plan.pictures.truth + row * plan.stride;
-    in_eights(plan.stride, [&](std::size_t i, auto* number) FOURD_ALWAYS {
-        down_at<NumberOf<decltype(number)>>(plan, picture, truth, i, scratch);
+    for_eights(plan.stride, [&](std::size_t i, auto* number) FOURD_INLINE_LAMBDA {
+        column_means_at<NumberOf<decltype(number)>>(plan, picture, truth, i, scratch);
     });
     for (int mean = 0; mean < kMeans; ++mean) {
-        along(plan.window, scratch + mean * plan.stride, plan.valid, plan.pictures.channels, means + mean * plan.stride);
+        row_means(plan.window, scratch + mean * plan.stride, plan.valid, plan.pictures.channels,
+                  means + mean * plan.stride);
     }
-    if (slopes) {
-        compare<true>(plan, means, scratch, slopes);
+    if (derivatives) {
+        compare<true>(plan, means, scratch, derivatives);
     } else {
-        compare<false>(plan, means, scratch, slopes);
+        compare<false>(plan, means, scratch, derivatives);
     }
     return sum_of(scratch, plan.valid);
 }
 
-void gradient_row(const Plan& plan, int row, const float* slopes, float* scratch, float* FOURD_ALONE out) {
+void gradient_row(const Plan& plan, int row, const float* derivatives, float* scratch, float* FOURD_RESTRICT out) {
     const std::size_t stride = plan.stride, valid = plan.valid;
-    const std::size_t border = static_cast<std::size_t>(kReach) * plan.pictures.channels;
+    const std::size_t border = static_cast<std::size_t>(kBorder) * plan.pictures.channels;
     const float* x = plan.pictures.picture + row * stride;
     const float* y = plan.pictures.truth + row * stride;
-    float *padded = scratch, *spread = scratch + stride + border;
-    for (int slope = 0; slope < kSlopes; ++slope) {
-        // Nothing beyond the valid part: a window's weights end there. They are symmetric.
+    float *padded = scratch, *smoothed = scratch + stride + border;
+    for (int derivative = 0; derivative < kDerivatives; ++derivative) {
+        // Zero padding beyond the valid part; the window is symmetric.
         std::memset(padded, 0, border * sizeof(float));
         std::memset(padded + stride, 0, border * sizeof(float));
         const int first = row < plan.valid_rows ? 0 : row - plan.valid_rows + 1;
         const int last = row + 1 < kWindow ? row + 1 : kWindow;
-        const std::ptrdiff_t step = static_cast<std::ptrdiff_t>(kSlopes * valid);
-        const float* from = slopes + row * step + static_cast<std::ptrdiff_t>(slope * valid);
-        in_eights(valid, [&](std::size_t i, auto* number) FOURD_ALWAYS {
-            window_at<NumberOf<decltype(number)>>(plan.window, first, last, from + i, -step, padded + border + i);
+        const std::ptrdiff_t step = static_cast<std::ptrdiff_t>(kDerivatives * valid);
+        const float* from = derivatives + row * step + static_cast<std::ptrdiff_t>(derivative * valid);
+        for_eights(valid, [&](std::size_t i, auto* number) FOURD_INLINE_LAMBDA {
+            window_sum_at<NumberOf<decltype(number)>>(plan.window, first, last, from + i, -step, padded + border + i);
         });
-        along(plan.window, padded, stride, plan.pictures.channels, spread);
-        if (slope == 0) {
-            for (std::size_t i = 0; i < stride; ++i) out[i] = plan.scale * spread[i];
+        row_means(plan.window, padded, stride, plan.pictures.channels, smoothed);
+        if (derivative == 0) {
+            for (std::size_t i = 0; i < stride; ++i) out[i] = plan.scale * smoothed[i];
         } else {
-            const float factor = slope == 1 ? 2 * plan.scale : plan.scale;
-            const float* FOURD_ALONE by = slope == 1 ? x : y;
-            for (std::size_t i = 0; i < stride; ++i) out[i] += factor * by[i] * spread[i];
+            const float factor = derivative == 1 ? 2 * plan.scale : plan.scale;
+            const float* FOURD_RESTRICT by = derivative == 1 ? x : y;
+            for (std::size_t i = 0; i < stride; ++i) out[i] += factor * by[i] * smoothed[i];
         }
     }
 }

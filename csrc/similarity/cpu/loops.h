@@ -6,36 +6,37 @@
 
 namespace fourd::similarity {
 
-constexpr int kReach = kWindow - 1;  // rows and columns that a valid picture loses
+constexpr int kBorder = kWindow - 1;  // rows and columns that the valid part lacks
 
 struct Window {
     float weights[kWindow];
 };
 
-// Sizes in floats: a row of channels side by side is a plain array, whose window steps by channels.
+// Sizes in floats: a row of interleaved channels is a plain array, and the window's step is the number of channels.
 struct Plan {
     Pictures pictures;
     Window window;
     std::size_t stride, valid;  // of a row of the pictures, and of their valid part
     int rows, valid_rows;
-    float scale;                // 1 over the number of valid values
+    float scale;  // 1 / number of valid values
 
     explicit Plan(const Pictures& pictures);
 };
 
-// The window's means at a row: of the picture, the truth, their squares and their product.
+// Window means at a row: of the picture, the truth, their squares and their product.
 constexpr int kMeans = 5;
 
-// What the similarity's sum changes by as the picture's mean, mean square and mean product do.
-constexpr int kSlopes = 3;
+// Derivatives of the similarity with respect to the picture's mean, mean square and mean product.
+constexpr int kDerivatives = 3;
 
 struct Loops {
-    // Valid row: its sum of similarities, and its slopes unless null. scratch has 2 * kMeans rows of stride.
-    double (*compare)(const Plan&, std::size_t row, float* scratch, float* slopes);
+    // A valid row: returns its sum of similarities, and writes its derivatives unless null. scratch has 2 * kMeans rows
+    // of stride.
+    double (*compare)(const Plan&, std::size_t row, float* scratch, float* derivatives);
 
-    // Row of the picture: its gradient, from the slopes of all windows that hold it. scratch has 2 rows of
-    // stride + kReach * channels.
-    void (*gradient)(const Plan&, int row, const float* slopes, float* scratch, float* out);
+    // A row of the picture: its gradient, from the derivatives of all windows that contain it. scratch has 2 rows of
+    // stride + kBorder * channels.
+    void (*gradient)(const Plan&, int row, const float* derivatives, float* scratch, float* out);
 };
 
 FOURD_DISPATCH(Loops, Simd::avx2)

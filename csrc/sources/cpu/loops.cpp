@@ -1,4 +1,4 @@
-// Sampling of runs of points in one view, and its gradient, as loops that compilers turn into vectors.
+// Sampling of runs of points in one view, and its gradient, as loops that compilers vectorise.
 #include "sources/cpu/loops.h"
 
 #include "common/eight.h"
@@ -7,19 +7,19 @@
 namespace fourd::sources::FOURD_SIMD {
 namespace {
 
-constexpr int kMostChannels = 256;
+constexpr int kMaxChannels = 256;
 
 FOURD_INLINE std::size_t image_size(const Maps& maps) { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-// Channels is their number, or 0 for what the maps say: known, it makes loops that fit vectors.
+// Channels is the number of channels, or 0 if it is that of the maps: constants make loops that fit vectors.
 template <int Channels>
 FOURD_INLINE int channels_of(const Maps& maps) {
     return Channels > 0 ? Channels : maps.channels;
 }
 
-// The four samples' channels c and, for eight numbers, those after it, by weight.
+// Interpolates channel c and, if Number is Eight, the seven after it.
 template <typename Number>
-FOURD_INLINE void gather_at(const float* features, const Around& at, int channels, std::size_t c, float* out) {
+FOURD_INLINE void gather_at(const float* features, const Bilinear& at, int channels, std::size_t c, float* out) {
     Number sum{};
     for (int corner = 0; corner < 4; ++corner) {
         Number value;
@@ -34,21 +34,21 @@ template <int Channels>
 FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t first, int count, const Samples& out) {
     const Maps& maps = query.maps;
     const int channels = channels_of<Channels>(maps);
-    float rows[kRun * (Channels > 0 ? Channels : kMostChannels)];
+    float rows[kRun * (Channels > 0 ? Channels : kMaxChannels)];
     const float* features = maps.features + view * feature_size(maps);
     float* to = out.channels + view * static_cast<std::size_t>(channels + 3) * query.count + first;
     for (int i = 0; i < count; ++i) {
-        const Projected at = project(query.cameras[view], query.xyz + 3 * (first + i));
-        const Around feature = around_in_features(maps, at);
-        in_eights(channels, [&](std::size_t c, auto* number) FOURD_ALWAYS {
+        const Projection at = project(query.cameras[view], query.xyz + 3 * (first + i));
+        const Bilinear feature = bilinear_in_features(maps, at);
+        for_eights(channels, [&](std::size_t c, auto* number) FOURD_INLINE_LAMBDA {
             gather_at<NumberOf<decltype(number)>>(features, feature, channels, c, rows + i * channels);
         });
-        const Around image = around_in_image(maps, at);
+        const Bilinear image = bilinear_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             const float* map = maps.images + (view * 3 + c) * image_size(maps);
             to[static_cast<std::size_t>(channels + c) * query.count + i] = sample(map, image);
         }
-        out.trust[view * query.count + first + i] = trust(maps, view, at, image, query.softness[first + i]);
+        out.visibility[view * query.count + first + i] = visibility(maps, view, at, image, query.softness[first + i]);
     }
     for (int c = 0; c < channels; ++c) {
         for (int i = 0; i < count; ++i) to[static_cast<std::size_t>(c) * query.count + i] = rows[i * channels + c];
@@ -63,18 +63,19 @@ FOURD_INLINE float total(const Eight* number) {
 }
 #endif
 
-// How channels c of the features around a point pull at its pixel; and, where they learn, their own gradient.
+// Adds the gradient of channel c (and the seven after it) with respect to the pixel to sum and, unless to is null, with
+// respect to the features to to.
 template <typename Number>
-FOURD_INLINE void scatter_at(const float* features, const Around& at, int channels, std::size_t c, const float* gradient,
-                             float* to, Pull* sum) {
+FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
+                             const float* gradient, float* to, PixelGradient* sum) {
     Number g, across{}, down{};
     load(gradient + c, &g);
     for (int corner = 0; corner < 4; ++corner) {
         const std::size_t offset = at.offset[corner] * channels + c;
         Number value;
         load(features + offset, &value);
-        across += at.across[corner] * value;
-        down += at.down[corner] * value;
+        across += at.slope_x[corner] * value;
+        down += at.slope_y[corner] * value;
         if (!to) continue;
         Number grown;
         load(to + offset, &grown);
@@ -88,29 +89,31 @@ FOURD_INLINE void scatter_at(const float* features, const Around& at, int channe
 }
 
 template <int Channels>
-FOURD_INLINE void backward_run(const Query& query, const float* gradient, std::size_t view, std::size_t first, int count,
-                               float* to_features, float* to_xyz) {
+FOURD_INLINE void backward_run(const Query& query, const float* gradient, std::size_t view, std::size_t first,
+                               int count, float* to_features, float* to_xyz) {
     const Maps& maps = query.maps;
     const int channels = channels_of<Channels>(maps);
-    float rows[kRun * (Channels > 0 ? Channels : kMostChannels)];
+    float rows[kRun * (Channels > 0 ? Channels : kMaxChannels)];
     const float* from = gradient + view * static_cast<std::size_t>(channels + 3) * query.count + first;
     for (int c = 0; c < channels; ++c) {
         for (int i = 0; i < count; ++i) rows[i * channels + c] = from[static_cast<std::size_t>(c) * query.count + i];
     }
     const float* features = maps.features + view * feature_size(maps);
-    const float across = feature_scale_across(maps), down = feature_scale_down(maps);
+    const float across = feature_scale_x(maps), down = feature_scale_y(maps);
     for (int i = 0; i < count; ++i) {
-        const Projected at = project(query.cameras[view], query.xyz + 3 * (first + i));
-        Pull by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
-        const Around feature = around_in_features(maps, at);
-        in_eights(channels, [&](std::size_t c, auto* number) FOURD_ALWAYS {
-            scatter_at<NumberOf<decltype(number)>>(features, feature, channels, c, rows + i * channels, to_features, &by_features);
+        const Projection at = project(query.cameras[view], query.xyz + 3 * (first + i));
+        PixelGradient by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
+        const Bilinear feature = bilinear_in_features(maps, at);
+        for_eights(channels, [&](std::size_t c, auto* number) FOURD_INLINE_LAMBDA {
+            scatter_at<NumberOf<decltype(number)>>(features, feature, channels, c, rows + i * channels, to_features,
+                                                   &by_features);
         });
-        const Around image = around_in_image(maps, at);
+        const Bilinear image = bilinear_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             const float* map = maps.images + (view * 3 + c) * image_size(maps);
             const float g = from[static_cast<std::size_t>(channels + c) * query.count + i];
-            for (int corner = 0; corner < 4; ++corner) pull(by_image, image, corner, g * map[image.offset[corner]]);
+            for (int corner = 0; corner < 4; ++corner)
+                add_pixel_gradient(by_image, image, corner, g * map[image.offset[corner]]);
         }
         const float grad_u = by_image.u + across * by_features.u, grad_v = by_image.v + down * by_features.v;
         project_backward(query.cameras[view], at, grad_u, grad_v, to_xyz + 3 * (first + i));

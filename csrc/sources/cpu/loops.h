@@ -7,7 +7,7 @@
 
 namespace fourd::sources {
 
-constexpr int kRun = 64;  // points whose channels are turned from rows into columns in the first-level cache
+constexpr int kRun = 64;  // points whose channels are transposed in the L1 cache
 
 FOURD_INLINE std::size_t feature_size(const Maps& maps) {
     return static_cast<std::size_t>(maps.feature_width) * maps.feature_height * maps.channels;
@@ -21,7 +21,7 @@ struct RunLoops {
 };
 
 struct Loops {
-    RunLoops sixteen_channels;  // the usual number, known when compiled
+    RunLoops sixteen_channels;  // the usual number, known at compile time
     RunLoops any_channels;
 
     const RunLoops& of(int channels) const { return channels == 16 ? sixteen_channels : any_channels; }

@@ -1,4 +1,4 @@
-// Source views sampled on a GPU: fourd/ops/sources/op.py says what is computed.
+// Python bindings of sampling source views on a GPU; fourd/ops/sources/op.py documents what they compute.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 
@@ -14,16 +14,16 @@ namespace {
 using Arguments = SourceArguments<Where>;
 
 void require_few(const Arguments::Images& images) {
-    require(images.shape(0) <= sources::cuda::kMostViews, "images: expected at most 16 views on a GPU");
+    require(images.shape(0) <= sources::cuda::kMaxViews, "images: expected at most 16 views on a GPU");
 }
 
 void sample(const Arguments::Xyz& xyz, const Arguments::Images& images, const Arguments::Grey& mattes,
             const std::optional<Arguments::Grey>& depth, const std::optional<Arguments::Features>& features,
             const std::vector<double>& cameras, const Arguments::Softness& softness, std::uintptr_t stream,
-            const Arguments::ChannelsOut& out_channels, const Arguments::TrustOut& out_trust) {
+            const Arguments::ChannelsOut& out_channels, const Arguments::VisibilityOut& out_visibility) {
     require_few(images);
     const Arguments arguments(xyz, images, mattes, depth, features, cameras, &softness, 1, Simd::baseline);
-    sources::cuda::sample(arguments.query, arguments.samples(out_channels, out_trust), stream_of(stream));
+    sources::cuda::sample(arguments.query, arguments.samples(out_channels, out_visibility), stream_of(stream));
 }
 
 void sample_backward(const Arguments::Xyz& xyz, const Arguments::Images& images, const Arguments::Grey& mattes,
@@ -41,7 +41,7 @@ void sample_backward(const Arguments::Xyz& xyz, const Arguments::Images& images,
 void bind_sources(nb::module_& module) {
     module.def("sample_sources", &sample, nb::arg("xyz"), nb::arg("images"), nb::arg("mattes"), nb::arg("depth").none(),
                nb::arg("features").none(), nb::arg("cameras"), nb::arg("softness"), nb::arg("stream"),
-               nb::arg("out_channels"), nb::arg("out_trust"));
+               nb::arg("out_channels"), nb::arg("out_visibility"));
     module.def("sample_sources_backward", &sample_backward, nb::arg("xyz"), nb::arg("images"), nb::arg("mattes"),
                nb::arg("features").none(), nb::arg("cameras"), nb::arg("stream"), nb::arg("gradient"),
                nb::arg("out_xyz"), nb::arg("out_features").none());

@@ -1,7 +1,7 @@
 #include "sources/cuda/sample.h"
 
 #include "device/clear.h"
-#include "device/machine.h"
+#include "device/executor.h"
 
 namespace fourd::sources::cuda {
 namespace {
@@ -9,7 +9,7 @@ namespace {
 // Kernels over a query's views and points, point by point within a view.
 struct Views {
     Maps maps;
-    Pinhole cameras[kMostViews];
+    Pinhole cameras[kMaxViews];
     const float* xyz;
     std::size_t count;
     const float* softness;
@@ -21,12 +21,12 @@ struct Views {
 
     FOURD_DEVICE std::size_t image_size() const { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-    // Where a view's features begin.
+    // Offset of a view's features.
     FOURD_DEVICE std::size_t features(std::size_t view) const {
         return view * maps.feature_width * static_cast<std::size_t>(maps.feature_height) * maps.channels;
     }
 
-    // Where a view's channels of a point begin; they lie count apart.
+    // Offset of a point's first channel in a view; channels are count apart.
     FOURD_DEVICE std::size_t channels(std::size_t view, std::size_t point) const {
         return view * static_cast<std::size_t>(maps.channels + 3) * count + point;
     }
@@ -39,9 +39,9 @@ struct Sample {
     FOURD_DEVICE void operator()(std::size_t index) const {
         const std::size_t view = index / views.count, point = index % views.count;
         const Maps& maps = views.maps;
-        const Projected at = project(views.cameras[view], views.xyz + 3 * point);
+        const Projection at = project(views.cameras[view], views.xyz + 3 * point);
         float* to = out.channels + views.channels(view, point);
-        const Around feature = around_in_features(maps, at);
+        const Bilinear feature = bilinear_in_features(maps, at);
         const float* from = maps.features + views.features(view);
         for (int c = 0; c < maps.channels; ++c) {
             float sum = 0.0f;
@@ -50,11 +50,11 @@ struct Sample {
             }
             to[c * views.count] = sum;
         }
-        const Around image = around_in_image(maps, at);
+        const Bilinear image = bilinear_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             to[(maps.channels + c) * views.count] = sample(maps.images + (view * 3 + c) * views.image_size(), image);
         }
-        out.trust[index] = trust(maps, view, at, image, views.softness[point]);
+        out.visibility[index] = visibility(maps, view, at, image, views.softness[point]);
     }
 };
 
@@ -66,49 +66,50 @@ struct SampleBackward {
     FOURD_DEVICE void operator()(std::size_t index) const {
         const std::size_t view = index / views.count, point = index % views.count;
         const Maps& maps = views.maps;
-        const Projected at = project(views.cameras[view], views.xyz + 3 * point);
+        const Projection at = project(views.cameras[view], views.xyz + 3 * point);
         const float* from = gradient + views.channels(view, point);
-        Pull by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
-        const Around feature = around_in_features(maps, at);
+        PixelGradient by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
+        const Bilinear feature = bilinear_in_features(maps, at);
         for (int corner = 0; corner < 4 && maps.channels > 0; ++corner) {
             const std::size_t first = views.features(view) + feature.offset[corner] * maps.channels;
             for (int c = 0; c < maps.channels; ++c) {
                 const float g = from[c * views.count];
-                pull(by_features, feature, corner, g * maps.features[first + c]);
+                add_pixel_gradient(by_features, feature, corner, g * maps.features[first + c]);
                 if (out.features && feature.weight[corner] != 0.0f) {
-                    device::add_shared(out.features + first + c, g * feature.weight[corner]);
+                    device::atomic_add(out.features + first + c, g * feature.weight[corner]);
                 }
             }
         }
-        const Around image = around_in_image(maps, at);
+        const Bilinear image = bilinear_in_image(maps, at);
         for (int c = 0; c < 3; ++c) {
             const float* map = maps.images + (view * 3 + c) * views.image_size();
             const float g = from[(maps.channels + c) * views.count];
-            for (int corner = 0; corner < 4; ++corner) pull(by_image, image, corner, g * map[image.offset[corner]]);
+            for (int corner = 0; corner < 4; ++corner)
+                add_pixel_gradient(by_image, image, corner, g * map[image.offset[corner]]);
         }
-        const float grad_u = by_image.u + feature_scale_across(maps) * by_features.u;
-        const float grad_v = by_image.v + feature_scale_down(maps) * by_features.v;
+        const float grad_u = by_image.u + feature_scale_x(maps) * by_features.u;
+        const float grad_v = by_image.v + feature_scale_y(maps) * by_features.v;
         float grad_xyz[3] = {};
         project_backward(views.cameras[view], at, grad_u, grad_v, grad_xyz);
-        for (int axis = 0; axis < 3; ++axis) device::add_shared(out.xyz + 3 * point + axis, grad_xyz[axis]);
+        for (int axis = 0; axis < 3; ++axis) device::atomic_add(out.xyz + 3 * point + axis, grad_xyz[axis]);
     }
 };
 
 }  // namespace
 
 void sample(const Query& query, const Samples& out, void* stream) {
-    device::Machine(stream).each(query.count * query.views, Sample{Views(query), out});
+    device::Executor(stream).for_each(query.count * query.views, Sample{Views(query), out});
 }
 
 void sample_backward(const Query& query, const float* gradient, const Gradients& out, void* stream) {
-    const device::Machine machine(stream);
+    const device::Executor executor(stream);
     const Maps& maps = query.maps;
-    machine.each(3 * query.count, device::Clear{out.xyz});
+    executor.for_each(3 * query.count, device::Clear{out.xyz});
     if (out.features) {
         const std::size_t size = static_cast<std::size_t>(maps.feature_width) * maps.feature_height;
-        machine.each(size * maps.channels * query.views, device::Clear{out.features});
+        executor.for_each(size * maps.channels * query.views, device::Clear{out.features});
     }
-    machine.each(query.count * query.views, SampleBackward{Views(query), gradient, out});
+    executor.for_each(query.count * query.views, SampleBackward{Views(query), gradient, out});
 }
 
 }  // namespace fourd::sources::cuda

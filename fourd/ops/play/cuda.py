@@ -45,7 +45,7 @@ def draw_points_gpu(
         out = torch.empty(shape, dtype=torch.uint8, device=gpu.device)
     elif tuple(out.shape) != shape or out.dtype != torch.uint8 or not out.is_contiguous():
         raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of {tuple(out.shape)}")
-    entries, size = gpu.kernels.plan_draw(gpu.rooms, xyz.shape[0], camera.width, camera.height)
+    entries, size = gpu.kernels.plan_draw(gpu.estimator, xyz.shape[0], camera.width, camera.height)
     with gpu.activate():
         gpu.kernels.draw(
             xyz,
@@ -60,7 +60,7 @@ def draw_points_gpu(
             near,
             MIN_TRANSMITTANCE,
             background,
-            gpu.rooms,
+            gpu.estimator,
             entries,
             gpu.allocate(size),
             gpu.stream,

@@ -73,8 +73,8 @@ def visibility(
 
 def _plan(gpu: Gpu, count: int, channels: int, width: int, height: int) -> tuple[Any, int, Tensor]:
     """Predict the entries that a picture needs and allocate scratch memory for them."""
-    entries, size = gpu.kernels.plan_points(gpu.rooms, count, channels, width, height)
-    return gpu.rooms, entries, gpu.allocate(size)
+    entries, size = gpu.kernels.plan_points(gpu.estimator, count, channels, width, height)
+    return gpu.estimator, entries, gpu.allocate(size)
 
 
 def _contiguous(tensors: tuple[Tensor, ...]) -> list[Tensor]:

@@ -1,4 +1,4 @@
-// Where GPU kernels run: on a GPU if nvcc compiles this, else emulated, to be tested without one.
+// Selects where kernels run: on a GPU if nvcc compiles this, else emulated on the CPU, for tests.
 #pragma once
 
 #ifdef __CUDACC__

@@ -1,0 +1,63 @@
+// Front-to-back traversal of a tile's points. One thread per pixel; a warp holds 8 x 4 pixels, which visit the same
+// point at the same time.
+#pragma once
+
+#include "points/cuda/entries.h"
+
+namespace fourd::points::cuda {
+
+struct Pixel {
+    float x, y;         // of its centre
+    bool inside;        // whether it is in the image
+    std::size_t index;  // in the image, row by row; valid if inside
+    std::size_t tile;
+};
+
+// index counts the pixels of whole tiles, tile by tile.
+FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles, int width, int height) {
+    constexpr int kAcross = 8, kDown = device::kWarpSize / kAcross;
+    const std::size_t tile = index / kTilePixels;
+    const int warp = static_cast<int>(index % kTilePixels) / device::kWarpSize;
+    const int lane = static_cast<int>(index % device::kWarpSize);
+    const int column = static_cast<int>(tile % tiles.columns) * kTile + warp % 2 * kAcross + lane % kAcross;
+    const int row = static_cast<int>(tile / tiles.columns) * kTile + warp / 2 * kDown + lane / kAcross;
+    return {pixel_centre(column), pixel_centre(row), column < width && row < height,
+            static_cast<std::size_t>(row) * width + column, tile};
+}
+
+// The points that a tile's pixels visit, nearest first: its entries, or every visible point if the entries did not fit.
+struct EntryList {
+    const std::uint32_t* ranks;  // null: rank i is i
+    std::size_t count;
+
+    FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }
+};
+
+FOURD_DEVICE static inline EntryList entry_list(const Entries& entries, std::size_t tile) {
+    if (entries.begin[entries.count] > entries.capacity) return {nullptr, *entries.visible};
+    const std::uint32_t begin = entries.tile_begin[tile];
+    return {entries.entry_ranks + begin, entries.tile_begin[tile + 1] - begin};
+}
+
+// Composites a list front to back until no pixel of the warp takes more layers. Calls take(position, rank, splat,
+// coverage, transmittance) for every layer of the pixel. Returns the final transmittance.
+template <typename Take>
+FOURD_DEVICE static inline float traverse(const Entries& entries, const EntryList& list, const Pixel& pixel, int layers,
+                                          float transmittance_min, const device::Lane& lane, const Take& take) {
+    float transmittance = 1.0f;
+    int layers_left = pixel.inside ? layers : 0;
+    for (std::size_t position = 0; position < list.count; ++position) {
+        const bool open = layers_left > 0 && transmittance > transmittance_min;
+        if (!lane.any(open)) break;
+        const std::size_t rank = list.rank(position);
+        const Splat& splat = entries.splats[rank];
+        const PixelCoverage coverage = pixel_coverage(splat, pixel.x, pixel.y);
+        if (!open || !(coverage.alpha > 0.0f)) continue;
+        take(position, rank, splat, coverage, transmittance);
+        transmittance = transmittance * (1.0f - coverage.alpha);
+        --layers_left;
+    }
+    return transmittance;
+}
+
+}  // namespace fourd::points::cuda
