@@ -73,7 +73,7 @@ def create_background(
 
 
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """(N,) bool, which points (N, 3) lie in no camera's image. No step can judge them, so they stay."""
+    """(N,) bool, which points (N, 3) lie in no camera's image. No step observes them, and densification keeps them."""
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
         pixels, depth = camera.project(xyz.double().numpy())
