@@ -1,8 +1,7 @@
 """Typed dataclass configs to YAML and back: an unknown key or a wrong type is an error that names it.
 
-Scalars are read by the type of the field they are for, not by what YAML 1.1 takes them for:
-``test_views: [05, 11]`` gives the names "05" and "11", ``frames: 1:24`` is no sexagesimal number,
-and ``rate: 1e-3`` is a number. Nothing in a file can make an object of another type.
+Scalars are read by the type of the field, not by YAML 1.1's guess: ``test_views: [05, 11]`` gives the names "05" and
+"11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. A file cannot create objects of other types.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import math
 import re
 import types
 import typing
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union
 
@@ -26,13 +26,14 @@ Config = TypeVar("Config")
 _INTEGER = re.compile(r"[-+]?[0-9][0-9_]*")
 _FLOAT = re.compile(r"[-+]?([0-9][0-9_]*\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)")
 _STRING_TAG = "tag:yaml.org,2002:str"
+_MAP_TAG = "tag:yaml.org,2002:map"
 _NULL_TAG = "tag:yaml.org,2002:null"
 _BOOL_TAG = "tag:yaml.org,2002:bool"
 _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "bool", "null", "timestamp")}
 
 
 def load_overlay(base: Config, path: Path) -> Config:
-    """``base`` with the values that the YAML file ``path`` gives; what it does not name stays.
+    """``base`` with the values of the YAML file ``path``; other fields stay.
 
     Args:
         base: a frozen dataclass instance. Fields may be bool, int, float, str, Path, Literal,
@@ -40,15 +41,41 @@ def load_overlay(base: Config, path: Path) -> Config:
         path: a YAML mapping of field names to values; an empty file changes nothing.
 
     Raises:
-        UserError: naming the file, the key and the line: no such file, no YAML, a key that is unknown
-            (the nearest known one is named) or there twice, a value of the wrong type, or one that
-            the dataclass's ``__post_init__`` refuses by a ValueError.
-        TypeError: a field's type is none of those above (a fault of the program).
+        UserError: names the file, the key and the line of: a missing file, invalid YAML, an unknown key (with the
+            nearest known one), a repeated key, a value of the wrong type, or a value that the dataclass's
+            ``__post_init__`` refuses with a ValueError.
+        TypeError: a field has a type that is not listed above, which is a bug in the dataclass.
     """
-    node = _parsed(path)
+    node = _parse_file(path)
     if node is None:
         return base
-    return _overlaid(base, node, _Place(path, ""))
+    return _overlay(base, node, _Place(str(path), ""))
+
+
+def set_values(base: Config, assignments: Sequence[str], option: str = "--set") -> Config:
+    """``base`` with values from the command line; other fields stay.
+
+    Args:
+        base: as for :func:`load_overlay`.
+        assignments: KEY=VALUE each. Dots in KEY separate nested fields; VALUE is YAML. The last assignment to a key
+            holds, and all are applied before the dataclasses validate.
+        option: the option's name, for errors.
+
+    Raises:
+        UserError: names the option and the key, as :func:`load_overlay`.
+    """
+    root = yaml.MappingNode(_MAP_TAG, [])
+    for assignment in assignments:
+        key, equals, text = assignment.partition("=")
+        if not equals or not all(part.strip() for part in key.split(".")):
+            raise UserError(f"{option}: expected KEY=VALUE, got '{assignment}'; write one like rates.planes=1e-3")
+        _assign(root, [part.strip() for part in key.split(".")], _parse_value(text, f"{option} {key}"), option)
+    return _overlay(base, root, _Place(option, "", has_lines=False))
+
+
+def assigned_keys(assignments: Sequence[str]) -> set[str]:
+    """The keys of assignments as :func:`set_values` takes them."""
+    return {assignment.partition("=")[0].strip() for assignment in assignments}
 
 
 def to_yaml(config: object) -> str:
@@ -57,30 +84,33 @@ def to_yaml(config: object) -> str:
 
 
 def save_config(config: object, path: Path) -> None:
-    """Write :func:`to_yaml`'s text in one indivisible step."""
+    """Write the text of :func:`to_yaml` atomically."""
     write_text_atomically(path, to_yaml(config))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Place:
-    """Where in which file a value lies, for errors."""
+    """Where a value comes from, for errors: a file or an option, and the dotted key."""
 
-    path: Path
+    source: str
     key: str
+    has_lines: bool = True
 
-    def below(self, name: str) -> _Place:
-        return _Place(self.path, f"{self.key}.{name}" if self.key else name)
+    def child(self, name: str) -> _Place:
+        return dataclasses.replace(self, key=f"{self.key}.{name}" if self.key else name)
 
     def element(self, index: int) -> _Place:
-        return _Place(self.path, f"{self.key}[{index}]")
+        return dataclasses.replace(self, key=f"{self.key}[{index}]")
 
     def error(self, node: yaml.Node, message: str) -> UserError:
+        if not self.has_lines:
+            return UserError(f"{self.source}{f' {self.key}' if self.key else ''}: {message}")
         label = f" {self.key}:" if self.key else ""
-        return UserError(f"{self.path}, line {node.start_mark.line + 1}:{label} {message}")
+        return UserError(f"{self.source}, line {node.start_mark.line + 1}:{label} {message}")
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists on one line, mappings indented; no anchors, which load_overlay has no use for."""
+    """Lists on one line, mappings indented, no anchors."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
@@ -89,8 +119,8 @@ class _Dumper(yaml.SafeDumper):
 _Dumper.add_representer(list, lambda dumper, data: dumper.represent_sequence("tag:yaml.org,2002:seq", data, True))
 
 
-def _parsed(path: Path) -> yaml.Node | None:
-    """The file's node tree; composing makes nodes alone, so that no tag can make an object."""
+def _parse_file(path: Path) -> yaml.Node | None:
+    """The file's node tree. Nodes are composed but not constructed, so no tag can create an object."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -102,43 +132,74 @@ def _parsed(path: Path) -> yaml.Node | None:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f", line {mark.line + 1}" if mark else ""
-        raise UserError(f"{path}{line}: expected YAML, got an error: {error.problem}; mend the line") from error
+        raise UserError(f"{path}{line}: expected YAML, got an error: {error.problem}; fix the line") from error
     except (yaml.YAMLError, RecursionError) as error:
         reason = " ".join(str(error).split())
-        raise UserError(f"{path}: expected YAML, got an error: {reason}; mend the file") from error
+        raise UserError(f"{path}: expected YAML, got an error: {reason}; fix the file") from error
 
 
-def _overlaid(base: Any, node: yaml.Node, place: _Place) -> Any:
+def _parse_value(text: str, label: str) -> yaml.Node:
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise UserError(f"{label}: expected a YAML value, got '{text}'; put text in quotes") from error
+    if node is None:
+        raise UserError(f"{label}: expected a value after '=', got none; write null to unset the key")
+    return node
+
+
+def _assign(root: yaml.MappingNode, keys: list[str], value: yaml.Node, option: str) -> None:
+    """Set the nested entry ``keys`` of a mapping node to ``value``."""
+    node = root
+    for key in keys[:-1]:
+        child = _entry(node, key)
+        if child is None:
+            child = yaml.MappingNode(_MAP_TAG, [])
+            node.value.append((yaml.ScalarNode(_STRING_TAG, key, value.start_mark), child))
+        if not isinstance(child, yaml.MappingNode):
+            raise UserError(f"{option} {'.'.join(keys)}: expected keys below '{key}', got a value too; remove one")
+        node = child
+    node.value = [(name, old) for name, old in node.value if name.value != keys[-1]]
+    node.value.append((yaml.ScalarNode(_STRING_TAG, keys[-1], value.start_mark), value))
+
+
+def _entry(node: yaml.MappingNode, key: str) -> yaml.Node | None:
+    return next((value for name, value in node.value if name.value == key), None)
+
+
+def _overlay(base: Any, node: yaml.Node, place: _Place) -> Any:
     hints = typing.get_type_hints(type(base))
     known = [field.name for field in dataclasses.fields(base) if field.init]
     changes: dict[str, Any] = {}
     nodes: dict[str, yaml.Node] = {}
     for key, value in _entries(node, known, place):
-        changes[key] = _value(hints[key], value, getattr(base, key), place.below(key))
+        changes[key] = _value(hints[key], value, getattr(base, key), place.child(key))
         nodes[key] = value
     try:
         return dataclasses.replace(base, **changes)
     except ValueError as error:
-        head = str(error).partition(":")[0]
-        where = f"{place.key}." if place.key and head in known else f"{place.key}: " if place.key else ""
-        line = nodes.get(head, node).start_mark.line + 1
-        raise UserError(f"{place.path}, line {line}: {where}{error}; mend the value") from error
+        head, _, message = str(error).partition(": ")
+        if head in known and message:
+            raise place.child(head).error(nodes.get(head, node), f"{message}; change the value") from error
+        raise place.error(node, f"{error}; change the value") from error
 
 
 def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str, yaml.Node]]:
-    """The mapping's keys, each known and there once, with their values' nodes; nothing is no keys."""
+    """The mapping's keys, each known and present once, with their values' nodes; null is an empty mapping."""
     if _plain_tag(node) == _NULL_TAG:
         return []
     if not isinstance(node, yaml.MappingNode):
-        raise place.error(node, f"expected keys among {', '.join(known)}, got {_shown(node)}; write KEY: VALUE lines")
+        raise place.error(
+            node, f"expected keys among {', '.join(known)}, got {_describe(node)}; write KEY: VALUE lines"
+        )
     seen: dict[str, int] = {}
     entries: list[tuple[str, yaml.Node]] = []
     for key_node, value in node.value:
-        key = key_node.value if isinstance(key_node, yaml.ScalarNode) else _shown(key_node)
+        key = key_node.value if isinstance(key_node, yaml.ScalarNode) else _describe(key_node)
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-            mend = f"did you mean '{near[0]}'?" if near else f"the keys here are {', '.join(known)}"
-            raise place.error(key_node, f"expected a known key, got '{key}'; {mend}")
+            hint = f"did you mean '{near[0]}'?" if near else f"the keys here are {', '.join(known)}"
+            raise place.error(key_node, f"expected a known key, got '{key}'; {hint}")
         if key in seen:
             raise place.error(
                 key_node, f"expected each key once, got '{key}' here and in line {seen[key]}; remove one of them"
@@ -149,10 +210,10 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 
 
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
-    """The node's value as ``kind``; ``base`` is what it replaces, for nested dataclasses."""
+    """The node's value as ``kind``. ``base`` is the value it replaces, whose other fields stay."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        return _overlaid(base if isinstance(base, kind) else _blank(kind, node, place), node, place)
+        return _overlay(base if isinstance(base, kind) else _blank(kind, node, place), node, place)
     if origin in (Union, types.UnionType):
         return _optional(arguments, node, base, place)
     if origin is tuple:
@@ -163,7 +224,7 @@ def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
 
 
 def _blank(kind: type, node: yaml.Node, place: _Place) -> Any:
-    """A dataclass of defaults to lay a file's values over where there was None before."""
+    """A dataclass of defaults, to overlay where the base has None."""
     try:
         return kind()
     except TypeError as error:
@@ -181,14 +242,14 @@ def _optional(arguments: tuple[Any, ...], node: yaml.Node, base: Any, place: _Pl
 
 def _tuple(arguments: tuple[Any, ...], node: yaml.Node, place: _Place) -> tuple[Any, ...]:
     if not isinstance(node, yaml.SequenceNode):
-        raise place.error(node, f"expected a list, got {_shown(node)}; write [A, B]")
+        raise place.error(node, f"expected a list, got {_describe(node)}; write [A, B]")
     count = len(node.value)
     if len(arguments) == 2 and arguments[1] is Ellipsis:
         kinds = [arguments[0]] * count
     else:
         kinds = list(arguments)
         if len(kinds) != count:
-            raise place.error(node, f"expected {len(kinds)} values, got {count}; write as many as that")
+            raise place.error(node, f"expected {len(kinds)} values, got {count}; write {len(kinds)}")
     return tuple(
         _value(kind, element, None, place.element(index))
         for index, (kind, element) in enumerate(zip(kinds, node.value, strict=True))
@@ -200,12 +261,12 @@ def _literal(options: tuple[Any, ...], node: yaml.Node, place: _Place) -> Any:
         if isinstance(option, str):
             if _is_text(node) and node.value == option:
                 return option
-        elif _plain_tag(node) is not None and node.value == _word(option):
+        elif _plain_tag(node) is not None and node.value == _yaml_word(option):
             return option
-    shown = ", ".join(_word(option) for option in options)
-    near = difflib.get_close_matches(str(node.value), [_word(option) for option in options], n=1)
-    mend = f"did you mean '{near[0]}'?" if near else "write one of them"
-    raise place.error(node, f"expected one of {shown}, got {_shown(node)}; {mend}")
+    shown = ", ".join(_yaml_word(option) for option in options)
+    near = difflib.get_close_matches(str(node.value), [_yaml_word(option) for option in options], n=1)
+    hint = f"did you mean '{near[0]}'?" if near else "write one of them"
+    raise place.error(node, f"expected one of {shown}, got {_describe(node)}; {hint}")
 
 
 def _scalar(kind: Any, node: yaml.Node, place: _Place) -> Any:
@@ -214,19 +275,19 @@ def _scalar(kind: Any, node: yaml.Node, place: _Place) -> Any:
     if kind is bool:
         if plain == _BOOL_TAG and text in ("true", "false"):
             return text == "true"
-        raise place.error(node, f"expected true or false, got {_shown(node)}; write one of them without quotes")
+        raise place.error(node, f"expected true or false, got {_describe(node)}; write one of them without quotes")
     if kind is int:
         if plain is not None and _INTEGER.fullmatch(text):
             return int(text.replace("_", ""))
-        raise place.error(node, f"expected a whole number, got {_shown(node)}; write one like 12")
+        raise place.error(node, f"expected a whole number, got {_describe(node)}; write one like 12")
     if kind is float:
         if plain is not None and _FLOAT.fullmatch(text):
             return _float(text)
-        raise place.error(node, f"expected a number, got {_shown(node)}; write one like 0.5 or 1e-3")
+        raise place.error(node, f"expected a number, got {_describe(node)}; write one like 0.5 or 1e-3")
     if kind is str or (isinstance(kind, type) and issubclass(kind, Path)):
         if _is_text(node) and plain not in (_NULL_TAG, _BOOL_TAG):
             return kind(text)
-        raise place.error(node, f"expected text, got {_shown(node)}; put it in quotes")
+        raise place.error(node, f"expected text, got {_describe(node)}; put it in quotes")
     raise TypeError(f"{place.key}: expected a config type, got {kind}")
 
 
@@ -237,7 +298,7 @@ def _float(text: str) -> float:
 
 
 def _plain_tag(node: yaml.Node) -> str | None:
-    """What YAML takes an unquoted scalar for; None for quoted ones, collections and explicit tags."""
+    """The tag that YAML gives an unquoted scalar; None for quoted scalars, collections and explicit tags."""
     if isinstance(node, yaml.ScalarNode) and node.style is None and node.tag in _PLAIN_TAGS:
         return node.tag
     return None
@@ -247,8 +308,8 @@ def _is_text(node: yaml.Node) -> bool:
     return isinstance(node, yaml.ScalarNode) and (node.tag == _STRING_TAG or _plain_tag(node) is not None)
 
 
-def _shown(node: yaml.Node) -> str:
-    """A value for an error message, on one line and not endless."""
+def _describe(node: yaml.Node) -> str:
+    """A value for an error message, on one line of at most 60 characters."""
     if not isinstance(node, yaml.ScalarNode):
         return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
     if _plain_tag(node) == _NULL_TAG:
@@ -258,7 +319,7 @@ def _shown(node: yaml.Node) -> str:
     return f"{text!r} in quotes" if node.style in ("'", '"') else f"'{text}'"
 
 
-def _word(option: object) -> str:
+def _yaml_word(option: object) -> str:
     """How an option of a Literal is written in YAML."""
     if option is None or isinstance(option, bool):
         return {None: "null", True: "true", False: "false"}[option]
@@ -266,7 +327,7 @@ def _word(option: object) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Dataclasses as mappings, tuples as lists, paths as text: what YAML knows."""
+    """Dataclasses as mappings, tuples as lists, paths as text."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init}
     if isinstance(value, (tuple, list)):

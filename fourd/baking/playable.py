@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.rendering import Scene, open_scene
 from fourd.cameras import Camera
+from fourd.capture.layout import parse_frame_range
 from fourd.errors import UserError
 
 if TYPE_CHECKING:
@@ -135,15 +136,8 @@ def select_frames(playable: Playable, selection: str | None) -> list[int]:
     numbers = playable.frame_numbers
     if selection is None:
         return list(range(len(numbers)))
-    parts = selection.split(":")
-    try:
-        bounds = [int(part) if part else None for part in parts]
-        if len(bounds) not in (2, 3):
-            raise ValueError
-        selected = range(max(numbers) + 1)[slice(*bounds)]
-    except ValueError as error:
-        raise UserError(f"--frames: expected A:B or A:B:S in whole numbers, got '{selection}'") from error
-    chosen = [index for index, number in enumerate(numbers) if number in selected]
+    wanted = parse_frame_range(selection, max(numbers) + 1, "scene")
+    chosen = [index for index, number in enumerate(numbers) if number in wanted]
     if not chosen:
         raise UserError(f"--frames: expected frames among {numbers[0]} to {numbers[-1]}, got '{selection}'")
     return chosen

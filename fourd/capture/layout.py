@@ -123,8 +123,13 @@ def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[st
     )
 
 
-def parse_frame_range(text: str | None, count: int) -> range:
-    """The frames of a Python slice ``A:B[:S]`` (B excluded) of ``count`` frames; all for None.
+def parse_frame_range(text: str | None, count: int, source: str = "capture") -> range:
+    """The frames of ``A:B[:S]``: from A to B, B excluded, every S-th; A and B may be left out. None gives all.
+
+    Args:
+        text: the option's value.
+        count: number of frames.
+        source: what has these frames, for errors.
 
     Raises:
         UserError: when the text is no slice, or selects no frame.
@@ -141,7 +146,7 @@ def parse_frame_range(text: str | None, count: int) -> range:
     start, stop = numbers[0] or 0, numbers[1]
     if start < 0 or start >= count or (stop is not None and not start < stop <= count):
         raise UserError(
-            f"--frames: expected A:B with 0 <= A < B <= {count}, since the capture has {count} frames, got '{text}'"
+            f"--frames: expected A:B with 0 <= A < B <= {count}, since the {source} has {count} frames, got '{text}'"
         )
     return range(count)[slice(*numbers)]
 

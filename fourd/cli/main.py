@@ -1,4 +1,4 @@
-"""The entry point ``fourd``: picks the command, and turns errors into one line and an exit code."""
+"""The entry point ``fourd``: selects the command and turns errors into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ COMMANDS = {
 }
 """Each command's module below :mod:`fourd.cli`."""
 
-USERS_DISK = (
+FILE_ERRORS = (
     errno.ENOSPC,
     errno.EDQUOT,
     errno.EFBIG,
@@ -41,42 +41,42 @@ USERS_DISK = (
     errno.EISDIR,
     errno.ENAMETOOLONG,
 )
-"""What the system refuses for reasons that the user can mend and our code cannot."""
+"""Errors of files and disks that the user can fix."""
 
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch")
-"""What the extra ``fourd[train]`` adds; playing a scene needs none of it."""
+"""Packages of the extra ``fourd[train]``; playing a scene needs none of them."""
 
 HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
-  fourd make CAPTURE -o scene.4dv   everything below, cached and resumable
-  fourd import [FORMAT] SRC OUT     another program's calibration and videos, as a capture
-  fourd synth OUT                   a synthetic capture with truth
-  fourd check CAPTURE               what is there, what is wrong
+  fourd make CAPTURE -o scene.4dv   run every stage from videos to a scene, cached and resumable
+  fourd import [FORMAT] SRC OUT     import another program's calibration and videos
+  fourd synth OUT                   make a synthetic capture with ground truth
+  fourd check CAPTURE               list a capture's contents and problems
   fourd matte CAPTURE               make mattes and clean plates
-  fourd carve CAPTURE               points of each frame, bounds
+  fourd carve CAPTURE               carve first points of each frame
   fourd train CAPTURE --out RUN     train a model
-  fourd eval RUN                    quality on held-out views
-  fourd export RUN -o scene.4dv     bake for real-time rendering
-  fourd render RUN|SCENE --out OUT  pictures or a video
-  fourd view SCENE|RUN              walk around in it while it plays
-  fourd bench                       speed of kernels and stages on this machine
-  fourd info FILE|DIR               what a file or folder is
+  fourd eval RUN                    score held-out views
+  fourd export RUN -o scene.4dv     bake a scene for real-time rendering
+  fourd render RUN|SCENE --out OUT  render pictures or a video
+  fourd view SCENE|RUN              play a scene in a window
+  fourd bench                       time kernels and stages on this machine
+  fourd info FILE|DIR               describe a file or folder
 
-fourd COMMAND --help tells each command's options and their units.
-Exit codes: 0 done; 2 the input is wrong; 1 our fault.
+fourd COMMAND --help lists the command's options and their units.
+Exit codes: 0 success; 2 wrong input; 1 internal error.
 """
 
 
-SPINS = "20000"
-"""How often torch's idle threads look for work before they sleep: by default for so long that our own threads, which
-take turns with them on the same cores, wait for them. A training step takes 6 to 12% less."""
+SPIN_COUNT = "20000"
+"""GOMP_SPINCOUNT, how long idle OpenMP threads of torch spin before they sleep. With the default they delay fourd's own
+threads on the same cores; with this value a training step is 6 to 12% faster."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code."""
+    """Run a command and return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    # Read by GNU's OpenMP when torch is loaded, which commands do.
-    os.environ.setdefault("GOMP_SPINCOUNT", SPINS)
+    # GNU OpenMP reads it when a command imports torch.
+    os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     if not words or words[0] in ("-h", "--help"):
         print(HELP, end="")
         return 0
@@ -98,19 +98,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"fourd {words[0]}: {missing}", file=sys.stderr)
         return 2
     except OSError as error:
-        if error.errno not in USERS_DISK:
+        if error.errno not in FILE_ERRORS:
             raise
         reason = (error.strerror or "").lower()
-        got = f"expected to read and write there, got '{reason}'; make room or name another place"
+        got = f"expected to read and write there, got '{reason}'; free space or use another folder"
         print(f"fourd {words[0]}: {error.filename or 'the disk'}: {got}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        Console(stderr=True).print(f"fourd {words[0]}: stopped; what was finished is kept")
+        Console(stderr=True).print(f"fourd {words[0]}: stopped; finished work is kept")
         return 130
 
 
 def _run(command: str, words: list[str]) -> int:
-    """Import the one command that is asked for, so that ``fourd info`` does not wait for torch."""
+    """Import and run one command; others are not imported, so that ``fourd info`` does not wait for torch."""
     import difflib
     import importlib
 

@@ -1,4 +1,4 @@
-"""Mistyped options as one line: tyro draws boxes of a dozen."""
+"""Usage errors as one line instead of the box that tyro prints."""
 
 from __future__ import annotations
 
@@ -12,23 +12,26 @@ from fourd.errors import UserError
 FRAME = " \t│|"
 RULE = re.compile(r"^[─\-+╭╮╰╯ ]{3,}")
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
+BAD_VALUE = re.compile(r"Error parsing \S+: .*?(from \[(?P<got>.*)\]|: (?P<literal>'.*'))$")
+BAD_CHOICE = re.compile(r"invalid choice (?P<got>.*) for argument '(?P<name>.*)'\. Expected one of \((?P<known>.*)\)")
+HELP = "Argument helptext:"
 
 
 @contextmanager
 def one_line_of_usage() -> Iterator[None]:
-    """Turn the box that tyro prints before it exits into a UserError of one line; --help exits as ever."""
-    told = io.StringIO()
+    """Turn the box that tyro prints before it exits into a UserError of one line. --help exits as usual."""
+    printed = io.StringIO()
     try:
-        with redirect_stderr(told):
+        with redirect_stderr(printed):
             yield
-    except SystemExit as ended:
-        if ended.code in (0, None):
+    except SystemExit as exit_:
+        if exit_.code in (0, None):
             raise
-        raise UserError(condensed(told.getvalue())) from ended
+        raise UserError(condense(printed.getvalue())) from exit_
 
 
-def condensed(box: str) -> str:
-    """The first section of tyro's box in one line, with the option that it thinks was meant."""
+def condense(box: str) -> str:
+    """The first section of tyro's box as one line, with the option that tyro suggests."""
     sections: list[list[str]] = [[]]
     for line in COLOUR.sub("", box).splitlines():
         text = line.strip(FRAME)
@@ -36,10 +39,20 @@ def condensed(box: str) -> str:
             sections.append([])
         elif text:
             sections[-1].append(text)
-    filled = [section for section in sections if section] or [["the options cannot be understood"]]
-    if len(filled) > 1 and len(filled[0]) == 1 and ":" not in filled[0][0]:
-        del filled[0]  # the title, which lies above the frame where a terminal draws it without corners
+    filled = [section for section in sections if section] or [["the options cannot be parsed"]]
+    if len(filled) > 1 and len(filled[0]) == 1 and not filled[0][0].endswith(".") and ":" not in filled[0][0]:
+        del filled[0]  # the title: a terminal without box corners draws it above the frame
     message = " ".join(filled[0]).split(" Got errors:")[0].rstrip(".")
-    meant = next((section[1] for section in filled[1:] if section[0].startswith("Perhaps") and len(section) > 1), None)
-    hint = f"did you mean {meant.split()[0]}?" if meant else "see --help"
+    described = next((section[1] for section in filled if section[0] == HELP and len(section) > 1), None)
+    bad_value, bad_choice = BAD_VALUE.match(message), BAD_CHOICE.match(message)
+    if bad_value is not None and described is not None:
+        name, _, metavar = described.partition(" ")
+        return f"{name.rstrip(',')}: expected {metavar}, got {bad_value['got'] or bad_value['literal']}; see --help"
+    if bad_choice is not None:
+        known = ", ".join(sorted(word for word in bad_choice["known"].split(", ") if word != "'None'"))
+        return f"{bad_choice['name']}: expected one of {known}, got {bad_choice['got']}; see --help"
+    suggested = next(
+        (section[1] for section in filled[1:] if section[0].startswith("Perhaps") and len(section) > 1), None
+    )
+    hint = f"did you mean {suggested.split()[0]}?" if suggested else "see --help"
     return f"{message}; {hint}"

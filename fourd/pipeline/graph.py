@@ -6,13 +6,11 @@ decided by the config (object or full scene, adjusted cameras, given points) and
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture.calibration import INTRINSICS_NAME
-from fourd.capture.layout import VIDEOS, camera_folders
 from fourd.matting.stage import MatteSettings
+from fourd.pipeline.capture_graph import has_masks, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage
 from fourd.pipeline.stages.background import BackgroundFiles, BackgroundSettings, background_stage
@@ -20,14 +18,11 @@ from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 from fourd.pipeline.stages.carve import CarveStageSettings, carve_run_stage
 from fourd.pipeline.stages.check import check_stage
 from fourd.pipeline.stages.given_points import GivenPointSettings, given_points_stage
-from fourd.pipeline.stages.import_ import import_stage
-from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
-from fourd.pipeline.stages.plates import capture_plates_stage, run_plates_stage
+from fourd.pipeline.stages.mattes import MatteStageSettings
+from fourd.pipeline.stages.plates import run_plates_stage
 from fourd.pipeline.stages.train import TrainFiles, train_stage
 from fourd.training.cameras.selection import DataSelection
 from fourd.training.config import TrainConfig
-
-MASKS = "masks"
 
 
 @dataclass(frozen=True)
@@ -47,30 +42,6 @@ class RunRequest:
     train: TrainConfig
     points_from: Path | None = None
     lpips_weights: Path | None = None
-
-
-def has_masks(capture: Path) -> bool:
-    """Whether a capture has masks of its own."""
-    return bool(camera_folders(capture / MASKS))
-
-
-def is_usable(source: Path) -> bool:
-    """Whether a folder is a capture that needs no import: it has masks, or mattes can be written into it."""
-    is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
-    return is_capture and (has_masks(source) or os.access(source, os.W_OK))
-
-
-def stages_to_capture(source: Path, imported: Path) -> tuple[AnyStage, ...]:
-    """From any source to a capture in the folder ``imported``; empty where ``source`` is one already."""
-    return () if is_usable(source) else (import_stage(source, imported),)
-
-
-def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """From a capture to mattes, unless it has masks of its own, and to plates."""
-    stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
-    if plates:
-        stages.append(capture_plates_stage(capture, settings))
-    return tuple(stages)
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:

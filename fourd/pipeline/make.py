@@ -7,7 +7,8 @@ from pathlib import Path
 from fourd.errors import UserError
 from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
 from fourd.matting.stage import MatteSettings
-from fourd.pipeline.graph import RunRequest, stages_to_capture, stages_to_first_points, stages_to_scene
+from fourd.pipeline.capture_graph import stages_to_capture
+from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.train import start_run

@@ -161,7 +161,7 @@ def test_scores_of_fitted_cameras_say_that_they_are(
 ) -> None:
     """Catches figures of fitted cameras that pass for those of cameras as given."""
     assert main(["eval", str(trained.folder), "--refine-test", "--json", str(tmp_path / "fitted.json")]) == 0
-    assert "03: fitted to its own pictures before judging" in capsys.readouterr().out
+    assert "03: fitted to its own pictures before evaluation" in capsys.readouterr().out
     content = json.loads((tmp_path / "fitted.json").read_text())
     assert list(content["fitted_to_own_pictures"]) == ["03"]
     assert content["fitted_to_own_pictures"]["03"]["colours"] is None

@@ -178,7 +178,7 @@ def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: py
     source = write_room(tmp_path / "source", list("abcde"), true, displaced)
     assert main(["check", str(source)]) == 0
     output = capsys.readouterr().out
-    assert "px from epipolar lines in the mean of" in output
+    assert "px from epipolar lines on average over" in output
     assert "extri.yml: camera 'd' disagrees with the others by" in output
     assert output.count("disagrees with the others") == 1
     write_calibration(source, list("abcde"), true)

@@ -19,8 +19,16 @@ from fourd.training.config import TrainConfig
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 HEAD = """# Configuration
 
-`fourd train --config FILE.yaml` overrides the defaults below with the keys of a YAML file; flags override both. An
-unknown key is an error that names the nearest existing key. `configs/` has one example for each ablation:
+`fourd train` and `fourd make` take config keys from a YAML file with `--config FILE.yaml`, and from the command line
+with `--set KEY=VALUE`, which can be repeated. Nested keys are separated by dots, and values are YAML:
+
+```
+fourd train CAPTURE -o run/ --max-steps 5000 --set rates.planes=1e-3 --set model.planes.levels=3
+```
+
+`--set` and the flags of single keys, such as `--points`, override the file, which overrides the defaults below. A key
+given both ways is an error. So is an unknown key, with the nearest existing key, or a value of the wrong type.
+`configs/` has one example file for each ablation:
 
 ```yaml
 # 48 free SH coefficients per point, on smaller images

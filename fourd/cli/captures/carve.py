@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.carving import read_bounds
-from fourd.cli.captures.matte import processes
+from fourd.cli.options import SelectionOptions, Workers, option, worker_count
 from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
@@ -22,52 +22,51 @@ FOLDER = Path(".fourd") / "hulls"
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes FRAME.ply and bounds.json; a second call goes on where the first stopped."""
+    """Writes FRAME.ply and bounds.json; an interrupted command resumes."""
 
     capture: tyro.conf.Positional[Path]
-    """Folder with images/, masks/, intri.yml and extri.yml."""
-    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None
-    """Folder for the points; CAPTURE/.fourd/hulls when not given."""
+    """Folder with images/ or videos/, masks/ or mattes, intri.yml and extri.yml."""
+    selection: SelectionOptions
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), option("DIR", "CAPTURE/.fourd/hulls")] = None
+    """Folder for the points."""
     points: int = 65536
-    """Points of each frame."""
+    """Points per frame."""
     agreement: float = 0.95
-    """Share of the views seeing a point that must hold it, in (0, 1]; lower it where mattes have holes."""
+    """Share in (0, 1] of the views seeing a point whose mattes must contain it. Lower it where mattes have holes."""
     least_views: float = 0.5
-    """Share of all views that must see a point, in (0, 1]; lower it where cameras see parts of the scene.
-    Never fewer than three views see it, or all where there are fewer: what two see alone is full of ghosts."""
-    views: str | None = None
-    """Names of the cameras to use, with commas; all when not given."""
-    frames: str | None = None
-    """Frames as A:B or A:B:S, B not included; all when not given."""
+    """Share in (0, 1] of all views that must see a point. Lower it where cameras see parts of the scene. At least three
+    views must see a point (all views where there are fewer), since two views alone give false points."""
     scale: float = 1.0
-    """Scale of the images; 0.5 halves both sides."""
+    """Scale of the images; 0.5 halves width and height."""
     seed: int = 0
-    """Seed of the points' order."""
-    workers: int | None = None
-    """Processes; as many as there are cores when not given."""
+    """Seed of the order of the points."""
+    workers: Workers = None
 
 
 def run(arguments: Arguments) -> None:
-    """Carve every frame and say where the scene is."""
+    """Carve every frame and print the bounds."""
     _check(arguments)
-    views = None if arguments.views is None else tuple(n.strip() for n in arguments.views.split(",") if n.strip())
-    folder = arguments.out if arguments.out is not None else arguments.capture / FOLDER
-    selection = DataSelection(views, frames=arguments.frames, image_scale=arguments.scale)
+    capture, selection = arguments.capture, arguments.selection
+    folder = arguments.out if arguments.out is not None else capture / FOLDER
     settings = CarveStageSettings(
-        selection, arguments.points, arguments.agreement, arguments.least_views, arguments.seed
+        DataSelection(selection.names, frames=selection.frames, image_scale=arguments.scale),
+        arguments.points,
+        arguments.agreement,
+        arguments.least_views,
+        arguments.seed,
     )
     console = Console(stderr=True)
-    Runner(Context(console, processes(arguments.workers))).run([carve_stage(arguments.capture, folder, settings)])
+    Runner(Context(console, worker_count(arguments.workers))).run([carve_stage(capture, folder, settings)])
     bounds = read_bounds(folder)
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
     console.print(
-        f"{folder}: {arguments.points} points a frame; bounds ({lower}) to ({upper}), world units", soft_wrap=True
+        f"{folder}: {arguments.points} points per frame; bounds ({lower}) to ({upper}), world units", soft_wrap=True
     )
 
 
 def _check(arguments: Arguments) -> None:
     if arguments.points < 1:
-        raise UserError(f"--points: expected at least 1, got {arguments.points}; 65536 is the usual number")
+        raise UserError(f"--points: expected at least 1, got {arguments.points}; the default is 65536")
     for name in ("agreement", "least_views"):
         share = getattr(arguments, name)
         if not 0 < share <= 1:

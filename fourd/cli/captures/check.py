@@ -1,4 +1,4 @@
-"""Tell what a capture holds and all that is wrong with it, in one screen."""
+"""Print what a capture contains and every problem with it, on one screen."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ MOST_LINES = 20
 
 @dataclass(frozen=True)
 class Arguments:
-    """Exit code 0 when fourd can use the capture, 2 when it cannot."""
+    """Exit code 0 when fourd can use the capture, else 2."""
 
     capture: tyro.conf.Positional[Path]
     """The capture's folder."""
     deep: bool = False
-    """Decode every picture, which finds damaged ones."""
+    """Decode every picture to find damaged files."""
     quick: bool = False
-    """Leave out the residuals, for which pictures of all cameras are matched (20 cameras of 512 x 512: seconds)."""
+    """Skip the epipolar residuals, which match pictures of all cameras (seconds for 20 cameras of 512 x 512)."""
 
 
 def run(arguments: Arguments) -> None:
-    """Check and print; raises UserError, which tells the first problem, when there are any."""
+    """Check and print. Raises UserError with the first problem."""
     console = Console()
     report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Console(stderr=True)).track)
     agreement = None
@@ -40,7 +40,7 @@ def run(arguments: Arguments) -> None:
         try:
             agreement = _agreement(arguments.capture)
         except UserError as error:
-            # Pictures are decoded here that only a deep check looks at otherwise.
+            # Matching decodes pictures that only --deep checks otherwise.
             report = replace(report, problems=(str(error),))
     console.print(_facts(arguments.capture, report, agreement))
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()))
@@ -67,10 +67,10 @@ def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:
     table.add_row("frames", str(report.frames))
     table.add_row("pictures", ", ".join(f"{size} ({count})" for size, count in sizes.items()) or "none")
     table.add_row("distortion", f"in {report.distorted} cameras" if report.distorted else "none")
-    table.add_row("distance", f"{report.ring_radius:.3g} world units from the cameras to where they look")
+    table.add_row("distance", f"{report.ring_radius:.3g} world units from the cameras to the point they face")
     if agreement is not None:
         table.add_row("residuals", _residuals(agreement))
-    coverage = "" if report.coverage is None else f"; they hold {report.coverage:.1%} of the pictures"
+    coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pictures is foreground"
     table.add_row("mattes", ("yes" if report.has_masks else "none") + coverage)
     table.add_row("size", f"{report.nbytes / 1e6:.1f} MB")
     return table
@@ -78,9 +78,9 @@ def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:
 
 def _residuals(agreement: Agreement) -> str:
     if agreement.mean_px is None or agreement.worst is None:
-        return f"cannot be told: too few points match between the cameras ({agreement.matches})"
+        return f"unknown: too few points match between the cameras ({agreement.matches})"
     name, worst_px = agreement.worst
     return (
-        f"{agreement.mean_px:.2f} px from epipolar lines in the mean of {agreement.pairs} pairs "
+        f"{agreement.mean_px:.2f} px from epipolar lines on average over {agreement.pairs} pairs "
         f"({agreement.matches} matches); worst: {name}, {worst_px:.2f} px"
     )

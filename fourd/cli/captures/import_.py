@@ -1,4 +1,4 @@
-"""Bring another program's calibration and videos, or videos alone, into a capture."""
+"""Import another program's calibration and videos, or videos alone, as a capture."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rich.text import Text
 from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
+from fourd.cli.options import option
 from fourd.errors import UserError
 from fourd.importing.formats.detection import FORMATS, pick_format
 from fourd.importing.importer import ImportOptions, import_source
@@ -27,34 +28,39 @@ WORDS_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """The same call again completes what is missing. Files are linked unless --copy is given."""
+    """Files are linked unless --copy is given; an interrupted command resumes."""
 
-    words: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="[FORMAT] SRC OUT", help=WORDS_HELP)]]
+    words: tyro.conf.Positional[
+        Annotated[
+            tuple[str, ...],
+            tyro.conf.arg(metavar="[FORMAT] SRC OUT", help=WORDS_HELP, help_behavior_hint="(required)"),
+        ]
+    ]
     copy: bool = False
-    """Copy files in place of linking them."""
+    """Copy files instead of linking them."""
     unpack: bool = False
-    """Write videos' frames as pictures (JPEG), for faster jumping about."""
+    """Write the frames of videos as JPEG pictures, for faster random access."""
     offset: tyro.conf.UseAppendAction[tuple[str, ...]] = field(default=())
-    """CAM=FRAMES by which a camera's video runs late; repeat it or use commas."""
+    """CAM=FRAMES that a camera's video lags behind; repeat it or separate by commas."""
     sync: bool = False
-    """Estimate the offsets from what moves, tell them and apply none; writes OUT/.fourd/sync.png."""
+    """Estimate offsets from motion and print them without applying them; writes OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """The same, and apply those of more than 3 frames and a confidence of at least 0.5."""
+    """Estimate offsets and apply those of more than 3 frames with a confidence of at least 0.5."""
     resize: str = "auto"
-    """How pictures became another size than their calibration's: auto, scaled, stretched, letterboxed, filled, or
-    "cropped left" (right, top, bottom, centre)."""
+    """How pictures were resized after calibration: auto, scaled, stretched, letterboxed, filled, or "cropped left"
+    (right, top, bottom, centre)."""
     centres: PrincipalPointMode = "auto"
-    """Principal points: auto warns where they look mirrored; mirrored mends them."""
+    """Principal points: auto warns where they look mirrored; mirrored corrects them."""
     calibrate: bool = False
-    """Find the cameras from the pictures, also where the source has a calibration."""
-    scale: str | None = None
-    """CAM,CAM=METRES between two cameras' centres, which gives the unit."""
-    board: str | None = None
-    """COLSxROWSxSQUARE_M: inner corners and square of a chessboard in the first frames, which gives origin and axes."""
+    """Calibrate the cameras from the pictures, even where the source has a calibration."""
+    scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
+    """Distance between the centres of two cameras, which sets the unit to metres."""
+    board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none")] = None
+    """Inner corners and square size in metres of a chessboard in the first frames, which sets origin and axes."""
 
 
 def run(arguments: Arguments) -> None:
-    """Import and tell what was found and chosen."""
+    """Import and print what was found."""
     if len(arguments.words) not in (2, 3):
         raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} words; see fourd import --help")
     *name, source, out = arguments.words
@@ -67,9 +73,9 @@ def run(arguments: Arguments) -> None:
         console.print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
 
     options = _options(arguments)
-    way = pick_format(name[0] if name else None, Path(source))
-    log(f"{way.name}: {way.summary}")
-    import_source(way, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
+    picked = pick_format(name[0] if name else None, Path(source))
+    log(f"{picked.name}: {picked.summary}")
+    import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
     Console().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
 
 

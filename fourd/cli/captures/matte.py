@@ -1,71 +1,69 @@
-"""Make mattes and clean plates of a capture without any, and a contact sheet to judge them by."""
+"""Make mattes and clean plates of a capture without masks, and a contact sheet to judge them by."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
 
 from fourd.capture.layout import MATTES
-from fourd.errors import UserError
+from fourd.cli.options import SelectionOptions, Workers, option, worker_count
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.stage import SHEET, MatteSettings
-from fourd.parallel import core_count
-from fourd.pipeline.graph import MASKS, has_masks, stages_to_mattes
+from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mattes import MatteStageSettings
 
 
 @dataclass(frozen=True)
+class MatteOptions:
+    """How mattes are made of a capture without masks."""
+
+    method: Literal["motion", "chroma", "rvm"] = "motion"
+    """motion: from motion and the agreement of views, needs no weights. chroma: from a screen of one colour. rvm: by
+    the network Robust Video Matting, whose file --rvm names."""
+    screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
+    """Colour of the screen, 0 to 255 each, for --method chroma."""
+    rvm: Annotated[Path | None, option("FILE", "none")] = None
+    """TorchScript file of Robust Video Matting, for --method rvm. It executes code: use only files that you trust."""
+
+    def settings(self, seed: int) -> MatteSettings:
+        """Settings of the matting stage."""
+        return MatteSettings(self.method, seed, self.screen, self.rvm)
+
+
+@dataclass(frozen=True)
 class Arguments:
-    """Writes CAPTURE/.fourd/mattes, plates and mattes.png; a second call goes on where the first stopped."""
+    """Writes mattes/, plates/ and mattes.png in CAPTURE/.fourd; an interrupted command resumes."""
 
     capture: tyro.conf.Positional[Path]
     """Folder with images/ or videos/, intri.yml and extri.yml."""
-    method: Literal["motion", "chroma", "rvm"] = "motion"
-    """motion: by what moves and the agreement of the views, without weights; chroma: before a screen of one
-    colour; rvm: Robust Video Matting, whose file --rvm names."""
-    screen: str | None = None
-    """The screen's colour as R,G,B of 0 to 255; found when not given."""
-    rvm: Path | None = None
-    """TorchScript file of Robust Video Matting; it runs code, so use one that you trust."""
-    views: str | None = None
-    """Names of the cameras to use, with commas; all when not given."""
-    frames: str | None = None
-    """Frames as A:B or A:B:S, B not included; all when not given."""
-    workers: int | None = None
-    """Processes; as many as there are cores when not given."""
+    selection: SelectionOptions
+    mattes: MatteOptions
+    workers: Workers = None
     seed: int = 0
-    """Seed of everything random."""
+    """Random seed."""
     plates: bool = True
     """Make clean plates too."""
 
 
 def run(arguments: Arguments) -> None:
     """Make what is missing and print where it is."""
-    views = None if arguments.views is None else tuple(n.strip() for n in arguments.views.split(",") if n.strip())
-    method = MatteSettings(arguments.method, arguments.seed, arguments.screen, arguments.rvm)
-    settings = MatteStageSettings(views, arguments.frames, method)
-    capture, console = arguments.capture, Console()
+    capture, selection = arguments.capture, arguments.selection
+    settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
+    context = Context(Console(stderr=True), worker_count(arguments.workers))
     masks = has_masks(capture)
-    context = Context(Console(stderr=True), processes(arguments.workers))
     Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
-    if masks:
-        console.print(f"{capture / MASKS}: found mattes there; none made", soft_wrap=True)
-    else:
-        console.print(f"{capture / MATTES}: mattes; {capture / SHEET} shows samples to judge them by", soft_wrap=True)
+    lines = [
+        f"{capture / MASKS}: the capture has masks; no mattes made"
+        if masks
+        else f"{capture / MATTES}: mattes; {capture / SHEET} shows samples of them"
+    ]
     if arguments.plates:
-        console.print(f"{capture / PLATES}: clean plates; pixels never seen are transparent", soft_wrap=True)
-
-
-def processes(asked: int | None) -> int:
-    """Number of processes to work with: as asked, or else one for each core that this one may use."""
-    if asked is not None:
-        if asked < 1:
-            raise UserError(f"--workers: expected at least 1, got {asked}; leave it out for one a core")
-        return asked
-    return core_count()
+        lines.append(f"{capture / PLATES}: clean plates, transparent where no frame shows the background")
+    for line in lines:
+        Console().print(line, soft_wrap=True)

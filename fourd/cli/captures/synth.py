@@ -1,13 +1,15 @@
-"""Make a synthetic capture with truth: a textured figure that runs and leaps within a ring of cameras."""
+"""Make a synthetic capture with ground truth: a textured figure that runs and leaps inside a ring of cameras."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 from rich.console import Console
 
+from fourd.errors import UserError
 from fourd.synth import SynthSettings, is_finished, make_synthetic
 
 
@@ -17,24 +19,26 @@ class Arguments:
 
     out: tyro.conf.Positional[Path]
     """The capture's folder: new, empty, or a synthetic capture to replace."""
-    frames: int = 24
-    """Number of frames, at least 1; the movement loops."""
+    frames: Annotated[str, tyro.conf.arg(metavar="0:N|N")] = "0:24"
+    """Frames 0 to N, N excluded; the motion loops."""
     cameras: int = 12
     """Number of cameras on the ring, 3 to 100."""
     size: int = 256
     """Width and height of the pictures in pixels, 32 to 4096."""
     seed: int = 0
-    """Decides the clothes, the proportions and where the gait begins; at least 0."""
+    """Random seed, at least 0, of the clothes, the proportions and the phase of the gait."""
     gloss: float = 0.3
     """Strength of the highlights, 0 to 1."""
 
 
 def run(arguments: Arguments) -> None:
     """Make the capture unless it is there already."""
-    settings = SynthSettings(arguments.frames, arguments.cameras, arguments.size, arguments.seed, arguments.gloss)
+    settings = SynthSettings(
+        _frame_count(arguments.frames), arguments.cameras, arguments.size, arguments.seed, arguments.gloss
+    )
     console = Console(stderr=True)
     if is_finished(arguments.out, settings):
-        console.print(f"{arguments.out}: done already with these settings", soft_wrap=True)
+        console.print(f"{arguments.out}: already finished with these settings", soft_wrap=True)
         return
     make_synthetic(
         arguments.out,
@@ -45,3 +49,11 @@ def run(arguments: Arguments) -> None:
         gloss=settings.gloss,
     )
     console.print(f"{arguments.out}: {settings.cameras} cameras x {settings.frames} frames", soft_wrap=True)
+
+
+def _frame_count(frames: str) -> int:
+    """N of ``0:N`` or ``N``."""
+    first, _, last = frames.rpartition(":")
+    if first.strip() not in ("", "0") or not last.strip().isdecimal():
+        raise UserError(f"--frames: expected 0:N, the frames from 0 to N with N excluded, got '{frames}'; write 0:24")
+    return int(last)

@@ -1,10 +1,11 @@
-"""Judge a run on its held-out views: PSNR, SSIM and LPIPS, whole and in the matte's box."""
+"""Evaluate a run on its held-out views: PSNR, SSIM and LPIPS, of whole images and in the matte's box."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import torch
@@ -15,6 +16,7 @@ from rich.progress import track
 from rich.table import Table
 
 from fourd.capture.decoding import decode_rgb
+from fourd.cli.options import LpipsWeights, option, split_names
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.training.evaluation.camera_fitting import FittedView, fit_test_camera
@@ -27,37 +29,36 @@ from fourd.training.run import TrainedRun, load_run
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to judge."""
+    """Prints PSNR, SSIM and LPIPS of whole images and of the mattes' boxes."""
 
     run: tyro.conf.Positional[Path]
     """The run's folder."""
-    json: Path | None = None
-    """Write every figure to this file."""
-    views: str | None = None
-    """Names of cameras, with commas; the run's held-out ones when not given."""
-    scene: Path | None = None
-    """Judge this exported .4dv of the run instead of the run's own rendering."""
-    plates: Path | None = None
-    """Folder of pictures CAM.png of the empty stage, to judge a full scene's background alone by."""
+    json: Annotated[Path | None, option("FILE", "none")] = None
+    """Write all scores to this file."""
+    views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
+    """Names of the cameras to evaluate, separated by commas."""
+    scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
+    """Evaluate this exported scene of the run instead of the run's own rendering."""
+    plates: Annotated[Path | None, option("DIR", "none")] = None
+    """Folder of pictures CAM.png of the empty stage; also evaluate a full scene's background against them."""
     refine_test: bool = False
-    """First fit the pose of each judged camera to its own pictures, with the scene as it is (as BARF does)."""
+    """First fit the pose of each evaluated camera to its own pictures, with the scene fixed (as in BARF)."""
     refine_test_colours: bool = False
-    """Fit its colours likewise."""
-    lpips_weights: Path | None = None
-    """File or folder with the weights of VGG-16 and LPIPS; lpips is null without them."""
+    """Fit its colour correction too; needs --refine-test."""
+    lpips_weights: LpipsWeights = None
 
 
 def run(arguments: Arguments) -> None:
-    """Render every held-out picture, compare, print the means."""
+    """Render every held-out picture, compare, and print the means."""
     console = Console(stderr=True)
     trained = load_run(arguments.run)
-    indices = _judged(trained, arguments.views)
+    indices = _evaluated_views(trained, arguments.views)
     lpips = load_lpips(arguments.lpips_weights)
     if lpips is None:
         console.print("LPIPS: no weights found; lpips is null (--lpips-weights names them)")
     pictures = []
     capture = trained.run.capture
-    fitted = _fitted(trained, indices, arguments, console)
+    fitted = _fit_cameras(trained, indices, arguments, console)
     exported = None
     if arguments.scene is not None:
         from fourd.baking import open_scene
@@ -73,7 +74,7 @@ def run(arguments: Arguments) -> None:
             else:
                 layers = trained.run.config.train.layers
                 picture = trained.renderer.render(points, frame, camera, layers, exclude=index)
-                rgb = _as_shown(trained, index, fitted, picture)
+                rgb = _display_colours(trained, index, fitted, picture)
             matte = capture.mask(index, frame)
             truth = _truth(capture.image(index, frame), None if whole else matte)
             image, box = score_view(rgb, truth, matte, lpips)
@@ -84,7 +85,7 @@ def run(arguments: Arguments) -> None:
     for index, view in fitted.items():
         note = f"turned by {view.degrees:.3f} degrees, moved by {view.distance:.4f}"
         colours = ", colours fitted" if view.colours is not None else ""
-        line = f"{capture.names[index]}: fitted to its own pictures before judging: {note}{colours}"
+        line = f"{capture.names[index]}: fitted to its own pictures before evaluation: {note}{colours}"
         Console().print(line, soft_wrap=True)
     if arguments.json is not None:
         content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
@@ -102,8 +103,10 @@ def run(arguments: Arguments) -> None:
         write_text_atomically(arguments.json, json.dumps(content, indent=1) + "\n")
 
 
-def _fitted(trained: TrainedRun, indices: list[int], arguments: Arguments, console: Console) -> dict[int, FittedView]:
-    """Judged cameras where their own pictures fit the scene, by index; none where that is not asked for."""
+def _fit_cameras(
+    trained: TrainedRun, indices: list[int], arguments: Arguments, console: Console
+) -> dict[int, FittedView]:
+    """Evaluated cameras fitted to their own pictures, by index; empty without --refine-test."""
     if arguments.refine_test_colours and not arguments.refine_test:
         raise UserError("--refine-test-colours: expected --refine-test beside it, got it alone; add --refine-test")
     if arguments.refine_test_colours and arguments.scene is not None:
@@ -117,10 +120,10 @@ def _fitted(trained: TrainedRun, indices: list[int], arguments: Arguments, conso
     }
 
 
-def _as_shown(
+def _display_colours(
     trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
 ) -> NDArray[np.float32]:
-    """A rendered picture in the colours of the camera ``index``, as far as these are known."""
+    """A rendered picture (H, W, 3) with the colour correction of camera ``index``, where one is known."""
     if index in fitted and fitted[index].colours is not None:
         return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
@@ -128,7 +131,7 @@ def _as_shown(
 
 
 def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-    """A picture (H, W, 3) in [0, 1]; with a matte (H, W), what that holds on black."""
+    """A picture (H, W, 3) in [0, 1]; with a matte (H, W), its foreground on black."""
     share = 1.0 if matte is None else matte[..., None] / 255
     return (picture * (share / 255)).astype(np.float32)
 
@@ -152,12 +155,12 @@ def _backgrounds(
         if index in fitted:
             camera = fitted[index].camera
         picture = trained.renderer.render_background(camera, layers, exclude=index)
-        rgb = _as_shown(trained, index, fitted, picture)
+        rgb = _display_colours(trained, index, fitted, picture)
         scores[name] = float(psnr(rgb, _truth(truth, None)))
     return scores
 
 
-def _judged(trained: TrainedRun, views: str | None) -> list[int]:
+def _evaluated_views(trained: TrainedRun, views: str | None) -> list[int]:
     names = trained.run.capture.names
     if views is None:
         if not trained.run.test:
@@ -166,7 +169,7 @@ def _judged(trained: TrainedRun, views: str | None) -> list[int]:
                 f"train with --test-views, or name training views with --views"
             )
         return trained.run.test
-    wanted = [name.strip() for name in views.split(",")]
+    wanted = split_names(views) or ()
     unknown = [name for name in wanted if name not in names]
     if unknown:
         raise UserError(f"--views: expected names among {', '.join(names)}, got {', '.join(unknown)}")

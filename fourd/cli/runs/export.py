@@ -18,24 +18,24 @@ from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to export, and where to."""
+    """Bakes the newest checkpoint."""
 
     run: tyro.conf.Positional[Path]
     """The run's folder."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The .4dv file to write."""
     layers: int = BAKED_LAYERS
-    """Points composited a pixel (K), from 1 to 64."""
+    """Points composited per pixel (K), 1 to 64."""
     fps: float = 30.0
-    """Frames a second when played."""
+    """Frames per second on playback."""
 
 
 def run(arguments: Arguments) -> None:
     """Load the newest checkpoint and bake every frame."""
     if not 1 <= arguments.layers <= 64:
-        raise UserError(f"--layers: expected 1 to 64, got {arguments.layers}; 12 is the usual number")
+        raise UserError(f"--layers: expected 1 to 64, got {arguments.layers}; the default is 12")
     if not arguments.fps > 0:
-        raise UserError(f"--fps: expected more than 0, got {arguments.fps}; 30 is the usual number")
+        raise UserError(f"--fps: expected more than 0, got {arguments.fps}; the default is 30")
     console = Console(stderr=True)
     stage = bake_stage(BakeFiles(arguments.run, arguments.out), BakeSettings(arguments.layers, arguments.fps))
     Runner(Context(console)).run([stage])

@@ -1,17 +1,17 @@
-"""From videos or a capture to a 4D scene with one command: import, check, matte, carve, train, export."""
+"""From videos or a capture to a 4D scene: import, check, mattes, plates, carving, training and baking."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated
 
 import tyro
 from rich.console import Console
 
-from fourd.cli.captures.matte import processes
-from fourd.cli.runs import train
-from fourd.matting.stage import MatteSettings
+from fourd.cli.captures.matte import MatteOptions
+from fourd.cli.options import Workers, worker_count
+from fourd.cli.training_options import TrainingOptions
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
 from fourd.training.losses.lpips import load_lpips
@@ -21,65 +21,32 @@ DEFAULT_SECONDS = 1800.0
 
 @dataclass(frozen=True)
 class Arguments:
-    """Every stage is cached: run the same command again after a stop, and it goes on."""
+    """Every stage is cached: the same command resumes after an interruption."""
 
     capture: tyro.conf.Positional[Path]
     """A capture, or anything that fourd import reads, such as a folder of videos and their calibration."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The scene file to write; its stages' results lie beside it in OUT.work/."""
-    scene: Literal["object", "full"] | None = None
-    """object: what the mattes hold, on black; full: everything, with a static background beside it."""
-    config: Path | None = None
-    """YAML file laid over the defaults."""
-    test_views: str | None = None
-    """Names of held-out cameras, with commas."""
-    views: str | None = None
-    """Names of the cameras to use, with commas; all when not given."""
-    frames: str | None = None
-    """Frames as A:B or A:B:S, B not included; all when not given."""
-    scale: float | None = None
-    """Scale of the images; 0.5 halves both sides."""
-    points: int | None = None
-    """Points of each frame."""
-    background: str | None = None
-    """How the points of a full scene's background are found in clean plates: ngp, a radiance field that stereo helps;
-    sfm, stereo alone; or a PLY with your own points, in world units."""
-    background_points: int | None = None
-    """Points of a full scene's background."""
-    refine_cameras: bool = False
-    """Correct the calibration: poses and focal lengths, before carving and while training."""
-    refine_colours: bool = False
-    """Learn an affine correction of each camera's colours."""
-    max_seconds: float | None = None
-    """Seconds of training; 1800 when neither this, --max-steps nor the config file says."""
-    max_steps: int | None = None
-    """Steps of training."""
-    seed: int | None = None
-    """Seed of everything random."""
-    method: Literal["motion", "chroma", "rvm"] = "motion"
-    """How mattes are made where there are none: see fourd matte --help."""
-    screen: str | None = None
-    """The screen's colour as R,G,B of 0 to 255, for --method chroma."""
-    rvm: Path | None = None
-    """TorchScript file of Robust Video Matting, for --method rvm."""
-    workers: int | None = None
-    """Processes that make mattes and carve; as many as there are cores when not given."""
-    lpips_weights: Path | None = None
-    """File or folder with the weights of VGG-16 and LPIPS; the usual caches when not given."""
+    """The .4dv file to write. Results of the stages are kept beside it, in OUT.work/."""
+    training: TrainingOptions
+    mattes: MatteOptions
+    workers: Workers = None
 
 
 def run(arguments: Arguments) -> None:
-    """Run every stage that is not done."""
-    console = Console()  # stderr is kept for the one line that tells of wrong input
-    known = {field.name for field in fields(train.Arguments)}
-    given: dict[str, Any] = {
-        field.name: getattr(arguments, field.name) for field in fields(arguments) if field.name in known
-    }
-    config = train.overlaid(train.Arguments(**given), DEFAULT_SECONDS)
-    load_lpips(arguments.lpips_weights)
-    mattes = MatteSettings(arguments.method, config.seed, arguments.screen, arguments.rvm)
-    context = Context(console, processes(arguments.workers))
-    make_scene(arguments.capture, arguments.out, config, mattes, context, lpips_weights=arguments.lpips_weights)
+    """Run every stage that is not up to date."""
+    console = Console()  # stderr is reserved for the one line that reports wrong input
+    options = arguments.training
+    config = options.train_config(DEFAULT_SECONDS)
+    load_lpips(options.lpips_weights)  # report wrong weights before any work
+    make_scene(
+        arguments.capture,
+        arguments.out,
+        config,
+        arguments.mattes.settings(config.seed),
+        Context(console, worker_count(arguments.workers)),
+        points_from=options.points_from,
+        lpips_weights=options.lpips_weights,
+    )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True
     )

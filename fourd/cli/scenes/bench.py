@@ -1,4 +1,4 @@
-"""Time the kernels and stages on this machine, against the reference and against other programs found installed."""
+"""Time kernels and stages on this machine, against the reference and against other packages that are installed."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ from fourd.benchmarks.gpu_cases import gpu_cases
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.report import Row, markdown, table, to_json
 from fourd.benchmarks.timing import Clock
+from fourd.cli.options import option
 from fourd.files import write_text_atomically
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """One unit is a product of two 2048 x 2048 float32 matrices by torch, timed beside every run: where others
-    share the machine, units are steadier than milliseconds. Where there is a CUDA device and its kernels are
-    built, they are timed as well. FOURD_THREADS and FOURD_SIMD hold here as everywhere."""
+    """One unit is the time of one product of two 2048 x 2048 float32 matrices in torch, measured beside every run.
+    Units vary less than milliseconds when other programs use the machine. CUDA kernels are timed where they are built
+    and a device exists. FOURD_THREADS and FOURD_SIMD apply."""
 
-    json: Path | None = None
-    """Write all figures to this file."""
-    markdown: Path | None = None
-    """Write the table to this file, for a document."""
+    json: Annotated[Path | None, option("FILE", "none")] = None
+    """Write all measurements to this file."""
+    markdown: Annotated[Path | None, option("FILE", "none")] = None
+    """Write the table to this file as Markdown."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Under a minute: fewer runs, no whole training steps, none of the slow references."""
+    """Take less than a minute: fewer runs, no whole training steps, no slow references."""
 
 
 def run(arguments: Arguments) -> None:
-    """Time and print, row by row."""
+    """Time and print each row."""
     console = Console()
     machine = this_machine()
     console.print(str(machine), soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Tell what a file or a folder is: a scene, a capture, a run, points, a checkpoint or a video."""
+"""Describe a file or folder: a scene, a capture, a run, points, a checkpoint or a video."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _MOST_HEADER = 100 << 20
 
 @dataclass(frozen=True)
 class Arguments:
-    """Looks at the content and not at the name's ending; changes nothing."""
+    """Detects the type from the content and changes nothing."""
 
     path: tyro.conf.Positional[Path]
     """A .4dv, a capture's folder, a run's folder, a .ply, a .safetensors or a video."""
 
 
 def run(arguments: Arguments) -> None:
-    """Recognise, read what is cheap to read, and print one screen."""
+    """Detect the type, read headers, and print one screen."""
     path = arguments.path
     if not path.exists():
         raise UserError(f"{path}: expected a file or a folder, got nothing there; check the name")
@@ -56,7 +56,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    # A scene that was cut short keeps its beginning, so this tells the damaged ones too.
+    # A truncated scene keeps its beginning, so damaged scenes are recognised too.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if head.startswith((b"ply\n", b"ply\r")):
@@ -96,21 +96,19 @@ def _scene(path: Path) -> Rows:
     points = manifest.points
     size = path.stat().st_size
     frames = manifest.frame_count
+    seconds = frames / manifest.fps
     lower, upper = manifest.bounds
     return [
         ("format", f"version {manifest.version}, made by {manifest.producer}"),
         ("kind", "the object on black" if manifest.kind == "object" else "object and background"),
-        (
-            "frames",
-            f"{frames} at {manifest.fps:g} a second, {frames / manifest.fps:.2f} s; {_numbers(manifest.frame_numbers)}",
-        ),
-        ("points", f"{_span(points)} a frame, {sum(points):,} in all"),
+        ("frames", f"{frames} at {manifest.fps:g} per second, {seconds:.2f} s; {_numbers(manifest.frame_numbers)}"),
+        ("points", f"{_span(points)} per frame, {sum(points):,} in total"),
         *_background(manifest.background),
-        ("size", f"{_bytes(size)}, {_bytes((size - manifest.background_nbytes) / max(frames, 1))} a frame"),
+        ("size", f"{_bytes(size)}, {_bytes((size - manifest.background_nbytes) / max(frames, 1))} per frame"),
         ("source views", f"{manifest.view_count} ({manifest.neighbours} blended): {_names(manifest.source_names)}"),
         ("other views", _names(manifest.other_names) or "none"),
         ("image sizes", _sizes((camera.width, camera.height) for camera in manifest.cameras) or "none"),
-        ("layers", f"{manifest.layers} points composited a pixel"),
+        ("layers", f"{manifest.layers} points composited per pixel"),
         ("bounds", f"{_vector(lower)} to {_vector(upper)}, in world units"),
         ("focus", _vector(manifest.focus)),
     ]
@@ -136,7 +134,7 @@ def _points(path: Path) -> Rows:
 
 
 def _checkpoint(path: Path) -> Rows:
-    """Read the header alone: tensors may be large, and torch is slow to load."""
+    """Reads the header only: tensors may be large, and torch is slow to import."""
     damaged = UserError(f"{path}: expected a whole safetensors file, got a damaged one; name another checkpoint")
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -170,7 +168,7 @@ def _video(path: Path) -> Rows:
             seconds = float(container.duration or 0) / av.time_base
             frames = stream.frames or round(seconds * rate)
             return [
-                ("frames", f"{frames} at {rate:g} a second, {seconds:.2f} s"),
+                ("frames", f"{frames} at {rate:g} per second, {seconds:.2f} s"),
                 ("image size", f"{stream.width} x {stream.height}"),
                 ("codec", stream.codec_context.name),
                 ("size", _bytes(path.stat().st_size)),
@@ -192,13 +190,13 @@ def _run(path: Path) -> Rows:
         ("frames", str(train.get("frames") or "all")),
     ]
     rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
-    rows.append(("points as carved", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
+    rows.append(("first points", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
     rows.append(("size", _bytes(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
     return rows
 
 
 def _last_metrics(path: Path) -> list[str]:
-    """The last whole line of metrics.jsonl, found from the end: a long run's log is large."""
+    """The last complete line of metrics.jsonl, read from the end of the file."""
     if not path.is_file():
         return []
     with path.open("rb") as stream:

@@ -15,6 +15,7 @@ from rich.progress import track
 
 from fourd.baking.playable import Playable, find_view, open_playable, select_frames
 from fourd.cameras import Camera
+from fourd.cli.options import Frames, option, split_names
 from fourd.errors import UserError
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
@@ -23,35 +24,37 @@ from fourd.viewer.output.video import write_video
 
 @dataclass(frozen=True)
 class Arguments:
-    """Views write OUT/CAM/FRAME.png; a path writes OUT.mp4, or OUT/FRAME.png for a folder."""
+    """--views writes OUT/CAM/FRAME.png; --path writes OUT/STEP.png. OUT.mp4 writes a video instead."""
 
     source: tyro.conf.Positional[Path]
     """A run's folder or a .4dv file."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """A folder, or a file that ends in .mp4."""
-    views: str | None = None
-    """Names of capture cameras to render from, with commas."""
-    path: Literal["orbit", "spiral", "cameras"] | None = None
-    """orbit: once around the scene; spiral: with height changing; cameras: through the capture's cameras."""
-    frames: str | None = None
-    """Frames as A:B or A:B:S, B not included; all when not given."""
-    steps: int | None = None
-    """Pictures along the path; the scene plays in a loop meanwhile. 120 when not given."""
-    size: tuple[int, int] | None = None
-    """Width and height in pixels; the capture's when not given."""
-    layers: int | None = None
-    """Points composited a pixel (K); what the source says when not given."""
+    views: Annotated[str | None, option("NAME,NAME", "none; this or --path is required")] = None
+    """Names of capture cameras to render from, separated by commas."""
+    path: Annotated[
+        Literal["orbit", "spiral", "cameras"] | None,
+        option("{orbit,spiral,cameras}", "none; this or --views is required"),
+    ] = None
+    """orbit: once around the scene. spiral: an orbit with changing height. cameras: through the capture's cameras."""
+    frames: Frames = None
+    steps: Annotated[int | None, option("INT", "120, or the number of frames if larger")] = None
+    """Number of pictures along the path. Each advances the scene by a frame; the scene loops."""
+    size: Annotated[tuple[int, int] | None, option("W H", "the capture's")] = None
+    """Width and height in pixels."""
+    layers: Annotated[int | None, option("INT", "the source's")] = None
+    """Points composited per pixel (K)."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Red, green and blue behind the object, from 0 to 1."""
-    fps: float | None = None
-    """Frames a second of the video; the scene's when not given."""
+    """Red, green and blue of the backdrop, 0 to 1 each."""
+    fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
+    """Frames per second of the video."""
 
 
 def run(arguments: Arguments) -> None:
-    """Open the source, make the cameras, render and write."""
+    """Open the source, choose cameras, render and write."""
     console = Console(stderr=True)
     if (arguments.views is None) == (arguments.path is None):
-        raise UserError("--views, --path: expected one of them; name cameras (--views 05,11) or a path (--path orbit)")
+        raise UserError("--views, --path: expected exactly one of them; write --views 05,11 or --path orbit")
     playable = open_playable(arguments.source)
     frames = select_frames(playable, arguments.frames)
     if arguments.views is not None:
@@ -63,14 +66,14 @@ def run(arguments: Arguments) -> None:
 
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], console: Console) -> int:
     assert arguments.views is not None
-    names = [name.strip() for name in arguments.views.split(",") if name.strip()]
-    cameras = [_sized(find_view(playable, name), arguments.size) for name in names]
+    names = split_names(arguments.views) or ()
+    cameras = [_fit(find_view(playable, name), arguments.size) for name in names]
     jobs = [(name, camera, frame) for frame in frames for name, camera in zip(names, cameras, strict=True)]
     if arguments.out.suffix == ".mp4":
-        pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _shown(jobs, console))
+        pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
         write_video(arguments.out, pictures, arguments.fps or playable.fps)
         return len(jobs)
-    for name, camera, frame in _shown(jobs, console):
+    for name, camera, frame in _track(jobs, console):
         number = playable.frame_numbers[frame]
         write_png(arguments.out / name / f"{number:06d}.png", _rgb(playable, camera, frame, arguments))
     return len(jobs)
@@ -82,7 +85,7 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], con
     views = list(playable.views.values())
     cameras = camera_path(arguments.path, views, playable.focus, steps, size=arguments.size)
     jobs = [("", camera, frames[step % len(frames)]) for step, camera in enumerate(cameras)]
-    pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _shown(jobs, console))
+    pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
     if arguments.out.suffix == ".mp4":
         write_video(arguments.out, pictures, arguments.fps or playable.fps)
     else:
@@ -91,7 +94,7 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], con
     return len(jobs)
 
 
-def _shown(jobs: list[tuple[str, Camera, int]], console: Console) -> Iterator[tuple[str, Camera, int]]:
+def _track(jobs: list[tuple[str, Camera, int]], console: Console) -> Iterator[tuple[str, Camera, int]]:
     yield from track(jobs, description="render", console=console)
 
 
@@ -100,5 +103,5 @@ def _rgb(playable: Playable, camera: Camera, frame: int, arguments: Arguments) -
     return (rgb.clip(0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def _sized(camera: Camera, size: tuple[int, int] | None) -> Camera:
+def _fit(camera: Camera, size: tuple[int, int] | None) -> Camera:
     return camera if size is None else fit_camera(camera, *size)

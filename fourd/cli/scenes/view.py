@@ -1,14 +1,15 @@
-"""Open a scene or a run and walk around in it; or, without a window, make a video or a picture of it."""
+"""Play a scene or a run in a window, or write a video or a picture of it without one."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
 
+from fourd.cli.options import option
 from fourd.errors import UserError
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.rendering.renderers import RendererName
@@ -16,33 +17,33 @@ from fourd.viewer.rendering.renderers import RendererName
 
 @dataclass(frozen=True)
 class Arguments:
-    """Without --headless or --screenshot a window opens; its panel tells the controls."""
+    """Opens a window, whose panel lists the controls, unless --headless or --screenshot is given."""
 
-    source: tyro.conf.Positional[Path | None] = None
-    """A .4dv file, or a run's folder, which is shown while it trains. The window also opens what is dropped on it."""
+    source: tyro.conf.Positional[Annotated[Path | None, option("[SOURCE]", "none")]] = None
+    """A .4dv file, or a run's folder, which is reloaded while it trains. Files dropped on the window open too."""
     renderer: Literal["auto"] | RendererName = "auto"
-    """sorted: one pass over points sorted by depth, for GPUs. peel and dual: depth peeling, exact and slow. cpu: exact,
-    needs no GPU. auto: sorted on a GPU, cpu elsewhere; it says which and why."""
-    size: tuple[int, int] | None = None
-    """Width and height in pixels, of the window or the pictures. 1280 720, or a screenshot's camera, when not given."""
-    layers: int | None = None
-    """Points composited a pixel (K), 1 to 64; the scene's when not given. sorted composites all."""
+    """sorted: one pass over points sorted by depth, for GPUs. peel, dual: depth peeling, exact and slow. cpu: exact,
+    needs no GPU. auto: sorted on a GPU, cpu elsewhere; the choice and its reason are printed."""
+    size: Annotated[tuple[int, int] | None, option("W H", "1280 720; for --screenshot the camera's")] = None
+    """Width and height in pixels, of the window or the pictures."""
+    layers: Annotated[int | None, option("INT", "the scene's")] = None
+    """Points composited per pixel (K), 1 to 64. The renderer sorted composites all points."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Red, green and blue behind the object, from 0 to 1."""
-    headless: Path | None = None
-    """Write this MP4 without a window."""
+    """Red, green and blue of the backdrop, 0 to 1 each."""
+    headless: Annotated[Path | None, option("FILE.mp4", "none")] = None
+    """Write this video without a window."""
     path: str = "orbit"
-    """Of --headless: orbit, spiral, cameras, or a camera path that the window recorded (a JSON file)."""
-    steps: int | None = None
-    """Pictures along the path of --headless; the scene plays in a loop meanwhile. 120 or all frames when not given."""
-    fps: float | None = None
-    """Frames a second of --headless; the scene's when not given."""
-    screenshot: Path | None = None
-    """Write this PNG without a window."""
-    camera: str | None = None
-    """Of --screenshot: the name of a capture camera; the first when not given."""
+    """Camera path of --headless: orbit, spiral, cameras, or a JSON file that the window recorded."""
+    steps: Annotated[int | None, option("INT", "120, or the number of frames if larger")] = None
+    """Number of pictures of --headless. Each advances the scene by a frame; the scene loops."""
+    fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
+    """Frames per second of --headless."""
+    screenshot: Annotated[Path | None, option("FILE.png", "none")] = None
+    """Write this picture without a window."""
+    camera: Annotated[str | None, option("NAME", "the first")] = None
+    """Capture camera of --screenshot."""
     frame: int = 0
-    """Of --screenshot: a frame, from 0."""
+    """Frame of --screenshot, from 0."""
 
 
 def run(arguments: Arguments) -> None:
@@ -58,7 +59,7 @@ def run(arguments: Arguments) -> None:
     from fourd.viewer.headless import Headless
 
     if arguments.source is None:
-        raise UserError("SOURCE: expected a .4dv file or a run's folder, got none; name one")
+        raise UserError("SOURCE: expected a .4dv file or a run's folder, got none; give one")
     headless = Headless(arguments.source, arguments.renderer, arguments.size, settings)
     if arguments.screenshot is not None:
         headless.screenshot(arguments.screenshot, arguments.camera, arguments.frame, console)

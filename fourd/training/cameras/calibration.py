@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,10 @@ from fourd.capture import Capture, read_calibration, write_calibration
 from fourd.capture.calibration import INTRINSICS_NAME
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
-from fourd.training.cameras.rig import Rig
 from fourd.training.run_layout import CALIBRATION, START
+
+if TYPE_CHECKING:
+    from fourd.training.cameras.rig import Rig
 
 COLOURS = "colours.json"
 POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)

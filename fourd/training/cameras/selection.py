@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fourd.capture import Capture, open_capture
 from fourd.capture.layout import select_views
 from fourd.errors import UserError
 from fourd.training.cameras.calibration import with_start_cameras
-from fourd.training.config import TrainConfig
+
+if TYPE_CHECKING:
+    from fourd.training.config import TrainConfig
 
 DECODED_MB = 32
 """Cache of decoded whole pictures. Training has a separate cache of crops."""

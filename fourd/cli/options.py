@@ -1,0 +1,55 @@
+"""Options that several commands share: one definition each of flag, help text and meaning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from fourd.errors import UserError
+from fourd.parallel import core_count
+
+FRAMES_HELP = "Frames A to B, B excluded, every S-th; positions in the capture, from 0."
+VIEWS_HELP = "Names of cameras, separated by commas."
+
+
+def option(metavar: str, default: str, text: str | None = None) -> Any:
+    """An option whose default is decided later; --help shows ``default``."""
+    return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
+
+
+Views = Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)]
+Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
+Workers = Annotated[int | None, option("N", "one per core", "Number of processes.")]
+LpipsWeights = Annotated[
+    Path | None, option("PATH", "the usual caches", "File or folder with the weights of VGG-16 and LPIPS.")
+]
+
+
+@dataclass(frozen=True)
+class SelectionOptions:
+    """Part of the capture to use."""
+
+    views: Views = None
+    frames: Frames = None
+
+    @property
+    def names(self) -> tuple[str, ...] | None:
+        """The cameras in ``views``."""
+        return split_names(self.views)
+
+
+def split_names(text: str | None) -> tuple[str, ...] | None:
+    """Names separated by commas; None stays None."""
+    return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def worker_count(workers: int | None) -> int:
+    """The number of processes to use: ``workers``, or one per available core."""
+    if workers is None:
+        return core_count()
+    if workers < 1:
+        raise UserError(f"--workers: expected at least 1, got {workers}; leave it out for one per core")
+    return workers

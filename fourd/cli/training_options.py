@@ -1,0 +1,144 @@
+"""Options of training, which ``fourd make`` and ``fourd train`` share, and how they overlay the config."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, option, split_names
+from fourd.configs import assigned_keys, load_overlay, set_values
+from fourd.errors import UserError
+from fourd.training.config import TrainConfig
+
+SEEDING_METHODS = ("ngp", "sfm")
+"""Methods of background seeding that ``--background`` takes besides a PLY file."""
+CONFIG_KEYS = {
+    "scene": "scene",
+    "test_views": "test_views",
+    "views": "views",
+    "frames": "frames",
+    "scale": "image_scale",
+    "points": "points",
+    "background": "background.seeding",
+    "background_points": "background.points",
+    "max_seconds": "max_seconds",
+    "max_steps": "max_steps",
+    "seed": "seed",
+}
+"""Options that overlay a key of the training config."""
+
+
+def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
+    """An option that overlays a key of the config; --help shows the key's default."""
+    value = operator.attrgetter(CONFIG_KEYS[name])(TrainConfig())
+    return option(metavar, {None: "all", (): "none"}.get(value, str(value)), text)
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """Flags and --set override the config file, which overrides the defaults."""
+
+    scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
+    """object: the foreground in the mattes, on black. full: everything, with a static background."""
+    config: Annotated[Path | None, option("FILE.yaml", "none")] = None
+    """YAML file with config keys; docs/configuration.md lists them."""
+    assignments: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(name="set", metavar="KEY=VALUE", help_behavior_hint="(repeatable)"),
+        tyro.conf.UseAppendAction,
+    ] = ()
+    """Set any config key: --set rates.planes=1e-3 --set model.planes.levels=3."""
+    test_views: Annotated[str | None, _config_option("test_views", "NAME,NAME")] = None
+    """Names of held-out cameras, separated by commas. They are neither trained on nor carved from."""
+    views: Annotated[str | None, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
+    frames: Annotated[str | None, _config_option("frames", "A:B[:S]", FRAMES_HELP)] = None
+    scale: Annotated[float | None, _config_option("scale", "FLOAT")] = None
+    """Scale of the images; 0.5 halves width and height."""
+    points: Annotated[int | None, _config_option("points", "INT")] = None
+    """Points per frame."""
+    background: Annotated[str | None, _config_option("background", "{ngp,sfm,FILE.ply}")] = None
+    """Source of a full scene's background points. ngp: a radiance field fitted to the clean plates, guided by stereo.
+    sfm: stereo only. FILE.ply: your own points, in world units."""
+    background_points: Annotated[int | None, _config_option("background_points", "INT")] = None
+    """Points of a full scene's background."""
+    refine_cameras: bool = False
+    """Correct poses and focal lengths: by bundle adjustment before carving, then by gradients while training."""
+    refine_colours: bool = False
+    """Learn an affine colour correction for each camera."""
+    points_from: Annotated[Path | None, option("DIR", "carve")] = None
+    """Folder with your own FRAME.ply (six digits) for each frame, in world units, used instead of carving."""
+    max_seconds: Annotated[float | None, option("FLOAT", "1800 in fourd make without --max-steps, else none")] = None
+    """Stop after this many seconds of training; earlier stages are not counted."""
+    max_steps: Annotated[int | None, option("INT", "none")] = None
+    """Stop after this many steps."""
+    seed: Annotated[int | None, _config_option("seed", "INT")] = None
+    """Random seed."""
+    lpips_weights: LpipsWeights = None
+
+    def train_config(self, max_seconds: float | None = None) -> TrainConfig:
+        """Defaults, overlaid by the config file, by --set, and by the flags given.
+
+        Args:
+            max_seconds: the budget where no option and no file sets one; None makes that an error.
+        """
+        config = self.overlay(TrainConfig())
+        if config.max_steps is None and config.max_seconds is None:
+            if max_seconds is None:
+                raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a budget")
+            config = replace(config, max_seconds=max_seconds)
+        return config
+
+    def overlay(self, config: TrainConfig) -> TrainConfig:
+        """``config`` with the values of the config file, --set and the flags given."""
+        if self.config is not None:
+            config = load_overlay(config, self.config)
+        assigned = assigned_keys(self.assignments)
+        config = set_values(config, self.assignments)
+        for name, key in CONFIG_KEYS.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            flag = f"--{name.replace('_', '-')}"
+            if key in assigned:
+                raise UserError(f"{flag}, --set {key}: expected one of them, got both; remove one")
+            config = _replace_key(config, key, _config_values(name, key, value), flag)
+        flags = {"poses": self.refine_cameras, "focal": self.refine_cameras, "colours": self.refine_colours}
+        enabled = {name: True for name, is_on in flags.items() if is_on}
+        return replace(config, refine=replace(config.refine, **enabled))
+
+
+def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
+    """The fields of the key's dataclass that an option sets."""
+    if name == "background":
+        return _seeding(value)
+    if name in ("views", "test_views"):
+        value = split_names(value)
+    return {key.rpartition(".")[2]: value}
+
+
+def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) -> Any:
+    """``config`` with ``values`` in the dataclass that holds the dotted ``key``."""
+    head, _, rest = key.partition(".")
+    if rest:
+        return replace(config, **{head: _replace_key(getattr(config, head), rest, values, flag)})
+    try:
+        return replace(config, **values)
+    except ValueError as error:
+        field, _, message = str(error).partition(": ")
+        raise UserError(f"{flag}: {message if field == key else error}; change the value") from error
+
+
+def _seeding(background: str) -> dict[str, Any]:
+    """The value of ``--background`` as fields of the background's config."""
+    if background in SEEDING_METHODS:
+        return {"seeding": background, "seeds": None}
+    if background.lower().endswith(".ply") or Path(background).is_file():
+        return {"seeds": Path(background)}
+    raise UserError(
+        f"--background: expected {', '.join(SEEDING_METHODS)} or a PLY file, got '{background}'; see fourd train --help"
+    )

@@ -1,0 +1,119 @@
+"""``--background`` and the other training options: how they overlay the config."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fourd.cli.main import main
+from fourd.cli.training_options import TrainingOptions
+from fourd.errors import UserError
+from fourd.training.config import TrainConfig
+
+
+def config(background: str | None, file: Path | None = None, *assignments: str) -> TrainConfig:
+    return TrainingOptions(background=background, config=file, assignments=assignments, max_steps=1).train_config()
+
+
+@pytest.mark.parametrize("method", ["ngp", "sfm"])
+def test_a_method_replaces_the_points_of_the_config_file(method: str, tmp_path: Path) -> None:
+    """Catches a flag that the config file's own points override silently."""
+    (tmp_path / "a.yaml").write_text("background: {seeds: own.ply, seeding: sfm}\n")
+    background = config(method, tmp_path / "a.yaml").background
+    assert background.seeding == method
+    assert background.seeds is None
+
+
+def test_own_points_are_a_ply_file(tmp_path: Path) -> None:
+    """Catches a file mistaken for a method, and a file refused for its name."""
+    assert config("dir/own.PLY").background.seeds == Path("dir/own.PLY")
+    (tmp_path / "own").write_text("ply\n")
+    assert config(str(tmp_path / "own")).background.seeds == tmp_path / "own"
+
+
+def test_flags_not_given_change_nothing(tmp_path: Path) -> None:
+    """Catches a flag that was not given and still overrides the config file."""
+    (tmp_path / "a.yaml").write_text("background: {seeding: sfm, points: 5, radiance: {steps: 7}}\n")
+    background = config(None, tmp_path / "a.yaml").background
+    assert (background.seeding, background.points, background.radiance.steps) == ("sfm", 5, 7)
+    assert config(None).background.seeding == "ngp"
+
+
+def test_neither_a_method_nor_a_file_is_refused() -> None:
+    """Catches a typing error that is opened as a file only after the mattes are made."""
+    with pytest.raises(UserError, match=r"--background: expected ngp, sfm or a PLY file, got 'nerf'; see .* --help$"):
+        config("nerf")
+
+
+@pytest.mark.parametrize("command", ["train", "make"])
+def test_both_commands_refuse_it(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a command with another definition of the flag."""
+    assert main([command, str(tmp_path), "-o", str(tmp_path / "out"), "--scene", "full", "--background", "nerf"]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(f"fourd {command}: --background: expected ngp, sfm or a PLY file, got 'nerf'")
+    assert line.count("\n") == 1
+
+
+def test_an_invalid_field_is_refused_with_its_key(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text("background: {radiance: {levels: 0}}\n")
+    with pytest.raises(UserError, match=r"a\.yaml.*radiance.*levels: expected 1 to 32, got 0"):
+        config(None, tmp_path / "a.yaml")
+
+
+def test_set_reaches_any_key_after_the_config_file(tmp_path: Path) -> None:
+    """Catches a key that --set cannot reach, text where a number is expected, and a file that overrides --set."""
+    (tmp_path / "a.yaml").write_text("rates: {planes: 1, mlps: 2}\n")
+    words = ("rates.planes=1e-3", "model.planes.levels=3", "test_views=[05, 1e3]", "frames=1:24")
+    made = config(None, tmp_path / "a.yaml", *words)
+    assert (made.rates.planes, made.rates.mlps, made.model.planes.levels) == (1e-3, 2.0, 3)
+    assert (made.test_views, made.frames) == (("05", "1e3"), "1:24")
+
+
+def test_set_values_are_validated_together() -> None:
+    """Catches dependent keys that are refused one by one."""
+    model = config(None, None, "model.radius_start=8", "model.radius_range=[7, 9]").model
+    assert (model.radius_start, model.radius_range) == (8.0, (7.0, 9.0))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--set", "rates.plane=1"], "--set rates: expected a known key, got 'plane'; did you mean 'planes'?"),
+        (["--set", "points=many"], "--set points: expected a whole number, got 'many'"),
+        (["--set", "points=0"], "--set points: expected at least 1, got 0"),
+        (["--set", "points"], "--set: expected KEY=VALUE, got 'points'"),
+        (["--set", "points="], "--set points: expected a value after '=', got none"),
+        (["--set", "points=[1"], "--set points: expected a YAML value, got '[1'"),
+        (["--set", "model=3", "--set", "model.hidden=4"], "--set model.hidden: expected keys below 'model'"),
+        (["--points", "5", "--set", "points=6"], "--points, --set points: expected one of them, got both"),
+        (["--points", "0"], "--points: expected at least 1, got 0"),
+        (["--points", "many"], "--points: expected INT, got 'many'"),
+        (["--scale", "9"], "--scale: expected more than 0, got 9.0"),
+        (["--scene", "ful"], "--scene: expected one of 'full', 'object', got 'ful'"),
+        (["--background-points", "0"], "--background-points: expected at least 1, got 0"),
+        (["--frames", "5"], "--frames: expected A:B or A:B:S"),
+        (["--workers", "0"], "--workers: expected at least 1, got 0"),
+    ],
+)
+@pytest.mark.parametrize("command", ["train", "make"])
+def test_bad_values_are_one_line(
+    command: str, words: list[str], message: str, ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a traceback, a value that is ignored, and an error that does not name the option."""
+    assert main([command, str(ball_capture), "-o", str(tmp_path / "out"), "--max-steps", "1", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"fourd {command}: {message}")
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["train", "make"])
+def test_help_shows_the_defaults_of_the_config(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches an option whose default --help hides."""
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    defaults = TrainConfig()
+    for default in (defaults.points, defaults.background.points, defaults.scene, defaults.background.seeding):
+        assert f"(default: {default})" in text
+    assert "default: None" not in text
