@@ -17,7 +17,7 @@ MAX_DIFFERENCE = 24.0
 """Tolerated colour difference in levels of 255, after blurring and exposure compensation."""
 BLUR_PX = 2.0
 MARGIN = 1 / 50
-"""Distance kept from the matte, whose surroundings have soft edges and shadows; relative to the longer side."""
+"""Distance kept from the matte, beside which there are soft edges and shadows; relative to the longer side."""
 MAX_CHANGED_SHARE = 0.02
 """Share of the visible background that may change; more is not noise."""
 

@@ -82,7 +82,7 @@ def find_bounds(
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: share in (0, 1] of the views that see a point whose silhouettes must contain it.
+        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it.
         least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
         margin: padding on every face, as a share of the longest side.
         max_frames: upper limit of frames read; they are evenly spaced and include the first and the last.

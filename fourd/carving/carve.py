@@ -55,12 +55,12 @@ def carve_frame(
         cameras: undistorted pinhole cameras.
         bounds: search box; see :func:`find_bounds`.
         points: number of points to return, at least 1.
-        agreement: share in (0, 1] of the views that see a point whose silhouettes must contain
-            it; with 20 views, 0.95 tolerates one wrong view. Views that do not see a point do not count.
+        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it; with 20
+            views, 0.95 tolerates one wrong view.
         least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
         seed: random seed of the order of the points; the same input and seed give the same bits.
         names: camera names for messages.
-        label: what these masks are, for messages.
+        label: name of the masks for messages.
 
     Raises:
         UserError: if the hull is empty; names the views that disagree most.

@@ -42,7 +42,7 @@ class Silhouettes:
     Attributes:
         origin: (3,) float64 world point; all cells and points are relative to it.
         views: the silhouettes, in the order of the cameras.
-        agreement: share in (0, 1] of the views that see a point owners silhouettes must contain it.
+        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it.
         needed: minimum number of views that must see a point.
     """
 

@@ -67,7 +67,7 @@ def carve_capture(
         capture: cameras, images and masks.
         out_folder: created if missing.
         points: points per frame, at least 1.
-        agreement: share in (0, 1] of the views that see a point whose silhouettes must contain it.
+        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it.
         least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
         seed: random seed of the order of the points.
         track: progress callback.

@@ -32,7 +32,7 @@ Picture = NDArray[np.uint8]
 
 VERSION = 2
 STATE = "mattes.json"
-LEARNED = "subject.npz"
+MODEL_NAME = "subject.npz"
 SHEET = Path(".fourd") / "mattes.png"
 INPUTS = ("*.yml", "videos.json", "videos/*", "images/*/*")
 SCREEN_FRAMES = 5
@@ -88,7 +88,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
     if settings.method == "chroma":
         model = _screen_colours(capture, settings, track)
     else:
-        model = folder.parent / LEARNED
+        model = folder.parent / MODEL_NAME
         if not model.exists():
             _learn_subject_model(capture, settings, model, track)
     jobs = [_Job(selection, model, folder, tuple(block)) for block in split_into_blocks(missing, workers)]
@@ -118,7 +118,7 @@ def _prepare_folder(folder: Path, key: str) -> None:
         known = None
     if known != key:
         shutil.rmtree(folder, ignore_errors=True)
-        (folder.parent / LEARNED).unlink(missing_ok=True)
+        (folder.parent / MODEL_NAME).unlink(missing_ok=True)
         (folder.parent / SHEET.name).unlink(missing_ok=True)
         write_text_atomically(state, json.dumps({"version": VERSION, "key": key}) + "\n")
     remove_unfinished(folder.parent)

@@ -258,10 +258,10 @@ def test_a_floor_has_no_gaps_from_a_higher_camera() -> None:
     )
     places = sample_surfaces([surface_of(low, np.ones(48 * 36, bool))], WHOLE, 600)[0]
     x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1.5, 1.5, 60), np.linspace(0, 5, 100)))
-    asked, _ = high.project(np.column_stack([x, y, np.zeros_like(x)]))
+    floor_pixels, _ = high.project(np.column_stack([x, y, np.zeros_like(x)]))
     pixels, _ = high.project(places.xyz)
     side = np.sqrt(WIDTH * HEIGHT / 2 / 600)
-    assert KDTree(pixels).query(asked)[0].max() < 1.5 * side
+    assert KDTree(pixels).query(floor_pixels)[0].max() < 1.5 * side
 
 
 def test_a_floor_has_no_gaps_between_rows() -> None:
@@ -294,8 +294,8 @@ def test_confirmed_cells_have_priority() -> None:
     """Catches extrapolated cells of one picture that suppress measured cells of another."""
     surfaces = [surface_of(camera(x), np.ones(48 * 36, bool)) for x in (0.0, 0.02)]
     surfaces[0].support[:] = 0
-    guessed, measured = sample_surfaces(surfaces, WHOLE * 2, 400)
-    assert len(measured.xyz) > 0.8 * (len(guessed.xyz) + len(measured.xyz))
+    extrapolated, measured = sample_surfaces(surfaces, WHOLE * 2, 400)
+    assert len(measured.xyz) > 0.8 * (len(extrapolated.xyz) + len(measured.xyz))
 
 
 def test_no_samples_in_holes() -> None:

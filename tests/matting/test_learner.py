@@ -58,15 +58,15 @@ def run_learner(scene: Scene, off_hull: np.ndarray, rng: np.random.Generator, *,
     return learner
 
 
-@pytest.mark.parametrize(("toes_known", "most"), [(True, 0.1), (False, 0.6)])
+@pytest.mark.parametrize(("toes_known", "max_confidence"), [(True, 0.1), (False, 0.6)])
 def test_static_subject_inside_the_hull_is_not_background(
-    toes_known: bool, most: float, scene: Scene, rng: np.random.Generator
+    toes_known: bool, max_confidence: float, scene: Scene, rng: np.random.Generator
 ) -> None:
     """Catches a resting foot that becomes background, with a colour that other cameras see or that none sees."""
     off_hull = ~scene.leg
     off_hull[(slice(None), *FOOT)] = False
     background = run_learner(scene, off_hull, rng, toes_known=toes_known).appearance.background
-    assert background.confidence[INNER].max() < most
+    assert background.confidence[INNER].max() < max_confidence
 
 
 def test_pixels_off_the_hull_are_known_background(scene: Scene, rng: np.random.Generator) -> None:

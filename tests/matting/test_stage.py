@@ -12,7 +12,7 @@ import pytest
 from fourd.capture import Capture, open_capture
 from fourd.errors import UserError
 from fourd.matting.selection import CACHE_FRAMES, Selection
-from fourd.matting.stage import LEARNED, MATTES, SHEET, MatteSettings, make_mattes
+from fourd.matting.stage import MATTES, MODEL_NAME, SHEET, MatteSettings, make_mattes
 from fourd.progress import untracked
 from tests.matting.captures import matte_iou, write_capture_without_masks
 
@@ -98,7 +98,7 @@ def test_changed_settings_invalidate_mattes(tmp_path: Path) -> None:
     """Catches stale mattes after a change of seed or input, and a stale contact sheet."""
     capture = write_capture_without_masks(tmp_path, frames=3, size=64)
     assert make_mattes(Selection(capture), MatteSettings(), 1, untracked) == 3
-    assert (capture / ".fourd" / LEARNED).exists()
+    assert (capture / ".fourd" / MODEL_NAME).exists()
     (capture / SHEET).write_bytes(b"of these")
     assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untracked) == 3
     assert not (capture / SHEET).exists()

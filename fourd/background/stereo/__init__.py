@@ -1,1 +1,1 @@
-"""Depth maps of pictures from known cameras, and what they agree on."""
+"""Multi-view stereo: depth maps of pictures with known cameras, their fusion and completion."""
