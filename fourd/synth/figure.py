@@ -151,12 +151,6 @@ def _make_head(figure: Figure, rotation: Array, chest: Array, waist: Array, p: f
             1.0,
             pattern,
             size * np.array(stretch),
-            centre + rotation @ (size * np.asarray(position)),
-            0.0,
-            1.0,
-            1.0,
-            pattern,
-            size * np.array(stretch),
         )
 
     parts = [
