@@ -16,7 +16,54 @@ constexpr int kNative = 4;
 #endif
 constexpr int kParts = kRun / kNative;
 constexpr int kSums = kLanes / kNative;
+
+#if defined(__GNUC__)
+
 typedef float Vector __attribute__((vector_size(4 * kNative)));
+
+inline Vector broadcast(float x) { return x - Vector{}; }
+
+// value where x is positive, else 0.
+inline Vector where_positive(const Vector& x, const Vector& value) { return x > 0.0f ? value : Vector{}; }
+
+#else
+
+struct Vector {
+    float lane[kNative];
+
+    Vector& operator+=(const Vector& other) {
+        for (int i = 0; i < kNative; ++i) lane[i] += other.lane[i];
+        return *this;
+    }
+    Vector& operator*=(const Vector& other) {
+        for (int i = 0; i < kNative; ++i) lane[i] *= other.lane[i];
+        return *this;
+    }
+};
+
+inline Vector broadcast(float x) {
+    Vector out;
+    for (float& lane : out.lane) lane = x;
+    return out;
+}
+inline Vector operator*(Vector a, const Vector& b) { return a *= b; }
+inline Vector operator*(float a, const Vector& b) { return broadcast(a) * b; }
+inline Vector operator/(Vector a, float b) {
+    for (float& lane : a.lane) lane /= b;
+    return a;
+}
+inline Vector operator-(float a, Vector b) {
+    for (float& lane : b.lane) lane = a - lane;
+    return b;
+}
+
+inline Vector where_positive(const Vector& x, const Vector& value) {
+    Vector out;
+    for (int i = 0; i < kNative; ++i) out.lane[i] = x.lane[i] > 0.0f ? value.lane[i] : 0.0f;
+    return out;
+}
+
+#endif
 
 // One value per point of a run; 0 for points that the last run lacks.
 struct RunValues {
@@ -73,11 +120,11 @@ void forward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count,
             load_run(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
         }
         RunValues raw;
-        for (int p = 0; p < kParts; ++p) raw.part[p] = mlp.bias - Vector{};
+        for (int p = 0; p < kParts; ++p) raw.part[p] = broadcast(mlp.bias);
         for (int h = 0; h < mlp.hidden; ++h) {
             const RunValues hidden = hidden_values(mlp, point[h], samples, h);
             for (int p = 0; p < kParts; ++p) {
-                raw.part[p] += mlp.out[h] * (hidden.part[p] > 0.0f ? hidden.part[p] : Vector{});
+                raw.part[p] += mlp.out[h] * where_positive(hidden.part[p], hidden.part[p]);
             }
         }
         float values[kRun];
@@ -103,7 +150,7 @@ void backward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count
     load_transposed(inputs.point + first * mlp.hidden, mlp.hidden, count, point);
     std::memset(to_point, 0, mlp.hidden * sizeof(RunValues));
     RunValues ones;
-    for (int p = 0; p < kParts; ++p) ones.part[p] = 1.0f - Vector{};
+    for (int p = 0; p < kParts; ++p) ones.part[p] = broadcast(1.0f);
     for (std::size_t view = 0; view < inputs.views; ++view) {
         for (int c = 0; c < mlp.channels; ++c) {
             load_run(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
@@ -119,9 +166,9 @@ void backward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count
         for (int h = 0; h < mlp.hidden; ++h) {
             RunValues hidden = hidden_values(mlp, point[h], samples, h);
             for (int p = 0; p < kParts; ++p) {
-                back[h].part[p] = hidden.part[p] > 0.0f ? mlp.out[h] * raw.part[p] : Vector{};
+                back[h].part[p] = where_positive(hidden.part[p], mlp.out[h] * raw.part[p]);
                 to_point[h].part[p] += back[h].part[p];
-                hidden.part[p] = hidden.part[p] > 0.0f ? hidden.part[p] : Vector{};
+                hidden.part[p] = where_positive(hidden.part[p], hidden.part[p]);
             }
             add_products(raw, hidden, sums.out + h * kLanes);
         }

@@ -18,7 +18,6 @@ inline Lanes operator+(Lanes a, Lanes b) { return {_mm512_add_ps(a.value, b.valu
 inline Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.value, b.value)}; }
 inline Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.value, b.value)}; }
 inline Lanes operator/(Lanes a, Lanes b) { return {_mm512_div_ps(a.value, b.value)}; }
-inline Lanes larger(Lanes a, Lanes b) { return {_mm512_max_ps(a.value, b.value)}; }
 inline Mask operator>(Lanes a, Lanes b) { return {_mm512_cmp_ps_mask(a.value, b.value, _CMP_GT_OQ)}; }
 inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & b.bits)}; }
 inline bool any(Mask a) { return a.bits != 0; }
@@ -33,12 +32,13 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     _mm512_storeu_si512(to, packed);
 }
 // Lane i plus i + 8, then plus i + 4.
+#define FOURD_SUM_OF_QUARTERS
 inline __m128 sum_of_quarters(Lanes a) {
     const __m256 half = _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
     return _mm_add_ps(_mm256_castps256_ps128(half), _mm256_extractf128_ps(half, 1));
 }
 
-#else
+#elif defined(__GNUC__)
 
 #if defined(__AVX__)
 constexpr int kNative = 8;
@@ -86,10 +86,6 @@ inline Lanes operator/(Lanes a, Lanes b) {
     Lanes out;
     FOURD_PER_PART(a.part[p] / b.part[p]);
 }
-inline Lanes larger(Lanes a, Lanes b) {
-    Lanes out;
-    FOURD_PER_PART(a.part[p] > b.part[p] ? a.part[p] : b.part[p]);
-}
 inline Mask operator>(Lanes a, Lanes b) {
     Mask out;
     FOURD_PER_PART(a.part[p] > b.part[p]);
@@ -130,6 +126,9 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
 
 #undef FOURD_PER_PART
 
+#if defined(__SSE2__)
+#define FOURD_SUM_OF_QUARTERS
+#endif
 #if defined(__AVX__)
 inline __m128 sum_of_quarters(Lanes a) {
     const __m256 half = (__m256)(a.part[0] + a.part[1]);
@@ -138,6 +137,74 @@ inline __m128 sum_of_quarters(Lanes a) {
 #elif defined(__SSE2__)
 inline __m128 sum_of_quarters(Lanes a) { return (__m128)((a.part[0] + a.part[2]) + (a.part[1] + a.part[3])); }
 #endif
+
+#else
+
+struct Mask {
+    bool lane[16];
+};
+struct Lanes {
+    float lane[16];
+};
+
+#define FOURD_PER_LANE(expression)                           \
+    for (int i = 0; i < 16; ++i) out.lane[i] = (expression); \
+    return out
+
+inline Lanes broadcast(float x) {
+    Lanes out;
+    FOURD_PER_LANE(x);
+}
+inline Lanes load(const float* p) {
+    Lanes out;
+    FOURD_PER_LANE(p[i]);
+}
+inline void store(float* p, const Lanes& a) { std::memcpy(p, a.lane, sizeof a.lane); }
+inline Lanes operator+(const Lanes& a, const Lanes& b) {
+    Lanes out;
+    FOURD_PER_LANE(a.lane[i] + b.lane[i]);
+}
+inline Lanes operator-(const Lanes& a, const Lanes& b) {
+    Lanes out;
+    FOURD_PER_LANE(a.lane[i] - b.lane[i]);
+}
+inline Lanes operator*(const Lanes& a, const Lanes& b) {
+    Lanes out;
+    FOURD_PER_LANE(a.lane[i] * b.lane[i]);
+}
+inline Lanes operator/(const Lanes& a, const Lanes& b) {
+    Lanes out;
+    FOURD_PER_LANE(a.lane[i] / b.lane[i]);
+}
+inline Mask operator>(const Lanes& a, const Lanes& b) {
+    Mask out;
+    FOURD_PER_LANE(a.lane[i] > b.lane[i]);
+}
+inline Mask operator&(const Mask& a, const Mask& b) {
+    Mask out;
+    FOURD_PER_LANE(a.lane[i] && b.lane[i]);
+}
+inline Lanes select(const Mask& m, const Lanes& a, const Lanes& b) {
+    Lanes out;
+    FOURD_PER_LANE(m.lane[i] ? a.lane[i] : b.lane[i]);
+}
+inline Lanes keep(const Mask& m, const Lanes& a) {
+    Lanes out;
+    FOURD_PER_LANE(m.lane[i] ? a.lane[i] : 0.0f);
+}
+inline bool any(const Mask& a) {
+    bool out = false;
+    for (const bool lane : a.lane) out = out || lane;
+    return out;
+}
+inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
+    for (int i = 0; i < 16; ++i) {
+        to[i] = 0;
+        for (int c = 0; c < 4; ++c) to[i] |= static_cast<std::uint32_t>(bytes[c].lane[i]) << (8 * c);
+    }
+}
+
+#undef FOURD_PER_LANE
 
 #endif
 
@@ -154,7 +221,7 @@ inline float sum(Lanes a) {
 // The sums of several Lanes, four at a time, in the same order.
 inline void store_sums(const Lanes* from, int count, float* to) {
     int k = 0;
-#if defined(__SSE2__)
+#if defined(FOURD_SUM_OF_QUARTERS)
     for (; k + 4 <= count; k += 4) {
         const __m128 a = sum_of_quarters(from[k]), b = sum_of_quarters(from[k + 1]);
         const __m128 c = sum_of_quarters(from[k + 2]), d = sum_of_quarters(from[k + 3]);

@@ -1,6 +1,6 @@
 // The inner loops over points and tiles, compiled once for each instruction set.
 #include <cstring>
-#if defined(__SSE2__)
+#if defined(__SSE2__) || defined(__AVX512F__)
 #include <immintrin.h>
 #endif
 
