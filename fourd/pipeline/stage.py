@@ -136,9 +136,9 @@ class Stage(Generic[Files, Settings]):
         """Whether all outputs exist."""
         return all(path.exists() for path in self.outputs)
 
-    def run(self, context: Context) -> None:
-        """Do the work."""
-        self.work(self.files, self.settings, context)
+    def run(self, context: Context | None = None) -> None:
+        """Do the work; silently and in one process when ``context`` is None, as in a process that has no console."""
+        self.work(self.files, self.settings, context or Context())
 
 
 def _digest(parts: list[str]) -> str:

@@ -8,16 +8,21 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from fourd.errors import UserError
 from fourd.matting.stage import MatteSettings
-from fourd.pipeline.make import make_scene
+from fourd.pipeline.make import create_run, make_scene
 from fourd.pipeline.stage import Context
+from fourd.ply import write_ply
 from fourd.training.config import RefineConfig, TrainConfig
+from fourd.training.loop import Trainer
+from fourd.training.metrics_log import MetricsLog
+from tests.captures import sphere
 from tests.matting.captures import write_capture_without_masks, write_video
-from tests.training.small import SMALL, with_steps
+from tests.training.small import SMALL, full_config, with_steps
 
 NAMES = ("import", "check", "mattes", "plates", "adjust", "carve", "points", "background", "train", "bake")
 
@@ -91,3 +96,83 @@ def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_p
     (tmp_path / "scene.work" / "mine.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a folder made by fourd make"):
         make_scene(ball_capture, tmp_path / "scene.4dv", SMALL, MatteSettings(), Context())
+
+
+def test_stages_of_a_full_scene_depend_on_what_they_read(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a background that is searched again for a change of the foreground, and a stale one."""
+    capture, out = Path(shutil.copytree(ball_capture, tmp_path / "capture")), tmp_path / "scene.4dv"
+    config = with_steps(full_config(tmp_path / "seeds.ply"), 2)
+    names = ("check", "carve", "plates", "background", "train", "bake")
+
+    def stages_run(config: TrainConfig) -> list[str]:
+        done = make(capture, out, config)
+        assert tuple(name for name in done if name != "points") == tuple(name for name in NAMES if name in names)
+        return [name for name, is_done in done.items() if is_done]
+
+    assert set(stages_run(config)) == set(names)
+    assert stages_run(config) == []
+    config = replace(config, points=config.points - 100)
+    assert stages_run(config) == ["carve", "train", "bake"]
+    config = replace(config, background=replace(config.background, points=1000))
+    assert stages_run(config) == ["background", "train", "bake"]
+    config = replace(config, rates=replace(config.rates, planes=1e-3))
+    assert stages_run(config) == ["train", "bake"]
+    config = replace(config, test_views=("02",))
+    assert stages_run(config) == ["plates", "carve", "background", "train", "bake"]
+    seeds = tmp_path / "seeds.ply"
+    seeds.write_bytes(seeds.read_bytes())
+    assert stages_run(config) == ["background", "train", "bake"]
+
+
+def test_given_points_replace_carving(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches carved points trained on although the user gave points, and changes of these that are not seen."""
+    points, out = tmp_path / "points", tmp_path / "scene.4dv"
+    for frame in range(3):
+        write_ply(points / f"{frame:06d}.ply", sphere(600) * 0.3, np.full((600, 3), 90, np.uint8))
+    config = with_steps(SMALL, 2)
+    assert make(ball_capture, out, config, points) == dict.fromkeys(("check", "points", "train", "bake"), True)
+    assert not any(make(ball_capture, out, config, points).values())
+    os.utime(points / "000001.ply", (1, 1))
+    assert make(ball_capture, out, config, points) == {"check": False, "points": True, "train": True, "bake": True}
+
+
+def test_interrupted_training_resumes_to_the_same_scene(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a make that trains from the start again, or that goes on to another result."""
+    config = with_steps(SMALL, 6)
+    make(ball_capture, tmp_path / "whole.4dv", config)
+    steps: list[int] = []
+    interruptions: list[int] = []
+    step = Trainer._step
+
+    def interrupted(self: Trainer, log: MetricsLog) -> None:
+        if self.done == 4 and not interruptions:
+            interruptions.append(self.done)
+            raise KeyboardInterrupt
+        steps.append(self.done)
+        step(self, log)
+
+    monkeypatch.setattr(Trainer, "_step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        make(ball_capture, tmp_path / "stopped.4dv", config)
+    done = make(ball_capture, tmp_path / "stopped.4dv", config)
+    assert done == {"check": False, "carve": False, "train": True, "bake": True}
+    assert steps == [0, 1, 2, 3, 4, 5]
+    assert (tmp_path / "whole.4dv").read_bytes() == (tmp_path / "stopped.4dv").read_bytes()
+
+
+def test_an_interrupted_create_run_keeps_finished_stages(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a fourd train that carves again, or refuses its own folder, after an interruption before training."""
+    config, run = full_config(tmp_path / "seeds.ply"), tmp_path / "run"
+    seeds = (tmp_path / "seeds.ply").read_bytes()
+    (tmp_path / "seeds.ply").unlink()
+    with pytest.raises((UserError, OSError)):
+        create_run(ball_capture, run, config)
+    before = {path: path.stat().st_mtime_ns for path in run.glob("hull/*.ply")}
+    assert len(before) == 3
+    (tmp_path / "seeds.ply").write_bytes(seeds)
+    assert create_run(ball_capture, run, config).training
+    assert {path: path.stat().st_mtime_ns for path in before} == before

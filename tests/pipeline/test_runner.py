@@ -1,0 +1,89 @@
+"""The runner: what it executes, skips, removes and remembers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from fourd.pipeline.runner import AnyStage, Runner
+from fourd.pipeline.stage import Context
+from tests.pipeline.test_stage import copy_stage
+
+
+class Counter:
+    """Executes stages and keeps their names; stops at the stage named ``stop``, before its work."""
+
+    def __init__(self, stop: str | None = None) -> None:
+        self.names: list[str] = []
+        self.stop = stop
+
+    def __call__(self, stage: AnyStage, context: Context) -> None:
+        if stage.name == self.stop:
+            raise KeyboardInterrupt
+        self.names.append(stage.name)
+        stage.run(context)
+
+
+def run(stages: list[AnyStage], record: Path, stop: str | None = None) -> list[str]:
+    """Run ``stages`` with a new runner; the names of the stages whose work was done."""
+    counter = Counter(stop)
+    try:
+        Runner(Context(), record, counter).run(stages)
+    except KeyboardInterrupt:
+        assert stop is not None
+    return counter.names
+
+
+def chain(folder: Path, first: str = "", second: str = "") -> list[AnyStage]:
+    """Two dependent stages and one that depends on neither."""
+    source = folder / "source"
+    if not source.exists():
+        source.write_text("text")
+    return [
+        copy_stage(source, folder / "a", first),
+        copy_stage(source, folder / "b", second, after=("a",)),
+        copy_stage(source, folder / "c"),
+    ]
+
+
+def test_a_changed_setting_reruns_the_dependent_stages_only(tmp_path: Path) -> None:
+    """Catches a stale result after a change, and work done twice without one."""
+    record = tmp_path / "stages.json"
+    assert run(chain(tmp_path), record) == ["a", "b", "c"]
+    assert run(chain(tmp_path), record) == []
+    assert run(chain(tmp_path, second="x"), record) == ["b"]
+    assert run(chain(tmp_path, "x", "x"), record) == ["a", "b"]
+    (tmp_path / "c" / "copy").unlink()
+    assert run(chain(tmp_path, "x", "x"), record) == ["c"]
+
+
+def test_an_interrupted_stage_keeps_its_files_for_the_same_key_alone(tmp_path: Path) -> None:
+    """Catches finished files thrown away on a resume, and files of other settings taken over."""
+    record, partial = tmp_path / "stages.json", tmp_path / "b" / "partial"
+    assert run(chain(tmp_path), record, stop="b") == ["a"]
+    partial.parent.mkdir()
+    partial.write_text("half the work")
+    assert run(chain(tmp_path), record) == ["b", "c"]
+    assert partial.exists()
+    assert run(chain(tmp_path, second="x"), record) == ["b"]
+    assert not partial.exists()
+
+
+@pytest.mark.parametrize("content", ["", "[1]", "{"])
+def test_a_damaged_record_runs_all_stages(content: str, tmp_path: Path) -> None:
+    """Catches a crash after a power failure."""
+    record = tmp_path / "stages.json"
+    run(chain(tmp_path), record)
+    record.write_text(content)
+    assert run(chain(tmp_path), record) == ["a", "b", "c"]
+
+
+def test_without_a_record_every_stage_is_executed_and_nothing_is_removed(tmp_path: Path) -> None:
+    """Catches an interrupted fourd train that starts over."""
+    for _ in range(2):
+        counter = Counter()
+        Runner(Context(), execute=counter).run(chain(tmp_path))
+        assert counter.names == ["a", "b", "c"]
+        (tmp_path / "b" / "partial").write_text("")
+    assert (tmp_path / "b" / "partial").exists()

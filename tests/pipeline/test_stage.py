@@ -1,0 +1,95 @@
+"""Stages as values: their keys, and their work in another process."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import shutil
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fourd.matting.stage import MatteSettings
+from fourd.pipeline.graph import RunRequest, stages_to_scene
+from fourd.pipeline.runner import AnyStage, Runner
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stages.carve import CarveStageSettings, carve_stage
+from fourd.training.cameras.selection import DataSelection
+from fourd.training.config import RefineConfig
+from tests.training.small import full_config
+
+
+@dataclass(frozen=True)
+class CopyFiles:
+    source: Path
+    target: Path
+
+
+@dataclass(frozen=True)
+class CopySettings:
+    suffix: str = ""
+
+
+def copy(files: CopyFiles, settings: CopySettings, context: Context) -> None:
+    files.target.mkdir(exist_ok=True)
+    (files.target / "copy").write_text(files.source.read_text() + settings.suffix)
+
+
+def copy_stage(source: Path, target: Path, suffix: str = "", after: tuple[str, ...] = ()) -> AnyStage:
+    return Stage(
+        target.name,
+        copy,
+        CopyFiles(source, target),
+        CopySettings(suffix),
+        inputs=(Artefact(source),),
+        outputs=(target / "copy",),
+        leftovers=(Leftovers(target),),
+        after=after,
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def run_in_process(stage: AnyStage, context: Context) -> None:
+    """Execute a stage in a new process, as another runner would."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        pool.submit(stage.run).result()
+
+
+def test_every_stage_of_the_graph_pickles(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a stage that another process or machine cannot be given."""
+    config = replace(full_config(tmp_path / "seeds.ply"), refine=RefineConfig(poses=True))
+    capture = Path(shutil.copytree(ball_capture, tmp_path / "capture", ignore=shutil.ignore_patterns("masks")))
+    for source in (ball_capture, capture):
+        request = RunRequest(source, tmp_path / "run", config)
+        stages = stages_to_scene(request, MatteSettings(), tmp_path / "scene.4dv")
+        assert pickle.loads(pickle.dumps(stages)) == stages
+        assert len({stage.name for stage in stages}) == len(stages)
+    assert [stage.name for stage in stages] == [
+        "check", "mattes", "plates", "adjust", "carve", "background", "train", "bake",
+    ]  # fmt: skip
+
+
+def test_a_stage_gives_the_same_result_in_another_process(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches work that depends on anything but files and settings."""
+    settings = CarveStageSettings(DataSelection(test_views=("03",)), points=500)
+    Runner(Context()).run([carve_stage(ball_capture, tmp_path / "here", settings)])
+    Runner(Context(), execute=run_in_process).run([carve_stage(ball_capture, tmp_path / "there", settings)])
+    assert contents(tmp_path / "here") == contents(tmp_path / "there")
+    assert len(contents(tmp_path / "here")) == 4
+
+
+def test_a_key_depends_on_settings_files_and_earlier_stages(tmp_path: Path) -> None:
+    """Catches a stale result after a change, and a key that changes by itself."""
+    source = tmp_path / "source"
+    source.write_text("a")
+    stage = copy_stage(source, tmp_path / "b", after=("a", "absent"))
+    key = stage.key({"a": "1"})
+    assert copy_stage(source, tmp_path / "b", after=("a", "absent")).key({"a": "1"}) == key
+    assert stage.key({"a": "2"}) != key
+    assert copy_stage(source, tmp_path / "b", "x", after=("a", "absent")).key({"a": "1"}) != key
+    os.utime(source, (1, 1))
+    assert stage.key({"a": "1"}) != key
