@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.matting.stage import MatteSettings
+from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import has_masks, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage

@@ -16,7 +16,7 @@ from fourd.importing.formats.detection import pick_format
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.matting.plates import make_plates
 from fourd.matting.selection import Selection
-from fourd.matting.stage import MatteSettings, make_mattes
+from fourd.matting.sequence import MatteSettings, make_mattes
 from fourd.progress import untracked
 from tests.importing.formats.sources import write_pictures
 

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from fourd.errors import UserError
-from fourd.matting.stage import MatteSettings
+from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.make import create_run, make_scene
 from fourd.pipeline.stage import Context
 from fourd.ply import write_ply

@@ -12,7 +12,7 @@ from rich.console import Console
 from fourd.capture.layout import MATTES
 from fourd.cli.options import SelectionOptions, Workers, option, worker_count
 from fourd.matting.plates import FOLDER as PLATES
-from fourd.matting.stage import SHEET, MatteSettings
+from fourd.matting.sequence import SHEET, MatteSettings
 from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context

@@ -9,7 +9,7 @@ from fourd.capture import open_capture
 from fourd.capture.video_index import index_capture
 from fourd.matting.contact_sheet import write_contact_sheet
 from fourd.matting.selection import Selection
-from fourd.matting.stage import SHEET, MatteSettings, make_mattes
+from fourd.matting.sequence import SHEET, MatteSettings, make_mattes
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 

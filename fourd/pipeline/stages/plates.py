@@ -10,7 +10,7 @@ from fourd.capture.video_index import index_capture
 from fourd.matting.plates import FOLDER as CAPTURE_PLATES
 from fourd.matting.plates import make_plates
 from fourd.matting.selection import Selection
-from fourd.matting.stage import matte_key
+from fourd.matting.sequence import matte_key
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.mattes import MatteFiles, MatteStageSettings

@@ -12,7 +12,7 @@ import pytest
 from fourd.capture import Capture, open_capture
 from fourd.errors import UserError
 from fourd.matting.selection import CACHE_FRAMES, Selection
-from fourd.matting.stage import MATTES, MODEL_NAME, SHEET, MatteSettings, make_mattes
+from fourd.matting.sequence import MATTES, MODEL_NAME, SHEET, MatteSettings, make_mattes
 from fourd.progress import untracked
 from tests.matting.captures import matte_iou, write_capture_without_masks
 
