@@ -31,7 +31,7 @@ HELP = (
 
 _LEFT, _RIGHT, _MIDDLE = 0, 1, 2
 _WHEEL_FACTOR = 0.9  # on the distance, per notch
-_SECONDS_TO_PIVOT = 2.0  # to fly as far as the pivot is away
+_SECONDS_TO_PIVOT = 2.0  # to fly the distance to the pivot
 _SHIFT_FACTOR = 4.0
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 

@@ -141,7 +141,7 @@ class StaticBackground:
         Args:
             cameras: indices of the cameras.
             train_encoder: leave the features out, so that the image encoder runs and gets a gradient.
-            points: compute depths and features anew, from these points.
+            points: recompute depths and features from these points.
         """
         images, mattes, padded = self._padded_plates(cameras)
         if points is not None:

@@ -190,8 +190,8 @@ class TrainConfig:
     layers: int = 15
     """Number K of points composited at each pixel while training."""
     least_layers: int = 8
-    """Minimum of K, drawn anew in each step, so that surfaces are opaque within the fewer layers of an exported scene.
-    Full scenes use background.least_layers instead."""
+    """Minimum of K, which is drawn in each step, so that surfaces are opaque within the fewer layers of an exported
+    scene. Full scenes use background.least_layers instead."""
     crop: Literal["mask", "full"] = "mask"
     """Train on the matte's bounding box with a margin, or on whole images."""
     random_background: bool = True

@@ -114,7 +114,7 @@ class DepthPeeling:
 class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): each pass finds a layer from the front and one from the back.
 
-    Where a pixel has more than K layers, the layers from the back are dropped, and peeling goes on
+    Where a pixel has more than K layers, the layers from the back are dropped, and peeling continues
     from the front while hidden layers could be visible. The result has the K nearest layers, as in
     :class:`DepthPeeling`.
     """
