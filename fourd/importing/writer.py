@@ -80,12 +80,12 @@ def write_capture(
         for name, video in videos.items():
             _unpack(video, out / "images" / name, count, track)
     elif videos:
-        _place_videos(videos, out, settings.copy, track)
+        _write_videos(videos, out, settings.copy, track)
     for camera in imported.cameras:
         if camera.name not in videos:
-            _place_pictures(camera.frames, out / "images" / camera.name, settings.copy, track)
+            _write_pictures(camera.frames, out / "images" / camera.name, settings.copy, track)
         if camera.masks is not None:
-            _place_pictures(camera.masks, out / "masks" / camera.name, settings.copy, track)
+            _write_pictures(camera.masks, out / "masks" / camera.name, settings.copy, track)
     calibrations = {camera.name: camera.calibration for camera in imported.cameras if camera.calibration is not None}
     if calibrations:
         write_calibration(out, list(calibrations), list(calibrations.values()))
@@ -150,21 +150,21 @@ def _check_rates(videos: Mapping[str, Video]) -> list[str]:
     return notes
 
 
-def _place_videos(videos: Mapping[str, Video], out: Path, copy: bool, track: Track) -> None:
-    placed = {}
+def _write_videos(videos: Mapping[str, Video], out: Path, copy: bool, track: Track) -> None:
+    written = {}
     for name in track(list(videos), len(videos), "copying" if copy else "linking"):
         video = videos[name]
         target = out / VIDEOS / f"{name}{video.path.suffix}"
-        _place(video.path, target, copy)
-        placed[name] = replace(video, path=target)
-    write_video_list(out, placed)
+        _link_or_copy(video.path, target, copy)
+        written[name] = replace(video, path=target)
+    write_video_list(out, written)
 
 
-def _place_pictures(frames: Frames, folder: Path, copy: bool, track: Track) -> None:
+def _write_pictures(frames: Frames, folder: Path, copy: bool, track: Track) -> None:
     if isinstance(frames, PictureFiles):
         for number in track(range(len(frames.paths)), len(frames.paths), folder.name):
             path = frames.paths[number]
-            _place(path, folder / f"{frame_name(number)}{path.suffix.lower()}", copy)
+            _link_or_copy(path, folder / f"{frame_name(number)}{path.suffix.lower()}", copy)
     elif isinstance(frames, EncodedPictures):
         for number in track(range(frames.count), frames.count, folder.name):
             target = folder / f"{frame_name(number)}{frames.suffix}"
@@ -183,7 +183,7 @@ def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
                 cv2.imwrite(str(temporary), bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
 
-def _place(source: Path, target: Path, copy: bool) -> None:
+def _link_or_copy(source: Path, target: Path, copy: bool) -> None:
     """Link ``target`` to ``source``, or copy it there; does nothing where that is done."""
     source = source.resolve()
     if target.is_symlink() or target.exists():

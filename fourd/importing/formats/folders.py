@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 MAX_VALUE = 1e100
 """Larger numbers count as not finite, since their products may not be finite."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw")
-"""Folders of a source that may hold the cameras' frames, in this order; the last two are anipose's."""
+"""Folders of a source that may contain the cameras' frames, in this order; the last two are anipose's."""
 
 
 def list_entries(folder: Path) -> list[str]:
@@ -91,8 +91,8 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
     found = picture_files(folder)
     if found is None or not isinstance(frames, PictureFiles):
         return found
-    by_number = {_number(path.stem): path for path in found.paths}
-    wanted = [_number(path.stem) for path in frames.paths]
+    by_number = {_last_number(path.stem): path for path in found.paths}
+    wanted = [_last_number(path.stem) for path in frames.paths]
     if None not in wanted and len(set(wanted)) == len(wanted) and len(by_number) == len(found.paths):
         for number, path in zip(wanted, frames.paths, strict=True):
             if number not in by_number:
@@ -120,9 +120,9 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
     names = list(found)
     pairs = {name: name for name in names if name in calibrated}
     if not pairs:
-        by_number = {_number(name): name for name in calibrated if _number(name) is not None}
+        by_number = {_last_number(name): name for name in calibrated if _last_number(name) is not None}
         if len(by_number) == len(calibrated):
-            pairs = {name: by_number[_number(name)] for name in names if _number(name) in by_number}
+            pairs = {name: by_number[_last_number(name)] for name in names if _last_number(name) in by_number}
         if len(set(pairs.values())) != len(pairs):
             pairs = {}
     if not pairs:
@@ -142,7 +142,7 @@ def join_calibrations(
         frames: by camera name.
         calibrations: by their names in the file ``path``.
         path: the calibration file, for errors.
-        mattes: folders that may hold a folder of mattes for each camera; the first one with mattes is used.
+        mattes: folders that may contain a folder of mattes for each camera; the first one with mattes is used.
 
     Raises:
         UserError: as match_names and find_mattes.
@@ -202,6 +202,7 @@ def make_camera(
         raise UserError(f"{where}: {error}; calibrate that camera again") from error
 
 
-def _number(name: str) -> int | None:
+def _last_number(name: str) -> int | None:
+    """The last number in a name."""
     digits = re.findall(r"\d+", name)
     return int(digits[-1]) if digits else None
