@@ -18,7 +18,7 @@ def overlay(tmp_path: Path, text: str) -> TrainConfig:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    """Catches a field that is written in a form which reading takes for something else."""
+    """Catches a field that is written in a form that is read as another value."""
     config = TrainConfig(test_views=("03", "1e3"), frames="1:24", max_seconds=5.0, views=("05",))
     save_config(config, tmp_path / "a.yaml")
     assert load_overlay(TrainConfig(), tmp_path / "a.yaml") == config

@@ -1,4 +1,4 @@
-"""Wrong input from outside: exit code 2, one line on stderr that names the file, and nothing lost."""
+"""Wrong input: exit code 2, one line on stderr that names the file, and no data lost."""
 
 from __future__ import annotations
 
@@ -35,55 +35,63 @@ def scene(trained: Run) -> Path:
     return path
 
 
-def complaint(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line that a command ends with."""
+def error_line(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The single error line of a command that exits with 2."""
     assert main([str(word) for word in words]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fourd ")]
     assert len(lines) == 1
     return lines[0]
 
 
-def test_a_mistyped_config_key(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_mistyped_config_keys_are_refused(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Catches a setting that is silently ignored."""
     overlay = tmp_path / "my.yaml"
     overlay.write_text("model:\n  neighbors: 3\n")
     words = ["train", ball_capture, "--out", tmp_path / "run", "--config", overlay, "--max-steps", 1]
-    line = complaint(capsys, *words)
+    line = error_line(capsys, *words)
     assert re.search(r"my.yaml.*neighbors.*neighbours", line)
     assert not (tmp_path / "run").exists()
 
 
-def test_a_folder_that_is_no_run(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches someone's folder filled with checkpoints."""
+def test_other_folders_are_not_used_as_runs(
+    ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches checkpoints written among a user's own files."""
     (tmp_path / "thesis.tex").write_text("mine")
-    line = complaint(capsys, "train", ball_capture, "--out", tmp_path, "--max-steps", 1)
+    line = error_line(capsys, "train", ball_capture, "--out", tmp_path, "--max-steps", 1)
     assert "expected a new or empty folder, got one that is not a run; name another with --out" in line
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-    assert "expected a run (a folder with config.yaml), got none" in complaint(capsys, "eval", tmp_path)
+    assert "expected a run (a folder with config.yaml), got none" in error_line(capsys, "eval", tmp_path)
 
 
-def test_a_scene_cut_short(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a crash in a viewer after an interrupted download."""
+def test_truncated_scenes_are_refused(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a crash of the viewer after an interrupted download."""
     cut = tmp_path / "cut.4dv"
     cut.write_bytes(scene.read_bytes()[:-1000])
     for words in (("info", cut), ("render", cut, "--out", tmp_path / "out", "--path", "orbit")):
-        assert "cut.4dv" in complaint(capsys, *words)
+        assert "cut.4dv" in error_line(capsys, *words)
     assert not (tmp_path / "out").exists()
 
 
-def test_a_checkpoint_of_another_model(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches weights that are loaded by shape luck, or a torch traceback."""
+def test_checkpoints_of_another_model_are_refused(
+    trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches weights of another model that load because shapes agree, and a torch traceback."""
     other = Path(shutil.copytree(trained.folder, tmp_path / "run"))
     config = other / "config.yaml"
     config.write_text(re.sub(r"hidden: 16", "hidden: 24", config.read_text()))
-    line = complaint(capsys, "eval", other)
+    line = error_line(capsys, "eval", other)
     assert "expected a checkpoint of this model, got one of another" in line
     assert "safetensors" in line
 
 
 @pytest.mark.parametrize("kind", ["missing", "truncated", "mask size"])
-def test_broken_captures(kind: str, ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches training on half a picture; all else that the reader refuses is tested there."""
+def test_damaged_captures_are_refused(
+    kind: str, ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches training on a truncated picture. The reader's own tests cover its other errors."""
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     picture = capture / "images" / "05" / "000001.png"
     if kind == "missing":
@@ -93,37 +101,37 @@ def test_broken_captures(kind: str, ball_capture: Path, tmp_path: Path, capsys: 
     else:
         picture = capture / "masks" / "05" / "000001.png"
         cv2.imwrite(str(picture), np.zeros((10, 10), np.uint8))
-    line = complaint(capsys, "make", capture, "-o", tmp_path / "scene.4dv", "--max-steps", 1)
+    line = error_line(capsys, "make", capture, "-o", tmp_path / "scene.4dv", "--max-steps", 1)
     assert str(picture) in line or "000001.png" in line
     assert not (tmp_path / "scene.4dv").exists()
 
 
-def test_an_empty_hull_names_the_views_that_disagree(
+def test_empty_hulls_name_the_inconsistent_views(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches an empty point cloud that training then chokes on."""
+    """Catches an empty point cloud that fails later, in training."""
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     for frame in range(3):
         for camera in ("02", "05"):
             matte = np.zeros((64, 64), np.uint8)
             matte[2:8, 2:8] = 255
             cv2.imwrite(str(capture / "masks" / camera / f"{frame:06d}.png"), matte)
-    line = complaint(capsys, "carve", capture, "-o", tmp_path / "hulls", "--agreement", "1.0")
+    line = error_line(capsys, "carve", capture, "-o", tmp_path / "hulls", "--agreement", "1.0")
     assert "02" in line
     assert "05" in line
     assert "hull" in line
 
 
-def test_a_place_that_refuses_is_named(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a traceback where a folder is named that is a file."""
+def test_unwritable_outputs_are_named(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a traceback where a parent folder of the output is a file."""
     (tmp_path / "taken").write_text("mine")
-    line = complaint(capsys, "render", scene, "--views", "03", "--out", tmp_path / "taken" / "pictures")
+    line = error_line(capsys, "render", scene, "--views", "03", "--out", tmp_path / "taken" / "pictures")
     assert "taken" in line
     assert (tmp_path / "taken").read_text() == "mine"
 
 
-def test_a_full_disk_keeps_the_checkpoint_before(trained: Run, tmp_path: Path) -> None:
-    """Catches a checkpoint overwritten in place: files may grow to 40 kB here, less than one needs."""
+def test_full_disk_keeps_the_previous_checkpoint(trained: Run, tmp_path: Path) -> None:
+    """Catches a checkpoint overwritten in place. Files are limited to 40 kB, less than a checkpoint needs."""
     run = Path(shutil.copytree(trained.folder, tmp_path / "run"))
     capture = str(trained.capture.path)
     before = load_file(run / "checkpoints" / "00000006.safetensors")
@@ -146,20 +154,18 @@ def test_a_full_disk_keeps_the_checkpoint_before(trained: Run, tmp_path: Path) -
     assert all((before[name] == after[name]).all() for name in before)
 
 
-def test_colours_of_held_out_cameras_are_fitted_with_their_poses_alone(
+def test_colours_of_held_out_cameras_need_fitted_poses(
     trained: Run, scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a switch that is silently ignored."""
-    line = complaint(capsys, "eval", trained.folder, "--refine-test-colours")
+    """Catches a flag that is silently ignored."""
+    line = error_line(capsys, "eval", trained.folder, "--refine-test-colours")
     assert "--refine-test-colours: expected --refine-test beside it, got it alone; add --refine-test" in line
-    line = complaint(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
+    line = error_line(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
     assert "--refine-test-colours: expected the run's own rendering, got --scene; leave one of them out" in line
 
 
-def test_scores_of_fitted_cameras_say_that_they_are(
-    trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Catches figures of fitted cameras that pass for those of cameras as given."""
+def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches scores of fitted cameras reported as scores of the given cameras."""
     assert main(["eval", str(trained.folder), "--refine-test", "--json", str(tmp_path / "fitted.json")]) == 0
     assert "03: fitted to its own pictures before evaluation" in capsys.readouterr().out
     content = json.loads((tmp_path / "fitted.json").read_text())

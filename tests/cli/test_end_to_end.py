@@ -1,4 +1,4 @@
-"""The commands one after another on a small synthetic capture, as a user types them."""
+"""All commands in sequence on a small synthetic capture, as a user types them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(capture: Path) -> Path:
-    """A scene made in one command; its run lies beside it."""
+    """A scene made by fourd make; its run is in scene.work/run."""
     scene, overlay = capture.parent / "scene.4dv", capture.parent / "small.yaml"
     overlay.write_text(OVERLAY)
     words = ["make", capture, "-o", scene, "--config", overlay, "--test-views", "02,05", "--max-steps", "40"]
@@ -42,14 +42,14 @@ def made(capture: Path) -> Path:
     return scene
 
 
-def test_check_finds_a_synthetic_capture_good(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a generator and a checker that disagree about what a capture is."""
+def test_check_accepts_synthetic_captures(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a generator and a checker with different definitions of a capture."""
     assert main(["check", str(capture), "--deep"]) == 0
     assert "Good to use" in capsys.readouterr().out
 
 
-def test_eval_tells_the_same_of_run_and_scene(made: Path, tmp_path: Path) -> None:
-    """Catches an export that loses quality: at most 0.1 dB."""
+def test_run_and_exported_scene_score_the_same(made: Path, tmp_path: Path) -> None:
+    """Catches an export that loses more than 0.1 dB."""
     run = made.with_suffix(".work") / "run"
     assert main(["eval", str(run), "--json", str(tmp_path / "run.json")]) == 0
     assert main(["eval", str(run), "--scene", str(made), "--json", str(tmp_path / "scene.json")]) == 0
@@ -61,8 +61,8 @@ def test_eval_tells_the_same_of_run_and_scene(made: Path, tmp_path: Path) -> Non
     assert baked["box"]["psnr"] > live["box"]["psnr"] - 0.1
 
 
-def test_eval_judges_a_full_scene_by_the_whole_picture(capture: Path, made: Path, tmp_path: Path) -> None:
-    """Catches a background that is held against the object on black."""
+def test_full_scenes_are_scored_on_whole_pictures(capture: Path, made: Path, tmp_path: Path) -> None:
+    """Catches a background that is compared with the object on black."""
     reader, views = SceneReader(made), open_capture(capture)
     nothing = make_frame({name: array[:0] for name, array in reader.read(0).arrays.items()})
     with SceneWriter(tmp_path / "full.4dv", replace(reader.manifest, kind="full")) as writer:
@@ -76,12 +76,12 @@ def test_eval_judges_a_full_scene_by_the_whole_picture(capture: Path, made: Path
         for frame in range(views.frame_count):
             rendered = scene.render(views.cameras[index], frame).rgb
             expected.append(-10 * np.log10(np.square(rendered - views.image(index, frame) / 255.0).mean()))
-    told = json.loads((tmp_path / "full.json").read_text())
-    assert told["image"]["psnr"] == pytest.approx(np.mean(expected), abs=1e-3)
+    scores = json.loads((tmp_path / "full.json").read_text())
+    assert scores["image"]["psnr"] == pytest.approx(np.mean(expected), abs=1e-3)
 
 
-def test_a_full_scene_in_one_command(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a background that a stage drops, and one that is worse once it is exported."""
+def test_make_writes_full_scenes(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a background that a stage drops, and one that loses quality on export."""
     scene, overlay, shell = tmp_path / "full.4dv", tmp_path / "small.yaml", tmp_path / "shell.ply"
     xyz = 4 * sphere(2500)
     write_ply(shell, xyz, np.full(xyz.shape, 128, np.uint8))
@@ -99,8 +99,8 @@ def test_a_full_scene_in_one_command(capture: Path, tmp_path: Path, capsys: pyte
     assert live["image"]["psnr"] > 15
 
 
-def test_render_views_paths_and_video(made: Path, tmp_path: Path) -> None:
-    """Catches pictures of the wrong size, in the wrong place, or empty."""
+def test_render_writes_views_paths_and_videos(made: Path, tmp_path: Path) -> None:
+    """Catches pictures of the wrong size, in the wrong folder, or empty."""
     run = made.with_suffix(".work") / "run"
     assert main(["render", str(run), "--out", str(tmp_path / "run"), "--views", "02", "--frames", "1:2"]) == 0
     assert main(["render", str(made), "--out", str(tmp_path / "scene"), "--views", "02", "--frames", "1:2"]) == 0
@@ -119,8 +119,8 @@ def test_render_views_paths_and_video(made: Path, tmp_path: Path) -> None:
     assert frames[0].max() > 100
 
 
-def test_info_knows_what_was_made(capture: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a format that info was not told about."""
+def test_info_describes_every_output(capture: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a format that fourd info does not know."""
     run = made.with_suffix(".work") / "run"
     for path, title in (
         (made, "a 4D scene"),
@@ -134,7 +134,7 @@ def test_info_knows_what_was_made(capture: Path, made: Path, capsys: pytest.Capt
 
 
 def test_help_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a command that the list names and that cannot be imported."""
+    """Catches a listed command that cannot be imported."""
     from fourd.cli.main import COMMANDS
 
     for command in COMMANDS:
@@ -145,7 +145,7 @@ def test_help_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (
             ["render", "a.4dv", "--out", "x.mp4", "--layer", "3"],
@@ -155,17 +155,17 @@ def test_help_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         (["eval"], "PATH"),
     ],
 )
-def test_mistyped_options_are_one_line(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches the option parser's box of a dozen lines, which scripts cannot read."""
+def test_mistyped_options_are_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches tyro's multi-line box, which scripts cannot read."""
     assert main(words) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert error.startswith(f"fourd {words[0]}: ")
-    assert told in error
+    assert message in error
 
 
 def test_usage_errors_are_one_line_and_exit_2(capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a traceback, or a page of usage, for a mistyped command."""
+    """Catches a traceback or a page of usage for a mistyped command."""
     assert main(["trian"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1

@@ -1,4 +1,4 @@
-"""What the entry point does before any command."""
+"""What the entry point does before it runs a command."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import sys
 PROGRAM = """
 import os, sys
 from fourd.cli.main import main
-assert "torch" not in sys.modules, "torch was loaded before its threads were told"
+assert "torch" not in sys.modules, "torch was imported before GOMP_SPINCOUNT was set"
 main(["--version"])
 print(os.environ["GOMP_SPINCOUNT"])
 """
 
 
-def spins(**set_before: str) -> str:
+def spin_count(**set_before: str) -> str:
     environment = {name: value for name, value in os.environ.items() if name != "GOMP_SPINCOUNT"}
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM], env={**environment, **set_before}, capture_output=True, text=True, check=True
@@ -23,7 +23,7 @@ def spins(**set_before: str) -> str:
     return done.stdout.splitlines()[-1]
 
 
-def test_torch_s_threads_are_told_not_to_spin_before_it_is_loaded() -> None:
-    """Catches a setting that comes after torch, when nobody reads it, or one that overrules the user's."""
-    assert spins() == "20000"
-    assert spins(GOMP_SPINCOUNT="5") == "5"
+def test_spin_count_is_set_before_torch_is_imported() -> None:
+    """Catches a setting made too late to be read, and one that overrides the user's."""
+    assert spin_count() == "20000"
+    assert spin_count(GOMP_SPINCOUNT="5") == "5"

@@ -1,4 +1,4 @@
-"""``fourd matte`` from outside: what it says, and what a kill leaves."""
+"""``fourd matte``: its errors, and what an interrupted call leaves."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MATTE = (sys.executable, "-m", "fourd.cli.main", "matte", "--workers")
 
 
 def contents(capture: Path) -> dict[str, bytes]:
-    """All that was made, by name."""
+    """Every file below .fourd, by name."""
     paths = sorted(path for path in (capture / ".fourd").rglob("*") if path.is_file())
     return {str(path.relative_to(capture)): path.read_bytes() for path in paths}
 
@@ -28,7 +28,7 @@ def contents(capture: Path) -> dict[str, bytes]:
     [
         (("--method", "chroma", "--screen", "green"), "--screen: expected R,G,B"),
         (("--method", "chroma"), "expected a screen of one colour"),
-        (("--method", "rvm"), "--rvm: expected the file of the network for --method rvm, got none; name it"),
+        (("--method", "rvm"), "--rvm: expected the network file for --method rvm, got none; pass --rvm FILE"),
         (("--workers", "0"), "--workers: expected at least 1, got 0"),
         (("--views", "nobody"), "--views: expected camera names among"),
     ],
@@ -36,16 +36,16 @@ def contents(capture: Path) -> dict[str, bytes]:
 def test_wrong_options_are_one_line(
     options: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches tracebacks, and work begun before an option is looked at."""
+    """Catches tracebacks, and work done before an option is checked."""
     capture = write_capture_without_masks(tmp_path, frames=2, size=32)
     assert main(["matte", str(capture), *options]) == 2
-    told = capsys.readouterr().err
-    assert message in told
-    assert told.count("\n") == 1
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
 
 
-def test_masks_that_are_there_are_used(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches mattes made over masks that the user brought, and plates that are left out then."""
+def test_masks_of_the_capture_are_used(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches mattes made although the capture has masks, and plates that are skipped then."""
     capture = tmp_path / "capture"
     shutil.copytree(ball_capture, capture)
     assert main(["matte", str(capture), "--workers", "1"]) == 0
@@ -54,25 +54,25 @@ def test_masks_that_are_there_are_used(ball_capture: Path, tmp_path: Path, capsy
     assert len(list((capture / ".fourd" / "plates").glob("*.png"))) == 8
 
 
-def stopped_when(there: Path, how: signal.Signals, command: list[str]) -> int:
-    """The exit code of a command that is stopped as soon as a file is there."""
+def stop_when_exists(path: Path, how: signal.Signals, command: list[str]) -> int:
+    """The exit code of a command that gets a signal as soon as ``path`` exists."""
     process = subprocess.Popen(
         command, stderr=subprocess.PIPE, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler)
     )
     deadline = time.monotonic() + 200
-    while not there.exists():
+    while not path.exists():
         assert process.poll() is None, "ended before it could be stopped"
         assert time.monotonic() < deadline
         time.sleep(0.002)
     process.send_signal(how)
-    told = process.communicate(timeout=60)[1]  # returns when its children have ended too
-    assert b"Traceback" not in told
+    error = process.communicate(timeout=60)[1]  # returns when the children have ended too
+    assert b"Traceback" not in error
     return process.returncode
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A capture of which ``fourd matte`` made everything undisturbed. Not to be changed by tests."""
+    """A capture on which ``fourd matte`` ran without interruption. Tests must not change it."""
     capture = write_capture_without_masks(tmp_path_factory.mktemp("finished"), frames=8, size=64)
     subprocess.run([*MATTE, "1", str(capture)], check=True, timeout=300)
     return capture
@@ -91,14 +91,14 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (signal.SIGINT, "1", "plates.json"),
     ],
 )
-def test_a_stopped_command_goes_on_to_the_same_files(
+def test_stopped_commands_resume_to_the_same_files(
     how: signal.Signals, workers: str, when: str, finished: Path, tmp_path: Path
 ) -> None:
-    """Catches files cut in half, work that begins anew, and files that depend on where and how it was stopped."""
+    """Catches truncated files, work that starts over, and files that depend on when and how the command was stopped."""
     stopped = tmp_path / "stopped"
     shutil.copytree(finished, stopped, copy_function=shutil.copy2, ignore=shutil.ignore_patterns(".fourd"))
     command = [*MATTE, workers, str(stopped)]
-    code = stopped_when(stopped / ".fourd" / when, how, command)
+    code = stop_when_exists(stopped / ".fourd" / when, how, command)
     assert code in ((130, -signal.SIGINT) if how == signal.SIGINT else (-signal.SIGKILL,))
     made = stopped.glob(".fourd/[mps]*/**/[!.]*.png")
     before = {path: path.stat().st_mtime_ns for path in [*made, *stopped.glob(".fourd/subject.npz")]}
@@ -106,4 +106,4 @@ def test_a_stopped_command_goes_on_to_the_same_files(
     subprocess.run(command, check=True, timeout=300)
     assert contents(stopped) == contents(finished)
     again = [path.name for path, time_ns in before.items() if path.stat().st_mtime_ns != time_ns]
-    assert not again, "what was finished is made again"
+    assert not again, "finished files are made again"

@@ -1,4 +1,4 @@
-"""``make_scene``: stages are done once, and again when what they depend on changes."""
+"""``make_scene``: a stage runs once, and again when its inputs or settings change."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def make(capture: Path, out: Path, config: TrainConfig, points_from: Path | None
     return {name: f"{name}: running" in lines for name in listed}
 
 
-def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -> None:
+def test_changed_inputs_and_settings_rerun_dependent_stages(ball_capture: Path, tmp_path: Path) -> None:
     """Catches stale results after a change, and work done twice without one."""
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
@@ -53,8 +53,8 @@ def test_stages_depend_on_what_they_should(ball_capture: Path, tmp_path: Path) -
     assert all(make(capture, out, replace(config, seed=5)).values())
 
 
-def test_refined_cameras_come_before_carving(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches points carved from cameras that are no longer these, and features sought again for a learning rate."""
+def test_cameras_are_adjusted_before_carving(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches points carved with outdated cameras, and cameras adjusted again for a new learning rate."""
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
     refine = RefineConfig(poses=True)
@@ -69,7 +69,7 @@ def test_refined_cameras_come_before_carving(ball_capture: Path, tmp_path: Path)
 
 
 def test_videos_become_a_scene(tmp_path: Path) -> None:
-    """Catches a stage that is left out, or done again, on the way from videos to a scene."""
+    """Catches a stage that is missing or repeated between videos and scene."""
     capture, source, out = (
         write_capture_without_masks(tmp_path, frames=6, size=64),
         tmp_path / "videos",
@@ -84,14 +84,14 @@ def test_videos_become_a_scene(tmp_path: Path) -> None:
     stages = ["import", "check", "mattes", "plates", "carve", "train", "bake"]
     assert make(source, out, config) == dict.fromkeys(stages, True)
     assert make(source, out, config) == dict.fromkeys(stages, False)
-    assert not (source / ".fourd").exists(), "the videos' folder is the user's"
+    assert not (source / ".fourd").exists(), "the folder of videos belongs to the user"
     matte = tmp_path / "scene.work" / "capture" / ".fourd" / "mattes" / "00" / "000002.png"
     matte.write_bytes((matte.parent / "000001.png").read_bytes())
     assert make(source, out, config) == dict.fromkeys(stages[:3], False) | dict.fromkeys(stages[3:], True)
 
 
-def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a work folder emptied though someone else's files were in it."""
+def test_other_folders_are_not_used_for_results(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a folder emptied although it holds a user's own files."""
     (tmp_path / "scene.work").mkdir()
     (tmp_path / "scene.work" / "mine.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a folder made by fourd make"):
@@ -99,7 +99,7 @@ def test_a_folder_that_make_did_not_make_is_left_alone(ball_capture: Path, tmp_p
 
 
 def test_stages_of_a_full_scene_depend_on_what_they_read(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a background that is searched again for a change of the foreground, and a stale one."""
+    """Catches a background that is seeded again after a change of the foreground, and a stale one."""
     capture, out = Path(shutil.copytree(ball_capture, tmp_path / "capture")), tmp_path / "scene.4dv"
     config = with_steps(full_config(tmp_path / "seeds.ply"), 2)
     names = ("check", "carve", "plates", "background", "train", "bake")
@@ -125,7 +125,7 @@ def test_stages_of_a_full_scene_depend_on_what_they_read(ball_capture: Path, tmp
 
 
 def test_given_points_replace_carving(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches carved points trained on although the user gave points, and changes of these that are not seen."""
+    """Catches training on carved points instead of the given ones, and changes of the given points that are missed."""
     points, out = tmp_path / "points", tmp_path / "scene.4dv"
     for frame in range(3):
         write_ply(points / f"{frame:06d}.ply", sphere(600) * 0.3, np.full((600, 3), 90, np.uint8))
@@ -139,7 +139,7 @@ def test_given_points_replace_carving(ball_capture: Path, tmp_path: Path) -> Non
 def test_interrupted_training_resumes_to_the_same_scene(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a make that trains from the start again, or that goes on to another result."""
+    """Catches training that starts over, and a resumed result that differs."""
     config = with_steps(SMALL, 6)
     make(ball_capture, tmp_path / "whole.4dv", config)
     steps: list[int] = []
@@ -165,7 +165,7 @@ def test_interrupted_training_resumes_to_the_same_scene(
 def test_an_interrupted_create_run_keeps_finished_stages(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a fourd train that carves again, or refuses its own folder, after an interruption before training."""
+    """Catches a fourd train that carves again, or refuses its own folder, when it was interrupted before training."""
     config, run = full_config(tmp_path / "seeds.ply"), tmp_path / "run"
     seeds = (tmp_path / "seeds.ply").read_bytes()
     (tmp_path / "seeds.ply").unlink()
