@@ -1,4 +1,4 @@
-# Everything a stranger needs: `make demo`, `make test`. Both make their own environment in .venv.
+# Entry points: `make demo` and `make test` create their own environment in .venv.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
