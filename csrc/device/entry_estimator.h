@@ -24,10 +24,11 @@ class EntryEstimator {
     // since near and far views of a scene alternate.
     std::size_t entries(std::size_t count) {
         const std::uint64_t needed = *static_cast<volatile std::uint64_t*>(needed_);
-        kept_ = std::max(kept_ - kept_ / 64, needed);
-        const std::uint64_t wanted = kept_ > 0 ? kept_ + kept_ / 4 : kFirstGuess * std::uint64_t{count};
-        const std::uint64_t rounded = (wanted / kStep + 1) * kStep;
-        return static_cast<std::size_t>(std::min(rounded, kMax));
+        recent_max_ = std::max(recent_max_ - recent_max_ / 64, needed);
+        const std::uint64_t estimate =
+            recent_max_ > 0 ? recent_max_ + recent_max_ / 4 : kFirstGuess * std::uint64_t{count};
+        const std::uint64_t rounded = (estimate / kStep + 1) * kStep;
+        return static_cast<std::size_t>(std::min(rounded, kMaxEntries));
     }
 
     std::uint64_t* needed() const { return needed_; }
@@ -35,10 +36,10 @@ class EntryEstimator {
   private:
     static constexpr std::uint64_t kFirstGuess = 8;
     static constexpr std::uint64_t kStep = 1 << 16;  // so that consecutive pictures can reuse the same memory
-    static constexpr std::uint64_t kMax = 0x7fff0000;
+    static constexpr std::uint64_t kMaxEntries = 0x7fff0000;
 
     std::uint64_t* needed_;
-    std::uint64_t kept_ = 0;
+    std::uint64_t recent_max_ = 0;
 };
 
 }  // namespace fourd::device

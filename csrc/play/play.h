@@ -28,7 +28,7 @@ class Player {
   private:
     void shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end);
 
-    points::Workspace space_;
+    points::Workspace workspace_;
     Sizes sizes_;
     Buffer<float> colour_;
 };

@@ -39,10 +39,11 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     Team team(settings.threads);
     in_runs(count, team, [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
     const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
-    space_.fill(cloud, settings, team);
+    workspace_.fill(cloud, settings, team);
     in_runs(count, team, [&](std::size_t begin, std::size_t end) { shade_visible(frame, shading, begin, end); });
     const points::Loops& loops = points::select_loops(settings.simd);
-    team.run(space_.bins.tiles(), [&](int index, int) { loops.draw(space_.tile(cloud, settings, index), canvas); });
+    team.run(workspace_.bins.tiles(),
+             [&](int index, int) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
 }
 
 // Points are in spatial order, so that invisible ones come in long runs, which are skipped.
@@ -51,7 +52,7 @@ void Player::shade_visible(const Frame& frame, const shade::Settings& shading, s
     for (std::size_t first = begin; first < end; first += kStretch) {
         const std::size_t last = std::min(end, first + kStretch);
         std::size_t tiles = 0;
-        for (std::size_t i = first; i < last; ++i) tiles += points::tile_count(space_.bins.tile_range(i));
+        for (std::size_t i = first; i < last; ++i) tiles += points::tile_count(workspace_.bins.tile_range(i));
         if (tiles > 0) shade::shade_some(frame.points, shading, first, last, colour_.data());
     }
 }

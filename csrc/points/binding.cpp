@@ -22,9 +22,9 @@ constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
 class KeptWorkspace {
   public:
     ~KeptWorkspace() {
-        if (space().bytes() > kKeptBytes) space() = points::Workspace();
+        if (workspace().bytes() > kKeptBytes) workspace() = points::Workspace();
     }
-    points::Workspace& space() const {
+    points::Workspace& workspace() const {
         thread_local points::Workspace kept;
         return kept;
     }
@@ -39,7 +39,7 @@ void render(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Ar
     const points::Settings settings = points_settings(camera, out_alpha.shape(1), out_alpha.shape(0), layers,
                                                       near_depth, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
-    points::render(cloud, settings, KeptWorkspace().space(), image);
+    points::render(cloud, settings, KeptWorkspace().workspace(), image);
 }
 
 void render_backward(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Arguments::Column& radius,
@@ -54,7 +54,7 @@ void render_backward(const Arguments::Xyz& xyz, const Arguments::Rows& features,
     const points::Settings settings =
         points_settings(camera, grad_alpha.shape(1), grad_alpha.shape(0), layers, near_depth, 0.0, threads, simd);
     nb::gil_scoped_release release;
-    points::render_backward(cloud, settings, KeptWorkspace().space(), gradient, out);
+    points::render_backward(cloud, settings, KeptWorkspace().workspace(), gradient, out);
 }
 
 void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Arguments::Column& density,
@@ -64,7 +64,7 @@ void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, cons
     require(out.shape(0) == cloud.count, "out: unexpected shape");
     const points::Settings settings = points_settings(camera, width, height, layers, near_depth, 0.0, threads, simd);
     nb::gil_scoped_release release;
-    points::visibility(cloud, settings, KeptWorkspace().space(), out.data());
+    points::visibility(cloud, settings, KeptWorkspace().workspace(), out.data());
 }
 
 }  // namespace

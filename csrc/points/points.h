@@ -54,13 +54,13 @@ struct CloudGradient {
 
 struct Workspace;  // defined in cpu/workspace.h; reusable memory
 
-void render(const Cloud& cloud, const Settings& settings, Workspace& space, const Image& out);
+void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, const Image& out);
 
 // transmittance_min is ignored: gradients see all K layers.
-void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
+void render_backward(const Cloud& cloud, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,
                      const CloudGradient& out);
 
 // out (count,): each point's largest weight (transmittance * alpha) in any pixel. cloud.features is not read.
-void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, float* out);
+void visibility(const Cloud& cloud, const Settings& settings, Workspace& workspace, float* out);
 
 }  // namespace fourd::points

@@ -64,7 +64,7 @@ struct SourceArguments {
     sources::Samples samples(const ChannelsOut& channels, const VisibilityOut& visibility) const {
         require_channels(channels);
         require(visibility.shape(0) == cameras.size() && visibility.shape(1) == query.count,
-                "trust: expected shape (views, points)");
+                "out_visibility: expected shape (views, points)");
         return {channels.data(), visibility.data()};
     }
 

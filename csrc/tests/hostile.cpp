@@ -38,18 +38,18 @@ void run_points(unsigned seed, const char* simd) {
                                      density.data(), count,           static_cast<int>(channels)};
     const std::size_t pixels = static_cast<std::size_t>(settings.camera.width) * settings.camera.height;
     Floats image(pixels * channels), alpha(pixels), depth(pixels), seen(count);
-    fourd::points::Workspace space;
-    fourd::points::render(cloud, settings, space, {image.data(), alpha.data(), depth.data()});
+    fourd::points::Workspace workspace;
+    fourd::points::render(cloud, settings, workspace, {image.data(), alpha.data(), depth.data()});
     expect_finite(image, "features", seed);
     expect_finite(alpha, "alpha", seed);
     expect_finite(depth, "depth", seed);
-    fourd::points::visibility(cloud, settings, space, seen.data());
+    fourd::points::visibility(cloud, settings, workspace, seen.data());
     expect_finite(seen, "visibility", seed);
     const Floats up_image = random_floats(random, pixels * channels, -1, 1, 0);
     const Floats up_plane = random_floats(random, pixels, -1, 1, 0);
     Floats to_xyz(3 * count), to_features(channels * count), to_radius(count), to_density(count);
     const float* up_depth = seed % 3 ? up_plane.data() : nullptr;
-    fourd::points::render_backward(cloud, settings, space, {up_image.data(), up_plane.data(), up_depth},
+    fourd::points::render_backward(cloud, settings, workspace, {up_image.data(), up_plane.data(), up_depth},
                                    {to_xyz.data(), to_features.data(), to_radius.data(), to_density.data()});
     expect_finite(to_xyz, "gradient of xyz", seed);
     expect_finite(to_radius, "gradient of radius", seed);

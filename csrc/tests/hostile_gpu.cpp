@@ -25,13 +25,13 @@ using fourd::tests::random_settings;
 // Memory of exactly the requested size.
 class Memory {
   public:
-    Memory(std::size_t bytes, std::size_t entries) : bytes_(bytes), room_{bytes_.data(), entries, &needed_} {}
-    const fourd::points::cuda::EntryBuffer& room() const { return room_; }
+    Memory(std::size_t bytes, std::size_t entries) : bytes_(bytes), buffer_{bytes_.data(), entries, &needed_} {}
+    const fourd::points::cuda::EntryBuffer& buffer() const { return buffer_; }
 
   private:
     std::vector<unsigned char> bytes_;
     std::uint64_t needed_ = 0;
-    fourd::points::cuda::EntryBuffer room_;
+    fourd::points::cuda::EntryBuffer buffer_;
 };
 
 void run_points(unsigned seed) {
@@ -51,17 +51,17 @@ void run_points(unsigned seed) {
     const std::size_t entries = static_cast<std::size_t>(random_int(random, 0, 2) ? 4000 : random_int(random, 0, 20));
     const Memory memory(fourd::points::cuda::workspace_bytes(count, cloud.channels, width, height, entries), entries);
     Floats image(pixels * channels), alpha(pixels), depth(pixels), seen(count);
-    fourd::points::cuda::render(cloud, settings, memory.room(), {image.data(), alpha.data(), depth.data()}, nullptr);
+    fourd::points::cuda::render(cloud, settings, memory.buffer(), {image.data(), alpha.data(), depth.data()}, nullptr);
     expect_finite(image, "features", seed);
     expect_finite(alpha, "alpha", seed);
     expect_finite(depth, "depth", seed);
-    fourd::points::cuda::visibility(cloud, settings, memory.room(), seen.data(), nullptr);
+    fourd::points::cuda::visibility(cloud, settings, memory.buffer(), seen.data(), nullptr);
     expect_finite(seen, "visibility", seed);
     const Floats up_image = random_floats(random, pixels * channels, -1, 1, 0);
     const Floats up_plane = random_floats(random, pixels, -1, 1, 0);
     Floats to_xyz(3 * count), to_features(channels * count), to_radius(count), to_density(count);
     const float* up_depth = seed % 3 ? up_plane.data() : nullptr;
-    fourd::points::cuda::render_backward(cloud, settings, memory.room(), {up_image.data(), up_plane.data(), up_depth},
+    fourd::points::cuda::render_backward(cloud, settings, memory.buffer(), {up_image.data(), up_plane.data(), up_depth},
                                          {to_xyz.data(), to_features.data(), to_radius.data(), to_density.data()},
                                          nullptr);
     expect_finite(to_xyz, "gradient of xyz", seed);
@@ -87,7 +87,7 @@ void run_play(unsigned seed) {
     const fourd::play::Frame frame{
         {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views}, radius.data(), density.data()};
     const Memory memory(fourd::play::cuda::workspace_bytes(count, width, height, 1000), 1000);
-    fourd::play::cuda::draw(frame, settings, shading, memory.room(), {rgba.data(), {0, 0.5f, 1}}, nullptr);
+    fourd::play::cuda::draw(frame, settings, shading, memory.buffer(), {rgba.data(), {0, 0.5f, 1}}, nullptr);
 }
 
 void run_planes(unsigned seed) {

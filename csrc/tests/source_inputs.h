@@ -60,7 +60,7 @@ struct SourceInputs {
 
     void expect_finite_results(unsigned seed) const {
         expect_finite(samples, "channels", seed);
-        expect_finite(visibility, "trust", seed);
+        expect_finite(visibility, "visibility weight", seed);
         expect_finite(to_features, "gradient of features", seed);
     }
 };

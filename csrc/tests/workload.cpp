@@ -53,7 +53,7 @@ struct Figure {
     }
 };
 
-fourd::points::Settings settings_of(const Size& size) {
+fourd::points::Settings make_settings(const Size& size) {
     const float focal = 1.3f * static_cast<float>(size.height);
     fourd::points::Settings out{};
     const float intrinsics[9] = {focal, 0, size.width / 2.0f, 0, focal, size.height / 2.0f, 0, 0, 1};
@@ -71,28 +71,28 @@ fourd::points::Settings settings_of(const Size& size) {
     return out;
 }
 
-std::function<void()> rendering(const Size& size, bool backward) {
+std::function<void()> render_workload(const Size& size, bool backward) {
     const Figure figure(size.points);
-    const fourd::points::Settings settings = settings_of(size);
+    const fourd::points::Settings settings = make_settings(size);
     const std::size_t pixels = static_cast<std::size_t>(size.width) * size.height;
-    const auto space = std::make_shared<fourd::points::Workspace>();
+    const auto workspace = std::make_shared<fourd::points::Workspace>();
     return [=, image = Floats(3 * pixels, 1.0f), alpha = Floats(pixels, 1.0f), depth = Floats(pixels),
             gradients = std::vector<Floats>{Floats(3 * size.points), Floats(3 * size.points), Floats(size.points),
                                             Floats(size.points)}]() mutable {
         if (backward) {
             fourd::points::render_backward(
-                figure.cloud(), settings, *space, {image.data(), alpha.data(), nullptr},
+                figure.cloud(), settings, *workspace, {image.data(), alpha.data(), nullptr},
                 {gradients[0].data(), gradients[1].data(), gradients[2].data(), gradients[3].data()});
         } else {
-            fourd::points::render(figure.cloud(), settings, *space, {image.data(), alpha.data(), depth.data()});
+            fourd::points::render(figure.cloud(), settings, *workspace, {image.data(), alpha.data(), depth.data()});
         }
     };
 }
 
-std::function<void()> playing(const Size& size) {
+std::function<void()> play_workload(const Size& size) {
     constexpr std::size_t kViews = 17;
     const Figure figure(size.points);
-    const fourd::points::Settings settings = settings_of(size);
+    const fourd::points::Settings settings = make_settings(size);
     std::mt19937 random(5);
     const auto halves = [&](std::size_t count) {
         std::vector<std::uint16_t> out(count);
@@ -118,7 +118,7 @@ std::function<void()> playing(const Size& size) {
     };
 }
 
-std::function<void()> sampling_planes(const Size& size, bool backward) {
+std::function<void()> planes_workload(const Size& size, bool backward) {
     constexpr int kFeatures = 8, kLevels = 4;
     constexpr int kPairs[6][2] = {{0, 1}, {0, 2}, {1, 2}, {0, 3}, {1, 3}, {2, 3}};
     std::mt19937 random(6);
@@ -154,7 +154,7 @@ std::function<void()> sampling_planes(const Size& size, bool backward) {
 
 // Points along random lines, like samples of rays, in 16 levels of 2 features from 16 to 2048 cells per side, each with
 // up to 2^layers entries.
-std::function<void()> encoding(const Size& size, bool backward) {
+std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     constexpr std::size_t kPerLine = 128;
     constexpr int kLevels = 16, kFeatures = 2;
     std::mt19937 random(7);
@@ -189,10 +189,10 @@ std::function<void()> encoding(const Size& size, bool backward) {
 }
 
 // Four adjacent views, with 16 features at half the pictures' resolution.
-std::function<void()> sampling_sources(const Size& size, bool backward) {
+std::function<void()> sources_workload(const Size& size, bool backward) {
     constexpr int kViews = 4, kChannels = 16;
     const Figure figure(size.points);
-    const fourd::points::Pinhole from = settings_of(size).camera;
+    const fourd::points::Pinhole from = make_settings(size).camera;
     std::vector<fourd::sources::Pinhole> cameras(kViews);
     for (int view = 0; view < kViews; ++view) {
         std::memcpy(cameras[view].intrinsics, from.intrinsics, sizeof from.intrinsics);
@@ -218,7 +218,7 @@ std::function<void()> sampling_sources(const Size& size, bool backward) {
     };
 }
 
-std::function<void()> comparing(const Size& size) {
+std::function<void()> similarity_workload(const Size& size) {
     const std::size_t values = static_cast<std::size_t>(size.width) * size.height * 3;
     Floats picture(values), truth(values);
     for (std::size_t i = 0; i < values; ++i) {
@@ -246,16 +246,16 @@ int main(int count, char** arguments) {
                     std::atoi(arguments[7]),
                     fourd::simd_named(count > 8 ? arguments[8] : "")};
     std::function<void()> work;
-    if (kernel == "render") work = rendering(size, false);
-    if (kernel == "backward") work = rendering(size, true);
-    if (kernel == "play") work = playing(size);
-    if (kernel == "planes") work = sampling_planes(size, false);
-    if (kernel == "planes_backward") work = sampling_planes(size, true);
-    if (kernel == "hashgrid") work = encoding(size, false);
-    if (kernel == "hashgrid_backward") work = encoding(size, true);
-    if (kernel == "sources") work = sampling_sources(size, false);
-    if (kernel == "sources_backward") work = sampling_sources(size, true);
-    if (kernel == "similarity") work = comparing(size);
+    if (kernel == "render") work = render_workload(size, false);
+    if (kernel == "backward") work = render_workload(size, true);
+    if (kernel == "play") work = play_workload(size);
+    if (kernel == "planes") work = planes_workload(size, false);
+    if (kernel == "planes_backward") work = planes_workload(size, true);
+    if (kernel == "hashgrid") work = hashgrid_workload(size, false);
+    if (kernel == "hashgrid_backward") work = hashgrid_workload(size, true);
+    if (kernel == "sources") work = sources_workload(size, false);
+    if (kernel == "sources_backward") work = sources_workload(size, true);
+    if (kernel == "similarity") work = similarity_workload(size);
     if (!work) {
         std::fprintf(stderr, "workload: no kernel %s\n", arguments[1]);
         return 2;

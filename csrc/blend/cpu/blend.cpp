@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 64 * kRun;
 
-int tasks_of(const Inputs& inputs) { return static_cast<int>((inputs.count + kPointsPerTask - 1) / kPointsPerTask); }
+int task_count(const Inputs& inputs) { return static_cast<int>((inputs.count + kPointsPerTask - 1) / kPointsPerTask); }
 
 // Calls work(first, count) for each run of a task's points.
 template <typename Work>
@@ -40,7 +40,7 @@ float total(const float* sums, std::size_t i) {
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits) {
     const Loops& loops = select_loops(inputs.simd);
     Team team(inputs.threads);
-    team.run(tasks_of(inputs), [&](int task, int) {
+    team.run(task_count(inputs), [&](int task, int) {
         for_runs(inputs, task, [&](std::size_t first, int count) { loops.forward(mlp, inputs, first, count, logits); });
     });
 }
@@ -50,9 +50,9 @@ void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, 
     const Loops& loops = select_loops(inputs.simd);
     const std::size_t weights = static_cast<std::size_t>(mlp.channels) * mlp.hidden;
     // Each task has its own sums, added in the order of tasks: the result does not depend on the number of threads.
-    std::vector<float> sums(tasks_of(inputs) * sums_size(mlp), 0.0f);
+    std::vector<float> sums(task_count(inputs) * sums_size(mlp), 0.0f);
     Team team(inputs.threads);
-    team.run(tasks_of(inputs), [&](int task, int) {
+    team.run(task_count(inputs), [&](int task, int) {
         float* mine = sums.data() + task * sums_size(mlp);
         float* to_out = mine + weights * kLanes;
         for_runs(inputs, task, [&](std::size_t first, int count) {
@@ -63,7 +63,7 @@ void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, 
     std::fill_n(out.weight, weights, 0.0f);
     std::fill_n(out.out, mlp.hidden, 0.0f);
     *out.bias = 0.0f;
-    for (int task = 0; task < tasks_of(inputs); ++task) {
+    for (int task = 0; task < task_count(inputs); ++task) {
         const float* mine = sums.data() + task * sums_size(mlp);
         for (std::size_t i = 0; i < weights; ++i) out.weight[i] += total(mine, i);
         for (int h = 0; h < mlp.hidden; ++h) out.out[h] += total(mine, weights + h);

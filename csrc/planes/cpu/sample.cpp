@@ -49,10 +49,10 @@ class QueryPlan {
         for (int k = 0; k < query.plane_count; ++k) {
             if (bytes_of(query, k) > kCachedBytes) large_.push_back(k);
         }
-        const std::size_t room = axes_.size() * kRun;
-        low_ = Buffer<int>(workers * room);
-        share_ = Buffer<float>(workers * room);
-        slope_ = Buffer<float>(workers * room);
+        const std::size_t size = axes_.size() * kRun;
+        low_ = Buffer<int>(workers * size);
+        fraction_ = Buffer<float>(workers * size);
+        slope_ = Buffer<float>(workers * size);
         plan_ = {&query,         axes_.data(),  static_cast<int>(axes_.size()),  x_axis_.data(),
                  y_axis_.data(), large_.data(), static_cast<int>(large_.size()), order_.data()};
     }
@@ -61,7 +61,7 @@ class QueryPlan {
 
     RunPositions positions(int worker) {
         const std::size_t at = worker * axes_.size() * kRun;
-        return {low_.data() + at, share_.data() + at, slope_.data() + at};
+        return {low_.data() + at, fraction_.data() + at, slope_.data() + at};
     }
 
   private:
@@ -79,7 +79,7 @@ class QueryPlan {
     std::vector<int> x_axis_, y_axis_, large_;
     Buffer<std::uint32_t> order_;
     Buffer<int> low_;
-    Buffer<float> share_, slope_;
+    Buffer<float> fraction_, slope_;
     Plan plan_{};
 };
 

@@ -38,10 +38,10 @@ void draw(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Argu
     const shade::Settings shading = shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, 1, "");
     const points::Settings settings =
         points_settings(camera, out.shape(1), out.shape(0), layers, near_depth, transmittance_min, 1, "");
-    const EntryBufferArguments room{estimator, entries, workspace};
+    const EntryBufferArguments buffer{estimator, entries, workspace};
     const std::size_t bytes =
         play::cuda::workspace_bytes(frame.points.count, settings.camera.width, settings.camera.height, entries);
-    play::cuda::draw(frame, settings, shading, room.checked(bytes),
+    play::cuda::draw(frame, settings, shading, buffer.checked(bytes),
                      {out.data(), {background[0], background[1], background[2]}}, stream_of(stream));
 }
 
@@ -58,7 +58,7 @@ void shade(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Argu
 
 void bind_play(nb::module_& module) {
     module.def("plan_draw", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("width"), nb::arg("height"),
-               "Room for entries, and the bytes of workspace, for the next picture.");
+               "The number of entries to provide for, and the bytes of workspace, of the next picture.");
     module.def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
                nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
                nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),

@@ -35,16 +35,16 @@ std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_
 }
 
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-          const points::cuda::EntryBuffer& room, const points::Canvas& canvas, void* stream) {
+          const points::cuda::EntryBuffer& buffer, const points::Canvas& canvas, void* stream) {
     const device::Executor executor(stream);
     const std::size_t count = frame.points.count;
-    device::Arena arena(room.memory);
+    device::Arena arena(buffer.memory);
     const Floats floats(arena, count);
     executor.for_each(count, Unpack{frame, floats.radius, floats.density});
     executor.for_each(count, shade::cuda::ShadePoint(frame.points, shading, floats.colour));
     const points::Cloud cloud{frame.points.xyz, floats.colour, floats.radius, floats.density, count, 3};
-    unsigned char* const rest = static_cast<unsigned char*>(room.memory) + arena.bytes();
-    points::cuda::draw(cloud, settings, {rest, room.entries, room.needed}, canvas, stream);
+    unsigned char* const rest = static_cast<unsigned char*>(buffer.memory) + arena.bytes();
+    points::cuda::draw(cloud, settings, {rest, buffer.entries, buffer.needed}, canvas, stream);
 }
 
 void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream) {

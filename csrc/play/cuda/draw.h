@@ -11,7 +11,7 @@ std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_
 
 // shading.chosen is in host memory.
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-          const points::cuda::EntryBuffer& room, const points::Canvas& canvas, void* stream);
+          const points::cuda::EntryBuffer& buffer, const points::Canvas& canvas, void* stream);
 
 // Colours (count, 3) only.
 void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream);

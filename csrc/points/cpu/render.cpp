@@ -32,34 +32,34 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
 // Sums a point's slots in order and back-projects the sum. Channels is the number of channels, or 0 if it is the
 // cloud's.
 template <int Channels>
-void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& space, std::size_t point,
+void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& workspace, std::size_t point,
                      const CloudGradient& out) {
     const std::size_t channels = static_cast<std::size_t>(Channels > 0 ? Channels : cloud.channels);
     const std::size_t width = 5 + channels;
     float total[5 + (Channels > 0 ? Channels : 32)] = {};
-    for (std::size_t slot = space.slots[point]; slot < space.slots[point + 1]; ++slot) {
-        for (std::size_t k = 0; k < width; ++k) total[k] += space.sums[slot * width + k];
+    for (std::size_t slot = workspace.slots[point]; slot < workspace.slots[point + 1]; ++slot) {
+        for (std::size_t k = 0; k < width; ++k) total[k] += workspace.sums[slot * width + k];
     }
     for (std::size_t c = 0; c < channels; ++c) out.features[point * channels + c] = total[5 + c];
-    if (space.slots[point] == space.slots[point + 1]) {
+    if (workspace.slots[point] == workspace.slots[point + 1]) {
         std::fill_n(out.xyz + 3 * point, 3, 0.0f);
         out.radius[point] = out.density[point] = 0.0f;
         return;
     }
     const SplatGradient gradient = {total[0], total[1], total[2], total[3], total[4]};
-    project_backward(settings.camera, space.bins.splats()[point], gradient, cloud.density[point], out.xyz + 3 * point,
-                     out.radius + point, out.density + point);
+    project_backward(settings.camera, workspace.bins.splats()[point], gradient, cloud.density[point],
+                     out.xyz + 3 * point, out.radius + point, out.density + point);
 }
 
 }  // namespace
 
 void Workspace::fill(const Cloud& cloud, const Settings& settings, Team& team) {
-    made_from = Fingerprint();
+    source_fingerprint = Fingerprint();
     bins.fill(cloud, settings, team);
 }
 
-void Workspace::fill_again(const Cloud& cloud, const Settings& settings, Team& team) {
-    if (fingerprint(cloud, settings) == made_from) return;
+void Workspace::fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team) {
+    if (fingerprint(cloud, settings) == source_fingerprint) return;
     fill(cloud, settings, team);
 }
 
@@ -86,7 +86,7 @@ void Workspace::slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const 
 
 std::size_t Workspace::bytes() const {
     std::size_t total = bins.bytes() + sizeof(float) * sums.size() + sizeof(std::size_t) * slots.size();
-    for (const Scratch& scratch : scratches) {
+    for (const Scratch& scratch : scratch_by_worker) {
         total += sizeof(std::size_t) * scratch.slots.size() + sizeof(float) * scratch.transmittance.size() +
                  sizeof(std::uint64_t) * scratch.tags.size();
     }
@@ -121,57 +121,58 @@ std::size_t count_visits(const Tile& tile) {
     return visits;
 }
 
-void render(const Cloud& cloud, const Settings& settings, Workspace& space, const Image& out) {
+void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, const Image& out) {
     const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
-    space.fill(cloud, settings, team);
-    space.made_from = fingerprint(cloud, settings);
-    team.run(space.bins.tiles(), [&](int index, int) { loops.render(space.tile(cloud, settings, index), out); });
+    workspace.fill(cloud, settings, team);
+    workspace.source_fingerprint = fingerprint(cloud, settings);
+    team.run(workspace.bins.tiles(),
+             [&](int index, int) { loops.render(workspace.tile(cloud, settings, index), out); });
 }
 
-void render_backward(const Cloud& cloud, const Settings& settings, Workspace& space, const ImageGradient& gradient,
+void render_backward(const Cloud& cloud, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,
                      const CloudGradient& out) {
     const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
-    space.fill_again(cloud, settings, team);
+    workspace.fill_unless_current(cloud, settings, team);
     const std::size_t width = 5 + cloud.channels;
-    space.sums.require(space.assign_slots(cloud.count) * width);
-    space.scratches.resize(team.size());
-    team.run(space.bins.tiles(), [&](int index, int worker) {
-        const Tile tile = space.tile(cloud, settings, index);
-        Workspace::Scratch& scratch = space.scratches[worker];
-        space.slots_of_tile(tile, scratch.slots);
+    workspace.sums.require(workspace.assign_slots(cloud.count) * width);
+    workspace.scratch_by_worker.resize(team.size());
+    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+        const Tile tile = workspace.tile(cloud, settings, index);
+        Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
+        workspace.slots_of_tile(tile, scratch.slots);
         const std::size_t visits = count_visits(tile);
         scratch.transmittance.require(16 * visits);
         scratch.tags.require(visits);
         loops.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data(), visits},
-                              scratch.slots.data(), space.sums.data());
+                              scratch.slots.data(), workspace.sums.data());
     });
     for_points(cloud.count, team, [&](std::size_t begin, std::size_t end) {
         const auto gather = cloud.channels == 3   ? gather_gradient<3>
                             : cloud.channels == 4 ? gather_gradient<4>
                                                   : gather_gradient<0>;
-        for (std::size_t point = begin; point < end; ++point) gather(cloud, settings, space, point, out);
+        for (std::size_t point = begin; point < end; ++point) gather(cloud, settings, workspace, point, out);
     });
 }
 
-void visibility(const Cloud& cloud, const Settings& settings, Workspace& space, float* out) {
+void visibility(const Cloud& cloud, const Settings& settings, Workspace& workspace, float* out) {
     const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
-    space.fill(cloud, settings, team);
-    space.sums.require(space.assign_slots(cloud.count));
-    space.scratches.resize(team.size());
-    team.run(space.bins.tiles(), [&](int index, int worker) {
-        const Tile tile = space.tile(cloud, settings, index);
-        Workspace::Scratch& scratch = space.scratches[worker];
-        space.slots_of_tile(tile, scratch.slots);
-        for (std::size_t entry = 0; entry < tile.count; ++entry) space.sums[scratch.slots[entry]] = 0.0f;
-        loops.visibility(tile, scratch.slots.data(), space.sums.data());
+    workspace.fill(cloud, settings, team);
+    workspace.sums.require(workspace.assign_slots(cloud.count));
+    workspace.scratch_by_worker.resize(team.size());
+    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+        const Tile tile = workspace.tile(cloud, settings, index);
+        Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
+        workspace.slots_of_tile(tile, scratch.slots);
+        for (std::size_t entry = 0; entry < tile.count; ++entry) workspace.sums[scratch.slots[entry]] = 0.0f;
+        loops.visibility(tile, scratch.slots.data(), workspace.sums.data());
     });
     for (std::size_t point = 0; point < cloud.count; ++point) {
         float best = 0.0f;
-        for (std::size_t slot = space.slots[point]; slot < space.slots[point + 1]; ++slot) {
-            best = std::max(best, space.sums[slot]);
+        for (std::size_t slot = workspace.slots[point]; slot < workspace.slots[point + 1]; ++slot) {
+            best = std::max(best, workspace.sums[slot]);
         }
         out[point] = best;
     }

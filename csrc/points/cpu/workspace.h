@@ -16,17 +16,17 @@ struct Workspace {
         Buffer<std::uint64_t> tags;
     };
 
-    Fingerprint made_from;  // of the inputs of the last render, if nothing else used the workspace since
+    Fingerprint source_fingerprint;  // of the inputs of the last render, if nothing else used the workspace since
     Bins bins;
-    Buffer<std::size_t> slots;       // by point: its first slot
-    Buffer<float> sums;              // by slot
-    std::vector<Scratch> scratches;  // by worker
+    Buffer<std::size_t> slots;               // by point: its first slot
+    Buffer<float> sums;                      // by slot
+    std::vector<Scratch> scratch_by_worker;  // by worker
 
     // Projects and bins the points.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
     // The same, unless the last render had the same inputs: a backward pass mostly follows its forward pass.
-    void fill_again(const Cloud& cloud, const Settings& settings, Team& team);
+    void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
 
     // Gives each (point, tile) entry a slot for the tile's result and returns the number of slots. A point's slots are
     // adjacent, so that they are summed in one order whichever thread filled them. Requires fill, of a cloud of count

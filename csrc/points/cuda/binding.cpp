@@ -18,15 +18,15 @@ namespace {
 
 using Arguments = PointArguments<Where>;
 
-points::Settings settings_of(const std::vector<double>& camera, std::size_t width, std::size_t height, int layers,
-                             double near_depth, double transmittance_min) {
+points::Settings make_settings(const std::vector<double>& camera, std::size_t width, std::size_t height, int layers,
+                               double near_depth, double transmittance_min) {
     return points_settings(camera, width, height, layers, near_depth, transmittance_min, 1, "");
 }
 
-points::cuda::EntryBuffer room_of(const EntryBufferArguments& room, const points::Cloud& cloud,
-                                  const points::Pinhole& camera) {
-    return room.checked(
-        points::cuda::workspace_bytes(cloud.count, cloud.channels, camera.width, camera.height, room.entries));
+points::cuda::EntryBuffer checked_buffer(const EntryBufferArguments& buffer, const points::Cloud& cloud,
+                                         const points::Pinhole& camera) {
+    return buffer.checked(
+        points::cuda::workspace_bytes(cloud.count, cloud.channels, camera.width, camera.height, buffer.entries));
 }
 
 // The number of entries to provide for, and the bytes of workspace.
@@ -44,9 +44,9 @@ void render(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Ar
     const points::Cloud cloud = Arguments::cloud(xyz, features, radius, density);
     const points::Image image = Arguments::image(cloud, out_features, out_alpha, out_depth);
     const points::Settings settings =
-        settings_of(camera, out_alpha.shape(1), out_alpha.shape(0), layers, near_depth, transmittance_min);
-    points::cuda::render(cloud, settings, room_of({estimator, entries, workspace}, cloud, settings.camera), image,
-                         stream_of(stream));
+        make_settings(camera, out_alpha.shape(1), out_alpha.shape(0), layers, near_depth, transmittance_min);
+    points::cuda::render(cloud, settings, checked_buffer({estimator, entries, workspace}, cloud, settings.camera),
+                         image, stream_of(stream));
 }
 
 void render_backward(const Arguments::Xyz& xyz, const Arguments::Rows& features, const Arguments::Column& radius,
@@ -61,9 +61,10 @@ void render_backward(const Arguments::Xyz& xyz, const Arguments::Rows& features,
     const points::CloudGradient out = Arguments::cloud_gradient(cloud, out_xyz, out_features, out_radius, out_density);
     require(layers <= points::cuda::kMaxLayersBackward, "layers: expected at most 64 where gradients are wanted");
     const points::Settings settings =
-        settings_of(camera, grad_alpha.shape(1), grad_alpha.shape(0), layers, near_depth, 0.0);
-    points::cuda::render_backward(cloud, settings, room_of({estimator, entries, workspace}, cloud, settings.camera),
-                                  gradient, out, stream_of(stream));
+        make_settings(camera, grad_alpha.shape(1), grad_alpha.shape(0), layers, near_depth, 0.0);
+    points::cuda::render_backward(cloud, settings,
+                                  checked_buffer({estimator, entries, workspace}, cloud, settings.camera), gradient,
+                                  out, stream_of(stream));
 }
 
 void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Arguments::Column& density,
@@ -72,8 +73,8 @@ void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, cons
                 std::uintptr_t stream, const Arguments::ColumnOut& out) {
     const points::Cloud cloud = Arguments::bare_cloud(xyz, radius, density);
     require(out.shape(0) == cloud.count, "out: unexpected shape");
-    const points::Settings settings = settings_of(camera, width, height, layers, near_depth, 0.0);
-    points::cuda::visibility(cloud, settings, room_of({estimator, entries, workspace}, cloud, settings.camera),
+    const points::Settings settings = make_settings(camera, width, height, layers, near_depth, 0.0);
+    points::cuda::visibility(cloud, settings, checked_buffer({estimator, entries, workspace}, cloud, settings.camera),
                              out.data(), stream_of(stream));
 }
 
@@ -81,7 +82,8 @@ void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, cons
 
 void bind_points(nb::module_& module) {
     module.def("plan_points", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("channels"), nb::arg("width"),
-               nb::arg("height"), "Room for entries, and the bytes of workspace, for the next picture.");
+               nb::arg("height"),
+               "The number of entries to provide for, and the bytes of workspace, of the next picture.");
     module.def("render_points", &render, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"), nb::arg("density"),
                nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
                nb::arg("estimator"), nb::arg("entries"), nb::arg("workspace"), nb::arg("stream"),

@@ -18,7 +18,7 @@ struct Tiles {
     FOURD_HD std::size_t count() const { return static_cast<std::size_t>(columns) * rows; }
 };
 
-inline Tiles tiles_of(int width, int height) { return {(width + kTile - 1) / kTile, (height + kTile - 1) / kTile}; }
+inline Tiles make_tiles(int width, int height) { return {(width + kTile - 1) / kTile, (height + kTile - 1) / kTile}; }
 
 // The arrays of the workspace. A point's rank is its position in depth order, ties by index; culled points come last.
 struct Entries {
@@ -149,7 +149,7 @@ struct FindTileBegin {
     }
 };
 
-inline int bits_of(std::size_t max) {
+inline int bit_count(std::size_t max) {
     int bits = 0;
     while (max >> bits != 0) ++bits;
     return bits;
@@ -157,18 +157,18 @@ inline int bits_of(std::size_t max) {
 
 // Builds the entries of a cloud, with sums floats per point.
 inline Entries fill(const device::Executor& executor, const Cloud& cloud, const Settings& settings,
-                    const EntryBuffer& capacity, int sums) {
-    device::Arena arena(capacity.memory);
-    const Tiles tiles = tiles_of(settings.camera.width, settings.camera.height);
-    const Entries to = allocate_entries(arena, cloud.count, sums, tiles, capacity.entries);
+                    const EntryBuffer& buffer, int sums) {
+    device::Arena arena(buffer.memory);
+    const Tiles tiles = make_tiles(settings.camera.width, settings.camera.height);
+    const Entries to = allocate_entries(arena, cloud.count, sums, tiles, buffer.entries);
     executor.for_each(cloud.count, ProjectPoint{cloud, settings.camera, settings.near_depth, to});
     executor.sort(to.keys, to.depths, to.values, to.points, cloud.count, 32, to.scratch, to.scratch_bytes);
     executor.for_each(cloud.count + 1, GatherRank{to});
     executor.exclusive_sum(to.tile_counts, to.begin, cloud.count + 1, to.scratch, to.scratch_bytes);
-    executor.for_each(capacity.entries, EmitEntry{to});
-    executor.sort(to.keys, to.entry_tiles, to.values, to.entry_ranks, capacity.entries, bits_of(tiles.count()),
+    executor.for_each(buffer.entries, EmitEntry{to});
+    executor.sort(to.keys, to.entry_tiles, to.values, to.entry_ranks, buffer.entries, bit_count(tiles.count()),
                   to.scratch, to.scratch_bytes);
-    executor.for_each(tiles.count() + 1, FindTileBegin{to, capacity.needed});
+    executor.for_each(tiles.count() + 1, FindTileBegin{to, buffer.needed});
     return to;
 }
 

@@ -6,8 +6,8 @@
 namespace fourd::points::cuda {
 
 // The gradient with respect to the image, at a pixel. A layer has value = features . colour + per_weight * (z - nearest
-// - behind), and the image composites these values. Alpha has a term of its own: as one more channel it would suffer
-// cancellation near alpha = 1.
+// - behind), and the image composites these values. Alpha has a term of its own: as one more channel it would
+// suffer cancellation near alpha = 1.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];
@@ -40,14 +40,14 @@ struct GradientPixel {
         DepthSum depth;
         // A transmittance of exactly 0 does not end a pixel here: the gradient of a point with alpha 1 depends on what
         // lies behind it.
-        const float transmittance = traverse(
-            view.entries, list, pixel, view.layers, -1.0f, lane,
-            [&](std::size_t position, std::size_t, const Splat& splat, const PixelCoverage& coverage, float passed) {
-                positions[count] = static_cast<std::uint32_t>(position);
-                transmittances[count] = passed;
-                ++count;
-                depth.add(splat.z, passed * coverage.alpha);
-            });
+        const float transmittance = traverse(view.entries, list, pixel, view.layers, -1.0f, lane,
+                                             [&](std::size_t position, std::size_t, const Splat& splat,
+                                                 const PixelCoverage& coverage, float transmittance_before) {
+                                                 positions[count] = static_cast<std::uint32_t>(position);
+                                                 transmittances[count] = transmittance_before;
+                                                 ++count;
+                                                 depth.add(splat.z, transmittance_before * coverage.alpha);
+                                             });
         const bool seen = 1.0f - transmittance > 0.0f;
         const Upstream<kCapacity> upstream(gradient, pixel, channels);
         const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
@@ -55,16 +55,17 @@ struct GradientPixel {
         float behind = 0.0f;                // composite value of the layers behind
         float transmittance_behind = 1.0f;  // and their transmittance
         while (true) {
-            const std::uint32_t own = count > 0 ? positions[count - 1] + 1 : 0;
-            const std::uint32_t next = lane.max(own);
-            if (next == 0) break;
-            const std::size_t rank = list.rank(next - 1);
+            const std::uint32_t own_entry = count > 0 ? positions[count - 1] + 1 : 0;
+            const std::uint32_t next_entry = lane.max(own_entry);
+            if (next_entry == 0) break;
+            const std::size_t rank = list.rank(next_entry - 1);
             float parts[5 + kCapacity] = {};  // of SplatGradient's members, and of the features
-            if (own == next) {
+            if (own_entry == next_entry) {
                 --count;
                 const Splat& splat = view.entries.splats[rank];
                 const PixelCoverage coverage = pixel_coverage(splat, pixel.x, pixel.y);
-                const float passed = transmittances[count], weight = passed * coverage.alpha;
+                const float transmittance_before = transmittances[count],
+                            weight = transmittance_before * coverage.alpha;
                 const float* feature = features + static_cast<std::size_t>(view.entries.points[rank]) * channels;
                 float value = per_weight * (splat.z - depth.nearest - mean_behind);
                 for (int c = 0; c < kCapacity; ++c) {
@@ -72,7 +73,7 @@ struct GradientPixel {
                     parts[5 + c] = weight * upstream.colour[c];
                 }
                 const float step = value - behind;
-                const float grad_alpha = passed * (step + upstream.alpha * transmittance_behind);
+                const float grad_alpha = transmittance_before * (step + upstream.alpha * transmittance_behind);
                 behind += coverage.alpha * step;
                 transmittance_behind *= 1.0f - coverage.alpha;
                 parts[0] = grad_alpha * coverage.dx;

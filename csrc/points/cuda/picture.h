@@ -43,8 +43,9 @@ struct RenderPixel {
         DepthSum depth;
         const float transmittance = traverse(
             view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, view.transmittance_min, lane,
-            [&](std::size_t, std::size_t rank, const Splat& splat, const PixelCoverage& coverage, float passed) {
-                const float weight = passed * coverage.alpha;
+            [&](std::size_t, std::size_t rank, const Splat& splat, const PixelCoverage& coverage,
+                float transmittance_before) {
+                const float weight = transmittance_before * coverage.alpha;
                 const float* feature = features + static_cast<std::size_t>(view.entries.points[rank]) * channels;
                 for (int c = 0; c < kCapacity; ++c) {
                     if (c < channels) colour[c] += weight * feature[c];
@@ -76,9 +77,10 @@ struct DrawPixel {
         float colour[3] = {};
         const float transmittance = traverse(
             view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, view.transmittance_min, lane,
-            [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage, float passed) {
+            [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage,
+                float transmittance_before) {
                 const float* feature = features + 3 * static_cast<std::size_t>(view.entries.points[rank]);
-                for (int c = 0; c < 3; ++c) colour[c] += passed * coverage.alpha * feature[c];
+                for (int c = 0; c < 3; ++c) colour[c] += transmittance_before * coverage.alpha * feature[c];
             });
         if (!pixel.inside) return;
         std::uint8_t* to = out.rgba + 4 * pixel.index;
@@ -94,8 +96,9 @@ struct VisibilityPixel {
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
         const Pixel pixel = view.pixel(index);
         traverse(view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, 0.0f, lane,
-                 [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage, float passed) {
-                     device::atomic_max(out + view.entries.points[rank], passed * coverage.alpha);
+                 [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage,
+                     float transmittance_before) {
+                     device::atomic_max(out + view.entries.points[rank], transmittance_before * coverage.alpha);
                  });
     }
 };

@@ -9,8 +9,8 @@
 
 namespace fourd::points::cuda {
 
-// Scratch memory with space for a number of (point, tile) entries. If a picture needs more, every pixel visits every
-// point: the same picture, slowly. The GPU reports the number needed for later pictures, since reading it before
+// Scratch memory with space for a number of (point, tile) entries. If a picture needs more, every pixel visits
+// every point: the same picture, slowly. The GPU reports the number needed for later pictures, since reading it before
 // allocating would stall.
 struct EntryBuffer {
     void* memory;           // workspace_bytes of it
@@ -24,17 +24,17 @@ constexpr int kMaxLayersBackward = 64;
 std::size_t workspace_bytes(std::size_t count, int channels, int width, int height, std::size_t entries);
 
 // Ignores settings.threads and settings.simd.
-void render(const Cloud& cloud, const Settings& settings, const EntryBuffer& room, const Image& out, void* stream);
+void render(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, const Image& out, void* stream);
 
 // Three channels, as rounded bytes over a background.
-void draw(const Cloud& cloud, const Settings& settings, const EntryBuffer& room, const Canvas& out, void* stream);
+void draw(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, const Canvas& out, void* stream);
 
-// settings.layers is at most kMaxLayersBackward; transmittance_min is ignored. The order of sums over a point's pixels
-// is not fixed: the last bits of gradients differ between runs.
-void render_backward(const Cloud& cloud, const Settings& settings, const EntryBuffer& room,
+// settings.layers is at most kMaxLayersBackward; transmittance_min is ignored. The order of sums over a point's
+// pixels is not fixed: the last bits of gradients differ between runs.
+void render_backward(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer,
                      const ImageGradient& gradient, const CloudGradient& out, void* stream);
 
 // out (count,): each point's largest weight in any pixel. cloud.features is not read.
-void visibility(const Cloud& cloud, const Settings& settings, const EntryBuffer& room, float* out, void* stream);
+void visibility(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, float* out, void* stream);
 
 }  // namespace fourd::points::cuda

@@ -1,5 +1,5 @@
-// Front-to-back traversal of a tile's points. One thread per pixel; a warp holds 8 x 4 pixels, which visit the same
-// point at the same time.
+// Front-to-back traversal of a tile's points. One thread per pixel; a warp holds 8 x 4 pixels, which visit the
+// same point at the same time.
 #pragma once
 
 #include "points/cuda/entries.h"
@@ -25,7 +25,8 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
             static_cast<std::size_t>(row) * width + column, tile};
 }
 
-// The points that a tile's pixels visit, nearest first: its entries, or every visible point if the entries did not fit.
+// The points that a tile's pixels visit, nearest first: its entries, or every visible point if the entries did not
+// fit.
 struct EntryList {
     const std::uint32_t* ranks;  // null: rank i is i
     std::size_t count;
