@@ -55,10 +55,10 @@ FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, 
     const bool inside = coordinate >= 0.0f && coordinate <= 1.0f;
     float clamped = coordinate > 0.0f ? coordinate : 0.0f;
     clamped = clamped < 1.0f ? clamped : 1.0f;
-    const float place = clamped * size;
-    int low = static_cast<int>(place);
+    const float position = clamped * size;
+    int low = static_cast<int>(position);
     low = low < level.resolution - 1 ? low : level.resolution - 1;
-    return {static_cast<std::uint32_t>(low), place - static_cast<float>(low), inside ? size : 0.0f};
+    return {static_cast<std::uint32_t>(low), position - static_cast<float>(low), inside ? size : 0.0f};
 }
 
 // The entry of a vertex, relative to the level's first; x, y and z are its terms by axis.

@@ -25,13 +25,13 @@ struct Interpolation {
 // size samples are evenly spaced on [-1, 1]. NaN counts as -1.
 FOURD_HD static inline Interpolation interpolate_axis(float coordinate, int size) {
     const float last = static_cast<float>(size - 1);
-    float place = (coordinate + 1.0f) * 0.5f * last;
-    const bool inside = place > 0.0f && place < last;
-    place = place > 0.0f ? place : 0.0f;
-    place = place < last ? place : last;
-    int low = static_cast<int>(place);
+    float position = (coordinate + 1.0f) * 0.5f * last;
+    const bool inside = position > 0.0f && position < last;
+    position = position > 0.0f ? position : 0.0f;
+    position = position < last ? position : last;
+    int low = static_cast<int>(position);
     low = low < size - 2 ? low : size - 2;
-    return {low, place - static_cast<float>(low), inside ? 0.5f * last : 0.0f};
+    return {low, position - static_cast<float>(low), inside ? 0.5f * last : 0.0f};
 }
 
 // The four samples around a query and their weights: [row][column].

@@ -33,7 +33,8 @@ FOURD_HD FOURD_INLINE Projection project(const Pinhole& camera, const float* xyz
             at[2], true};
 }
 
-// Writes the gradient with respect to the point, given that with respect to its pixel.
+// Writes the gradient with respect to the point, given that with respect to its pixel; nothing for points behind the
+// camera.
 FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Projection& at, float grad_u, float grad_v,
                                             float* grad_xyz) {
     if (!at.in_front) return;
@@ -60,11 +61,11 @@ FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int heig
     x = inside ? x : -1.0f;
     y = inside ? y : -1.0f;
     const int left = static_cast<int>(x + 1.0f) - 1, top = static_cast<int>(y + 1.0f) - 1;
-    const float right_share = x - static_cast<float>(left), bottom_share = y - static_cast<float>(top);
+    const float right_fraction = x - static_cast<float>(left), bottom_fraction = y - static_cast<float>(top);
     const float in_left = inside && left >= 0 ? 1.0f : 0.0f, in_right = inside && left + 1 < width ? 1.0f : 0.0f;
     const float in_top = top >= 0 ? 1.0f : 0.0f, in_bottom = top + 1 < height ? 1.0f : 0.0f;
-    const float wl = (1.0f - right_share) * in_left, wr = right_share * in_right;
-    const float wt = (1.0f - bottom_share) * in_top, wb = bottom_share * in_bottom;
+    const float wl = (1.0f - right_fraction) * in_left, wr = right_fraction * in_right;
+    const float wt = (1.0f - bottom_fraction) * in_top, wb = bottom_fraction * in_bottom;
     const std::size_t column = left >= 0 ? left : 0, next = left + 1 < width ? left + 1 : left;
     const std::size_t row = static_cast<std::size_t>(top >= 0 ? top : 0) * width;
     const std::size_t below = static_cast<std::size_t>(top + 1 < height ? top + 1 : top) * width;

@@ -155,11 +155,11 @@ void backward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count
         for (int c = 0; c < mlp.channels; ++c) {
             load_run(inputs.samples + sample_at(mlp, inputs, view, c, first), count, samples + c);
         }
-        RunValues share, raw;
-        load_run(logits + view * inputs.count + first, count, &share);
+        RunValues logit, raw;
+        load_run(logits + view * inputs.count + first, count, &logit);
         load_run(gradient + view * inputs.count + first, count, &raw);
         for (int p = 0; p < kParts; ++p) {
-            const Vector ratio = share.part[p] / mlp.range;
+            const Vector ratio = logit.part[p] / mlp.range;
             raw.part[p] *= 1.0f - ratio * ratio;
         }
         add_products(raw, ones, sums.bias);

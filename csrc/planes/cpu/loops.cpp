@@ -21,10 +21,10 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
         const float* from = coordinates[plan.axes[axis].coordinate];
         const int size = plan.axes[axis].size;
         for (int i = 0; i < count; ++i) {
-            const Interpolation place = interpolate_axis(from[i], size);
-            out.low[axis * kRun + i] = place.low;
-            out.fraction[axis * kRun + i] = place.fraction;
-            out.slope[axis * kRun + i] = place.slope;
+            const Interpolation position = interpolate_axis(from[i], size);
+            out.low[axis * kRun + i] = position.low;
+            out.fraction[axis * kRun + i] = position.fraction;
+            out.slope[axis * kRun + i] = position.slope;
         }
     }
 }

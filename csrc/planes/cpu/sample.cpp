@@ -27,14 +27,14 @@ std::uint32_t cell_of(float coordinate) {
 Buffer<std::uint32_t> order_by_cell(const Query& query) {
     constexpr std::size_t kCells = std::size_t{1} << (3 * kCellBits);
     Buffer<std::uint32_t> cells(query.count), order(query.count);
-    std::vector<std::uint32_t> place(kCells + 1, 0);
+    std::vector<std::uint32_t> next_slot(kCells + 1, 0);
     for (std::size_t i = 0; i < query.count; ++i) {
         const float* at = query.coordinates + 4 * i;
         cells[i] = (cell_of(at[2]) << (2 * kCellBits)) | (cell_of(at[1]) << kCellBits) | cell_of(at[0]);
-        ++place[cells[i] + 1];
+        ++next_slot[cells[i] + 1];
     }
-    for (std::size_t cell = 0; cell < kCells; ++cell) place[cell + 1] += place[cell];
-    for (std::size_t i = 0; i < query.count; ++i) order[place[cells[i]]++] = static_cast<std::uint32_t>(i);
+    for (std::size_t cell = 0; cell < kCells; ++cell) next_slot[cell + 1] += next_slot[cell];
+    for (std::size_t i = 0; i < query.count; ++i) order[next_slot[cells[i]]++] = static_cast<std::uint32_t>(i);
     return order;
 }
 

@@ -64,28 +64,28 @@ FOURD_INLINE float total(const Eight* number) {
 #endif
 
 // Adds the gradient of channel c (and the seven after it) with respect to the pixel to sum and, unless to is null, with
-// respect to the features to to.
+// respect to the features to `to`.
 template <typename Number>
 FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
                              const float* gradient, float* to, PixelGradient* sum) {
-    Number g, across{}, down{};
+    Number g, grad_x{}, grad_y{};
     load(gradient + c, &g);
     for (int corner = 0; corner < 4; ++corner) {
         const std::size_t offset = at.offset[corner] * channels + c;
         Number value;
         load(features + offset, &value);
-        across += at.slope_x[corner] * value;
-        down += at.slope_y[corner] * value;
+        grad_x += at.slope_x[corner] * value;
+        grad_y += at.slope_y[corner] * value;
         if (!to) continue;
-        Number grown;
-        load(to + offset, &grown);
-        grown += at.weight[corner] * g;
-        store(&grown, to + offset);
+        Number updated;
+        load(to + offset, &updated);
+        updated += at.weight[corner] * g;
+        store(&updated, to + offset);
     }
-    across *= g;
-    down *= g;
-    sum->u += total(&across);
-    sum->v += total(&down);
+    grad_x *= g;
+    grad_y *= g;
+    sum->u += total(&grad_x);
+    sum->v += total(&grad_y);
 }
 
 template <int Channels>
@@ -99,7 +99,7 @@ FOURD_INLINE void backward_run(const Query& query, const float* gradient, std::s
         for (int i = 0; i < count; ++i) rows[i * channels + c] = from[static_cast<std::size_t>(c) * query.count + i];
     }
     const float* features = maps.features + view * feature_size(maps);
-    const float across = feature_scale_x(maps), down = feature_scale_y(maps);
+    const float scale_x = feature_scale_x(maps), scale_y = feature_scale_y(maps);
     for (int i = 0; i < count; ++i) {
         const Projection at = project(query.cameras[view], query.xyz + 3 * (first + i));
         PixelGradient by_features = {0.0f, 0.0f}, by_image = {0.0f, 0.0f};
@@ -115,7 +115,7 @@ FOURD_INLINE void backward_run(const Query& query, const float* gradient, std::s
             for (int corner = 0; corner < 4; ++corner)
                 add_pixel_gradient(by_image, image, corner, g * map[image.offset[corner]]);
         }
-        const float grad_u = by_image.u + across * by_features.u, grad_v = by_image.v + down * by_features.v;
+        const float grad_u = by_image.u + scale_x * by_features.u, grad_v = by_image.v + scale_y * by_features.v;
         project_backward(query.cameras[view], at, grad_u, grad_v, to_xyz + 3 * (first + i));
     }
 }
