@@ -15,6 +15,11 @@ FRAMES_HELP = "Frames A to B, B excluded, every S-th; positions in the capture, 
 VIEWS_HELP = "Names of cameras, separated by commas."
 
 
+def describe(*sentences: str) -> Any:
+    """A help text of several lines; tyro breaks lines wherever a docstring does."""
+    return tyro.conf.arg(help=" ".join(sentences))
+
+
 def option(metavar: str, default: str, text: str | None = None) -> Any:
     """An option whose default is decided later; --help shows ``default``."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
@@ -39,6 +44,27 @@ class SelectionOptions:
     def names(self) -> tuple[str, ...] | None:
         """The cameras in ``views``."""
         return split_names(self.views)
+
+
+def check_rendering(
+    layers: int | None,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    size: tuple[int, int] | None = None,
+    steps: int | None = None,
+    fps: float | None = None,
+) -> None:
+    """Raise UserError for a rendering option that is out of range; None is always in range."""
+    if layers is not None and not 1 <= layers <= 64:
+        raise UserError(f"--layers: expected 1 to 64, got {layers}")
+    if any(not 0 <= value <= 1 for value in background):
+        raise UserError(f"--background: expected three numbers from 0 to 1, got {background}")
+    if size is not None and not all(16 <= side <= 16384 for side in size):
+        raise UserError(f"--size: expected 16 to 16384 pixels, got {size[0]} x {size[1]}")
+    if steps is not None and steps < 1:
+        raise UserError(f"--steps: expected at least 1, got {steps}")
+    if fps is not None and not 0 < fps <= 1000:
+        raise UserError(f"--fps: expected more than 0 and at most 1000, got {fps:g}")
 
 
 def split_names(text: str | None) -> tuple[str, ...] | None:

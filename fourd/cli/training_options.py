@@ -17,6 +17,10 @@ from fourd.training.config import TrainConfig
 
 SEEDING_METHODS = ("ngp", "sfm")
 """Methods of background seeding that ``--background`` takes besides a PLY file."""
+BACKGROUND_HELP = (
+    "Source of a full scene's background points. ngp: a radiance field fitted to the clean plates, guided by stereo. "
+    "sfm: stereo only. FILE.ply: your own points, in world units."
+)
 CONFIG_KEYS = {
     "scene": "scene",
     "test_views": "test_views",
@@ -61,9 +65,7 @@ class TrainingOptions:
     """Scale of the images; 0.5 halves width and height."""
     points: Annotated[int | None, _config_option("points", "INT")] = None
     """Points per frame."""
-    background: Annotated[str | None, _config_option("background", "{ngp,sfm,FILE.ply}")] = None
-    """Source of a full scene's background points. ngp: a radiance field fitted to the clean plates, guided by stereo.
-    sfm: stereo only. FILE.ply: your own points, in world units."""
+    background: Annotated[str | None, _config_option("background", "{ngp,sfm,FILE.ply}", BACKGROUND_HELP)] = None
     background_points: Annotated[int | None, _config_option("background_points", "INT")] = None
     """Points of a full scene's background."""
     refine_cameras: bool = False

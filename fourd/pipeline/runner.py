@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,18 +54,23 @@ class Runner:
             self._report(f"{stage.name}: up to date{result}")
             return
         if self._record is not None and self._known.get(_started(stage)) != key:
+            # Forget first: if the removal is interrupted, no key may match what remains.
+            self._write({stage.name: None, _started(stage): None})
             for leftovers in stage.leftovers:
                 leftovers.remove()
-        self._remember(_started(stage), key)
+        self._write({stage.name: None, _started(stage): key})
         self._report(f"{stage.name}: running")
         self._execute(stage, self._context)
-        self._remember(stage.name, key)
+        self._write({stage.name: key})
         self._report(f"{stage.name}: finished{result}")
 
-    def _remember(self, entry: str, key: str) -> None:
-        if self._record is not None:
-            self._known[entry] = key
-            write_text_atomically(self._record, json.dumps(self._known, indent=1) + "\n")
+    def _write(self, changes: Mapping[str, str | None]) -> None:
+        """Change entries of the record; None removes an entry."""
+        if self._record is None:
+            return
+        entries = {**self._known, **changes}
+        self._known = {name: key for name, key in entries.items() if key is not None}
+        write_text_atomically(self._record, json.dumps(self._known, indent=1) + "\n")
 
     def _report(self, line: str) -> None:
         if self._record is not None:

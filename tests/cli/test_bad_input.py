@@ -171,3 +171,15 @@ def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsy
     content = json.loads((tmp_path / "fitted.json").read_text())
     assert list(content["fitted_to_own_pictures"]) == ["03"]
     assert content["fitted_to_own_pictures"]["03"]["colours"] is None
+
+
+def test_resumed_runs_keep_their_config(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a changed flag that a resumed run ignores silently, and the same flags refused."""
+    run = Path(shutil.copytree(trained.folder, tmp_path / "run"))
+    words = ["train", trained.capture.path, "--out", run, "--resume", "--max-steps", 7]
+    for flag, shown in ((["--points", 5], "points: 5"), (["--set", "rates.planes=1"], "planes: 1.0")):
+        line = error_line(capsys, *words, *flag)
+        assert f"--resume: expected the run's own config except for the budget, got {shown}; train in a new" in line
+    same = ["--points", 1500, "--seed", 0, "--test-views", "03", "--set", "layers=8"]
+    assert main([str(word) for word in [*words, *same]]) == 0
+    assert load_run(run).step == 7

@@ -1,4 +1,4 @@
-"""``--help`` of every command."""
+"""``--help`` of every command, and errors of the options of rendering."""
 
 from __future__ import annotations
 
@@ -18,3 +18,25 @@ def test_help_shows_real_defaults(command: str, capsys: pytest.CaptureFixture[st
     assert "{None}" not in text
     if "--frames" in text and command != "synth":
         assert "--frames A:B[:S] Frames A to B, B excluded, every S-th" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--layers", "65"], "--layers: expected 1 to 64, got 65"),
+        (["--background", "0", "0", "2"], "--background: expected three numbers from 0 to 1, got (0.0, 0.0, 2.0)"),
+        (["--size", "8", "600"], "--size: expected 16 to 16384 pixels, got 8 x 600"),
+        (["--steps", "0"], "--steps: expected at least 1, got 0"),
+        (["--fps", "nan"], "--fps: expected more than 0 and at most 1000, got nan"),
+        (["--size", "8"], "--size: expected W H, got '8'"),
+    ],
+)
+@pytest.mark.parametrize("command", [["render", "a.4dv", "--out", "x", "--path", "orbit"], ["view", "a.4dv"]])
+def test_bad_rendering_options_are_one_line(
+    command: list[str], words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a value that one of the commands accepts and the renderer fails on."""
+    assert main([*command, *words]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"fourd {command[0]}: {message}")
+    assert error.count("\n") == 1

@@ -70,6 +70,16 @@ def test_an_interrupted_stage_keeps_its_files_for_the_same_key_alone(tmp_path: P
     assert not partial.exists()
 
 
+def test_an_interrupted_stage_is_not_finished_for_an_older_key(tmp_path: Path) -> None:
+    """Catches partial files of new settings taken for the result of the settings before."""
+    record = tmp_path / "stages.json"
+    run(chain(tmp_path), record)
+    assert run(chain(tmp_path, second="x"), record, stop="b") == []
+    (tmp_path / "b" / "copy").write_text("partial")
+    assert run(chain(tmp_path), record) == ["b"]
+    assert (tmp_path / "b" / "copy").read_text() == "text"
+
+
 @pytest.mark.parametrize("content", ["", "[1]", "{"])
 def test_a_damaged_record_runs_all_stages(content: str, tmp_path: Path) -> None:
     """Catches a crash after a power failure."""

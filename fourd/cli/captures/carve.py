@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.carving import read_bounds
-from fourd.cli.options import SelectionOptions, Workers, option, worker_count
+from fourd.cli.options import SelectionOptions, Workers, describe, option, worker_count
 from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
@@ -33,9 +33,13 @@ class Arguments:
     """Points per frame."""
     agreement: float = 0.95
     """Share in (0, 1] of the views seeing a point whose mattes must contain it. Lower it where mattes have holes."""
-    least_views: float = 0.5
-    """Share in (0, 1] of all views that must see a point. Lower it where cameras see parts of the scene. At least three
-    views must see a point (all views where there are fewer), since two views alone give false points."""
+    least_views: Annotated[
+        float,
+        describe(
+            "Share in (0, 1] of all views that must see a point. Lower it where cameras see parts of the scene.",
+            "At least three views must see a point, or all where there are fewer: two alone give false points.",
+        ),
+    ] = 0.5
     scale: float = 1.0
     """Scale of the images; 0.5 halves width and height."""
     seed: int = 0

@@ -15,7 +15,7 @@ from rich.text import Text
 from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
-from fourd.cli.options import option
+from fourd.cli.options import describe, option
 from fourd.errors import UserError
 from fourd.importing.formats.detection import FORMATS, pick_format
 from fourd.importing.importer import ImportOptions, import_source
@@ -46,9 +46,13 @@ class Arguments:
     """Estimate offsets from motion and print them without applying them; writes OUT/.fourd/sync.png."""
     apply_sync: bool = False
     """Estimate offsets and apply those of more than 3 frames with a confidence of at least 0.5."""
-    resize: str = "auto"
-    """How pictures were resized after calibration: auto, scaled, stretched, letterboxed, filled, or "cropped left"
-    (right, top, bottom, centre)."""
+    resize: Annotated[
+        str,
+        describe(
+            "How pictures were resized after calibration: auto, scaled, stretched, letterboxed, filled,",
+            'or "cropped left" (right, top, bottom, centre).',
+        ),
+    ] = "auto"
     centres: PrincipalPointMode = "auto"
     """Principal points: auto warns where they look mirrored; mirrored corrects them."""
     calibrate: bool = False

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.capture.layout import MATTES
-from fourd.cli.options import SelectionOptions, Workers, option, worker_count
+from fourd.cli.options import SelectionOptions, Workers, describe, option, worker_count
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.sequence import SHEET, MatteSettings
 from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
@@ -23,9 +23,13 @@ from fourd.pipeline.stages.mattes import MatteStageSettings
 class MatteOptions:
     """How mattes are made of a capture without masks."""
 
-    method: Literal["motion", "chroma", "rvm"] = "motion"
-    """motion: from motion and the agreement of views, needs no weights. chroma: from a screen of one colour. rvm: by
-    the network Robust Video Matting, whose file --rvm names."""
+    method: Annotated[
+        Literal["motion", "chroma", "rvm"],
+        describe(
+            "motion: from motion and the agreement of views, needs no weights. chroma: from a screen of one colour.",
+            "rvm: by the network Robust Video Matting, whose file --rvm names.",
+        ),
+    ] = "motion"
     screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
     """Colour of the screen, 0 to 255 each, for --method chroma."""
     rvm: Annotated[Path | None, option("FILE", "none")] = None

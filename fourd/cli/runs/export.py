@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.baking.bake import BAKED_LAYERS
-from fourd.errors import UserError
+from fourd.cli.options import check_rendering
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
@@ -32,10 +32,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Load the newest checkpoint and bake every frame."""
-    if not 1 <= arguments.layers <= 64:
-        raise UserError(f"--layers: expected 1 to 64, got {arguments.layers}; the default is 12")
-    if not arguments.fps > 0:
-        raise UserError(f"--fps: expected more than 0, got {arguments.fps}; the default is 30")
+    check_rendering(arguments.layers, fps=arguments.fps)
     console = Console(stderr=True)
     stage = bake_stage(BakeFiles(arguments.run, arguments.out), BakeSettings(arguments.layers, arguments.fps))
     Runner(Context(console)).run([stage])

@@ -15,7 +15,7 @@ from rich.progress import track
 
 from fourd.baking.playable import Playable, find_view, open_playable, select_frames
 from fourd.cameras import Camera
-from fourd.cli.options import Frames, option, split_names
+from fourd.cli.options import Frames, check_rendering, option, split_names
 from fourd.errors import UserError
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
@@ -55,6 +55,9 @@ def run(arguments: Arguments) -> None:
     console = Console(stderr=True)
     if (arguments.views is None) == (arguments.path is None):
         raise UserError("--views, --path: expected exactly one of them; write --views 05,11 or --path orbit")
+    check_rendering(
+        arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
+    )
     playable = open_playable(arguments.source)
     frames = select_frames(playable, arguments.frames)
     if arguments.views is not None:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from fourd.cli.options import option
+from fourd.cli.options import check_rendering, describe, option
 from fourd.errors import UserError
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.rendering.renderers import RendererName
@@ -21,9 +21,13 @@ class Arguments:
 
     source: tyro.conf.Positional[Annotated[Path | None, option("[SOURCE]", "none")]] = None
     """A .4dv file, or a run's folder, which is reloaded while it trains. Files dropped on the window open too."""
-    renderer: Literal["auto"] | RendererName = "auto"
-    """sorted: one pass over points sorted by depth, for GPUs. peel, dual: depth peeling, exact and slow. cpu: exact,
-    needs no GPU. auto: sorted on a GPU, cpu elsewhere; the choice and its reason are printed."""
+    renderer: Annotated[
+        Literal["auto"] | RendererName,
+        describe(
+            "sorted: one pass over points sorted by depth, for GPUs. peel, dual: depth peeling, exact and slow.",
+            "cpu: exact, needs no GPU. auto: sorted on a GPU, else cpu; the choice and its reason are printed.",
+        ),
+    ] = "auto"
     size: Annotated[tuple[int, int] | None, option("W H", "1280 720; for --screenshot the camera's")] = None
     """Width and height in pixels, of the window or the pictures."""
     layers: Annotated[int | None, option("INT", "the scene's")] = None
@@ -49,7 +53,9 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Open a window, or write a video or a picture."""
     console = Console(stderr=True)
-    _check(arguments)
+    check_rendering(
+        arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
+    )
     settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background)
     if arguments.headless is None and arguments.screenshot is None:
         from fourd.viewer.app import run_viewer
@@ -67,16 +73,3 @@ def run(arguments: Arguments) -> None:
     if arguments.headless is not None:
         count = headless.video(arguments.headless, arguments.path, arguments.steps, arguments.fps, console)
         console.print(f"{arguments.headless}: {count} pictures", soft_wrap=True)
-
-
-def _check(arguments: Arguments) -> None:
-    if arguments.layers is not None and not 1 <= arguments.layers <= 64:
-        raise UserError(f"--layers: expected 1 to 64, got {arguments.layers}")
-    if any(not 0 <= value <= 1 for value in arguments.background):
-        raise UserError(f"--background: expected three numbers from 0 to 1, got {arguments.background}")
-    if arguments.size is not None and not all(16 <= side <= 16384 for side in arguments.size):
-        raise UserError(f"--size: expected 16 to 16384 pixels, got {arguments.size[0]} x {arguments.size[1]}")
-    if arguments.steps is not None and arguments.steps < 1:
-        raise UserError(f"--steps: expected at least 1, got {arguments.steps}")
-    if arguments.fps is not None and not 0 < arguments.fps <= 1000:
-        raise UserError(f"--fps: expected more than 0 and at most 1000, got {arguments.fps:g}")
