@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,6 +100,28 @@ def test_make_writes_full_scenes(capture: Path, tmp_path: Path, capsys: pytest.C
     assert sorted(live["background"]) == ["02", "05"]
     assert live["image"]["psnr"] == pytest.approx(baked["image"]["psnr"], abs=0.3)
     assert live["image"]["psnr"] > 15
+
+
+def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) -> None:
+    """Catches commands that share a scratch folder and so read or delete each other's frames."""
+    run = made.with_suffix(".work") / "run"
+    assert main(["render", str(run), "--out", str(tmp_path / "alone"), "--views", "02"]) == 0
+    fourd = [sys.executable, "-m", "fourd.cli.main"]
+    words = [
+        ["render", run, "--out", tmp_path / "first", "--views", "02"],
+        ["render", run, "--out", tmp_path / "second", "--views", "02"],
+        ["export", run, "-o", tmp_path / "exported.4dv"],
+    ]
+    commands = [subprocess.Popen([*fourd, *(str(word) for word in each)]) for each in words]
+    assert [command.wait() for command in commands] == [0, 0, 0]
+    for frame in range(3):
+        alone, first, second = (
+            (tmp_path / name / "02" / f"{frame:06d}.png").read_bytes() for name in ("alone", "first", "second")
+        )
+        assert alone == first == second
+    assert (tmp_path / "exported.4dv").read_bytes() == made.read_bytes()
+    leftovers = {path.name.split("-")[0] for path in (run / "scratch").glob("*")}
+    assert leftovers <= {str(os.getpid())}, "each command removes its own folder"
 
 
 def test_render_writes_views_paths_and_videos(made: Path, tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_info_describes_the_background(kind: str, tmp_path: Path, capsys: pytest
     assert main(["info", str(path)]) == 0
     lines = dict(line.split("  ", 1) for line in capsys.readouterr().out.splitlines() if "  " in line)
     fields = {name: value.strip() for name, value in lines.items()}
-    assert fields["points"] == "200 to 202 a frame, 603 in all"
+    assert fields["points"] == "200 to 202 per frame, 603 in total"
     if kind == "object":
         assert "background" not in fields
         assert fields["format"].startswith("version 1")
@@ -232,7 +232,7 @@ def test_info_describes_the_background(kind: str, tmp_path: Path, capsys: pytest
     assert fields["kind"] == "object and background"
     assert fields["background"] == "40,000 points, stored once, with a shadow in every frame"
     shadow_and_points = 40_000 + random_frame(201, manifest().view_count, seed=0).nbytes
-    frame_kb = float(fields["size"].split(", ")[1].removesuffix(" KB a frame"))
+    frame_kb = float(fields["size"].split(", ")[1].removesuffix(" KB per frame"))
     assert frame_kb == pytest.approx(shadow_and_points / 1000, rel=0.1)
 
 

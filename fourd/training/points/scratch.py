@@ -26,7 +26,6 @@ class Scratch:
     """
 
     def __init__(self, parent: Path) -> None:
-        parent.mkdir(parents=True, exist_ok=True)
         _remove_leftovers(parent)
         name, lock = _create_lock(parent)
         self.folder = parent / name
@@ -39,11 +38,15 @@ class Scratch:
 
 
 def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
-    """A new name and its locked file."""
+    """A new name and its locked file, below ``parent``, which is created if necessary."""
     while True:
         name = f"{os.getpid()}-{secrets.token_hex(4)}"
         path = parent / f"{name}{LOCK_SUFFIX}"
-        stream = path.open("xb")
+        parent.mkdir(parents=True, exist_ok=True)
+        try:
+            stream = path.open("xb")
+        except FileNotFoundError:
+            continue  # another process removed the empty parent in between
         # Another process may have taken the file for a leftover before it was locked.
         if _try_lock(stream) and path.exists():
             return name, stream
