@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Build for this machine's NVIDIA GPU, run every parity and gradient test on it, and print the benchmark table. Needs no network.
-# Requires Python 3.11+ with torch, numpy, opencv, pyyaml, rich, safetensors, pytest, scikit-build-core, nanobind, cmake and ninja,
+# Requires Python 3.11+ with torch, numpy, opencv, pyyaml, rich, safetensors, cachetools, pytest, scikit-build-core, nanobind, cmake and ninja;
 # and CUDA's nvcc. PYTHON sets the interpreter (python3), ARCHITECTURES the GPU architectures (this GPU's).
 #
 #   tools/gpu_check.sh              tests and table
