@@ -1,6 +1,6 @@
 """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
-Importing this package loads nothing native and no torch; each room loads what
+Importing this package loads nothing native and no torch; each package loads what
 it needs when it is imported itself.
 """
 

@@ -1,6 +1,6 @@
-"""The structure of the source tree: sizes of files, folders and functions, and cycles between modules.
+"""Limits on the sizes of files, folders and functions, and on cycles between modules.
 
-`make lint` checks the order of the rooms with import-linter; pyproject.toml has the contracts.
+`make lint` checks the order of the packages with import-linter; pyproject.toml has the contracts.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ MAX_FOLDER_FILES = 14
 
 
 def test_files_are_short() -> None:
-    """Catches a file that grows past what can be read in one sitting."""
+    """Catches a file that is too long to read in one sitting."""
     suffixes = {".py", ".cpp", ".h", ".cu", ".inc", ".cuh"}
     lengths = {path: len(path.read_text().splitlines()) for path in source_files() if path.suffix in suffixes}
     assert not {name(path): lines for path, lines in lengths.items() if lines > MAX_FILE_LINES}
@@ -33,7 +33,7 @@ def test_folders_are_small() -> None:
 
 
 def test_functions_are_short() -> None:
-    """Catches a Python function that does several things in a row."""
+    """Catches a long Python function, which probably does several things."""
     lengths = {
         f"{name(path)}:{node.name}": (node.end_lineno or node.lineno) - node.lineno + 1
         for path in source_files()
@@ -45,7 +45,7 @@ def test_functions_are_short() -> None:
 
 
 def test_modules_do_not_import_each_other_in_a_cycle() -> None:
-    """Catches two modules that cannot be read, tested or moved one without the other."""
+    """Catches modules that cannot be read, tested or moved separately."""
     modules = package_modules()
     graph = {module: set(imports_of(path, module, modules)) for module, path in modules.items()}
     try:
@@ -55,7 +55,7 @@ def test_modules_do_not_import_each_other_in_a_cycle() -> None:
 
 
 def test_the_cycle_check_finds_cycles(tmp_path: Path) -> None:
-    """Catches a check that passes because it resolves no import."""
+    """Catches a cycle check that passes because it resolves no import."""
     one, two = tmp_path / "one.py", tmp_path / "two.py"
     one.write_text("def f():\n    from fourd import two\n    return two\n")
     two.write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from fourd.one import f\n")
@@ -65,7 +65,7 @@ def test_the_cycle_check_finds_cycles(tmp_path: Path) -> None:
 
 
 def source_files() -> Iterator[Path]:
-    """The files of SOURCES; fourd/viewer, a link to viewer/ in some checkouts, is left out."""
+    """The files in the folders of SOURCES, without fourd/viewer, which is a link to viewer/ in some checkouts."""
     for top in SOURCES:
         for path in sorted((ROOT / top).rglob("*")):
             folders = path.relative_to(ROOT).parts[:-1]
@@ -75,7 +75,7 @@ def source_files() -> Iterator[Path]:
 
 
 def package_modules() -> dict[str, Path]:
-    """The modules of the package `fourd` by dotted name."""
+    """Map the dotted name of each module of the package `fourd` to its file."""
     modules = {}
     for path in source_files():
         parts = path.relative_to(ROOT).with_suffix("").parts
@@ -86,7 +86,7 @@ def package_modules() -> dict[str, Path]:
 
 
 def imports_of(path: Path, module: str, modules: dict[str, Path]) -> Iterator[str]:
-    """The modules of the package that a file imports, wherever in it, except those for type checkers alone."""
+    """Modules of the package that a file imports at any place, except imports for type checkers."""
     pending: list[ast.AST] = [ast.parse(path.read_text())]
     while pending:
         node = pending.pop()

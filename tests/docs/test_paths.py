@@ -1,4 +1,4 @@
-"""Files, modules and rooms that the documentation names exist."""
+"""Files, modules and packages that the documentation names exist."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PAGES = [
 TOP = ("fourd", "viewer", "csrc", "configs", "examples", "tools", "tests", "docs")
 PATH = re.compile(rf"`((?:{'|'.join(TOP)})/[\w./-]*)`")
 DEFINITION = re.compile(r"`((?:fourd|viewer|tools)/[\w/]+\.py)`, ((?:`[\w.]+`(?:, | and )?)+)")
-"""A file and names that it defines: `fourd/a.py`, `function` and `Class.method`."""
+"""A file with names that it defines, such as `fourd/a.py`, `function` and `Class.method`."""
 NAME = re.compile(r"`(fourd(?:\.\w+)+)(?:\(\))?`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 PLACEHOLDER = re.compile(r"[A-Z]{3,}|\*|saxpy|\.pyi$")
-"""Names that stand for others, the example kernel of docs/adding_a_kernel.md, and files made by the build."""
+"""Placeholders, the example kernel of docs/adding_a_kernel.md, and files that the build generates."""
 GENERATED = {"docs/examples.md", "docs/contributing.md", "docs/changelog.md", "docs/reference/cli.md"}
 """Pages that exist only in the built site."""
 
@@ -74,7 +74,7 @@ def test_a_named_object_exists(page: str, name: str) -> None:
 
 @pytest.mark.parametrize(("page", "link"), mentions(LINK))
 def test_a_link_leads_to_a_file(page: str, link: str) -> None:
-    """Catches links to pages and pictures that were renamed or never committed."""
+    """Catches links to pages and images that were renamed or never committed."""
     target = link.partition("#")[0]
     if target and "://" not in target:
         path = ((ROOT / page).parent / target).resolve()
@@ -88,12 +88,12 @@ def test_readme_links_every_page() -> None:
     assert [page for page in pages if f"({page})" not in readme] == []
 
 
-def test_architecture_lists_the_rooms_in_the_order_of_imports() -> None:
-    """Catches a room that the table lacks, or an order other than the one that import-linter enforces."""
+def test_architecture_lists_the_packages_in_the_order_of_imports() -> None:
+    """Catches a package that the table lacks, or an order other than the one that import-linter enforces."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     layers = settings["tool"]["importlinter"]["contracts"][0]["layers"]
     expected = [re.findall(r"\w+", layer) for layer in layers]
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-    table = page.partition("## Rooms")[2].partition("\n## ")[0]
+    table = page.partition("## Packages")[2].partition("\n## ")[0]
     rows = [re.findall(r"`(\w+)`", line.split("|")[1]) for line in table.splitlines() if line.startswith("| `")]
     assert rows == expected
