@@ -20,13 +20,16 @@ from fourd.viewer.window import Window
 from fourd.viewer.window_renderer import WindowRenderer
 
 _MAX_STEP_SECONDS = 0.1
-"""After a pause, such as a dragged window, playback continues where it was."""
+"""Longest time step of playback, in seconds.
+
+After a longer pause, playback continues near the frame where it stopped.
+"""
 _IDLE_SECONDS = 0.25
-"""Interval of the checks for new frames and checkpoints while nothing moves."""
+"""Seconds between checks for new frames and checkpoints while the image does not change."""
 _SPINNER_SECONDS = 0.1
-"""Interval of the spinner's images; what it waits for needs the processor."""
+"""Seconds between images of the spinner. It is drawn rarely, because loading needs the processor."""
 _IMAGES_AFTER_INPUT = 8
-"""Images drawn after any input: a press, a motion and a release take effect one after another."""
+"""Count of images drawn after each input, because imgui handles a press, a motion and a release in separate images."""
 
 
 def run_viewer(
@@ -38,7 +41,7 @@ def run_viewer(
 ) -> None:
     """Open a window on ``source`` and run until it is closed.
 
-    Raises UserError when the source cannot be opened, or there is no display or no OpenGL.
+    Raises UserError when the source cannot be opened, when there is no display, or when there is no OpenGL.
     """
     session = Session(settings)
     try:
@@ -89,7 +92,7 @@ class App:
                 self._step(elapsed)
 
     def _step(self, elapsed: float) -> None:
-        """Advance time by ``elapsed`` seconds and draw an image if anything can have changed."""
+        """Advance time by ``elapsed`` seconds, and draw an image if anything may have changed."""
         state, session, window = self._state, self._state.session, self._state.window
         scene = session.take_opened()
         if scene is not None:
@@ -119,7 +122,7 @@ class App:
         window.set_title(self._title())
 
     def _draw(self, request: RenderRequest) -> None:
-        """Draw the scene; where the renderer fails, switch to cpu."""
+        """Draw the scene. When the renderer fails, switch to the cpu renderer."""
         state = self._state
         try:
             with state.timings.measure("draw"):
@@ -131,7 +134,7 @@ class App:
                 state.switch_renderer("cpu", f"{name} cannot draw this scene on this machine")
 
     def _seconds_to_wait(self) -> float:
-        """How long the image stays the same unless there is input."""
+        """Seconds until the image changes if there is no input."""
         state, session = self._state, self._state.session
         if state.window.is_hidden or self._is_idle():
             return _IDLE_SECONDS
@@ -142,7 +145,7 @@ class App:
         return min(session.playback.seconds_to_next_frame(), _IDLE_SECONDS)
 
     def _is_idle(self) -> bool:
-        """Whether the next image would equal the current one."""
+        """Whether the next image would be equal to the current one."""
         state, session = self._state, self._state.session
         is_active = session.is_opening or session.is_waiting or session.is_moving or session.playback.is_playing
         return not (is_active or state.recorder is not None or state.renderer.is_stale or self._images_left > 0)

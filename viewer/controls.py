@@ -30,16 +30,17 @@ HELP = (
 )
 
 _LEFT, _RIGHT, _MIDDLE = 0, 1, 2
-_WHEEL_FACTOR = 0.9  # on the distance, per notch
-_SECONDS_TO_PIVOT = 2.0  # to fly the distance to the pivot
+_WHEEL_FACTOR = 0.9  # factor on the distance to the pivot per wheel notch
+_SECONDS_TO_PIVOT = 2.0  # time to fly from the eye to the pivot
 _SHIFT_FACTOR = 4.0
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 def handle_navigation(session: Session, window_height: float, seconds: float) -> bool:
-    """Move the pose by mouse and keys, unless the panel captures them; ``window_height`` in mouse units.
+    """Move the pose by mouse and keys, unless the panel captures them. ``window_height`` is in window coordinates.
 
-    Returns whether the pose has changed: a key that is held down produces no events.
+    Returns whether the pose has changed. Events alone do not show a change, because a key that is held down produces
+    none.
     """
     io = imgui.get_io()
     if session.pose is None:
@@ -58,7 +59,7 @@ def handle_navigation(session: Session, window_height: float, seconds: float) ->
 
 
 def handle_shortcuts(state: ViewerState) -> None:
-    """The keys of the panel, the renderer, the output and the cameras."""
+    """Handle the keys that control the panel, the renderer, the output and the cameras."""
     if imgui.get_io().want_text_input:
         return
     if imgui.is_key_pressed(imgui.Key.tab, False):
@@ -83,7 +84,7 @@ def handle_shortcuts(state: ViewerState) -> None:
 
 
 def handle_playback_keys(session: Session) -> None:
-    """The keys of playback."""
+    """Handle the keys that control playback."""
     if imgui.get_io().want_text_input:
         return
     playback = session.playback
@@ -106,7 +107,8 @@ def _drag(pose: Pose, io: imgui.IO, window_height: float) -> Pose:
     right, down = io.mouse_delta.x, io.mouse_delta.y
     if not (right or down):
         return pose
-    # A duration above 0: the button was down in the previous image too. Motion before the press is not a drag.
+    # A duration above 0 means that the button was already down in the previous image. Motion before the press does not
+    # count as a drag.
     left, other, middle = (io.mouse_down_duration[button] > 0 for button in (_LEFT, _RIGHT, _MIDDLE))
     if other or (io.key_shift and (left or middle)):
         return pose.pan(right / window_height, down / window_height)
@@ -114,7 +116,7 @@ def _drag(pose: Pose, io: imgui.IO, window_height: float) -> Pose:
         return pose
     if io.key_ctrl:
         return pose.dolly(math.exp(2 * down / window_height))
-    # As in OrbitControls, a drag over the window's height is a full turn.
+    # As in OrbitControls, a drag over the height of the window rotates by 360 degrees.
     return pose.orbit(2 * math.pi * right / window_height, 2 * math.pi * down / window_height)
 
 
@@ -136,7 +138,7 @@ def _fly(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
 
 
 def _next_speed(speed: float, direction: int) -> float:
-    """The next preset above (direction 1) or below (-1) the absolute speed; the sign stays."""
+    """The next preset above (direction 1) or below (direction -1) the absolute speed. The sign does not change."""
     slower = [value for value in _SPEEDS if value < abs(speed) - 1e-9]
     faster = [value for value in _SPEEDS if value > abs(speed) + 1e-9]
     if direction > 0:

@@ -1,4 +1,4 @@
-"""What a renderer draws: a frame, a camera and display settings."""
+"""The input of renderers: a frame, a camera and display settings."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ MIN_SCALE, MAX_SCALE = 0.1, 10.0
 
 @dataclass(frozen=True)
 class DisplaySettings:
-    """What the panel's Display section sets.
+    """The settings in the Display section of the panel.
 
     Attributes:
-        layers: points composited per pixel, K.
+        layers: K, the maximum count of points composited per pixel.
         background: red, green and blue in [0, 1].
         point_scale: factor on the points' radii.
-        density_scale: factor on their densities, which are clamped to 1.
+        density_scale: factor on the points' densities. Scaled densities are clamped to 1.
     """
 
     layers: int = 12
@@ -30,9 +30,9 @@ class DisplaySettings:
     density_scale: float = 1.0
 
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """``frame`` with scaled radii and densities; the same object where both factors are 1.
+        """``frame`` with scaled radii and densities; ``frame`` itself if both factors are 1.
 
-        A scaled frame names no background, because its last points differ from the background's.
+        A scaled frame has ``background`` None, because its scaled background points differ from the stored ones.
         """
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame
@@ -48,10 +48,10 @@ class RenderRequest:
     """The input of every renderer.
 
     Attributes:
-        frame: the arrays to draw, with the scales of ``settings`` already scale_points.
-        camera: an ideal pinhole; its size is the image's.
-        manifest: of the scene.
-        settings: K and background.
+        frame: the arrays to draw, already scaled by :meth:`DisplaySettings.scale_points`.
+        camera: a pinhole camera without distortion. Its size is the size of the image.
+        manifest: the manifest of the scene.
+        settings: K and the background colour; the point scales are not applied again.
     """
 
     frame: BakedFrame

@@ -34,9 +34,9 @@ class Headless:
 
     Attributes:
         source: a `.4dv` or a run.
-        renderer: by name, or "auto".
-        size: width and height in pixels; None for the camera's, or for DEFAULT_SIZE.
-        settings: display settings; layers 0 for the scene's own K.
+        renderer: name of the renderer, or "auto".
+        size: width and height in pixels. None uses the size of the camera, or DEFAULT_SIZE without cameras.
+        settings: display settings. ``layers`` 0 uses the K of the scene.
     """
 
     source: Path
@@ -45,9 +45,9 @@ class Headless:
     settings: DisplaySettings
 
     def video(self, out: Path, path: str, steps: int | None, fps: float | None, console: Console) -> int:
-        """Write an MP4 along ``path``: orbit, spiral, cameras, or a file recorded in the window.
+        """Write an MP4 along ``path``, which is "orbit", "spiral", "cameras" or a file recorded in the window.
 
-        The scene plays in a loop meanwhile. Returns the count of images.
+        The scene plays in a loop. Returns the count of images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
@@ -60,7 +60,7 @@ class Headless:
             scene.close()
 
     def screenshot(self, out: Path, camera: str | None, frame: int, console: Console) -> None:
-        """Write a PNG of a frame (from 0) from a capture camera, by name; None for the first."""
+        """Write a PNG of one frame (counted from 0) from the named capture camera; None uses the first camera."""
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
             if not 0 <= frame < scene.manifest.frame_count:
@@ -85,7 +85,7 @@ class Headless:
 def _cameras_along_path(
     scene: LoadedScene, path: str, size: tuple[int, int], steps: int | None
 ) -> tuple[list[Camera], list[int], float]:
-    """Cameras and frames of the images, and images per second. Raises UserError."""
+    """The camera and the frame index of each image, and the images per second. Raises UserError."""
     manifest = scene.manifest
     kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
     if path not in kinds:

@@ -1,4 +1,4 @@
-"""An open scene: its frames, its cameras and its initial view."""
+"""An open scene with its frames, its cameras and its initial view."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class LoadedScene:
 
     Attributes:
         path: the file, or the run's folder.
-        manifest: of the scene.
+        manifest: the manifest of the scene.
         frames: prefetched frames.
         up: (3,) up direction.
-        checkpoint: file name of the run's checkpoint on display; empty for a `.4dv`.
+        checkpoint: file name of the displayed checkpoint of a run; empty for a `.4dv` file.
     """
 
     def __init__(self, path: Path, source: BakedFrameSource) -> None:
-        """Owns ``source`` and closes it."""
+        """Takes ownership of ``source`` and closes it."""
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # Frames of a run are baked on demand; the minimal buffer leaves the processor to training.
+        # Frames of a run are baked on demand. A minimal buffer leaves more processor time for training.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.checkpoint = self._run.checkpoint if self._run else ""
@@ -53,7 +53,10 @@ class LoadedScene:
         return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size)
 
     def poll_checkpoint(self) -> bool:
-        """Whether the run has a new checkpoint, whose frames replace the buffered ones; checked once per second."""
+        """Check once per second for a new checkpoint of the run, whose frames then replace the buffered ones.
+
+        Returns whether there is a new checkpoint.
+        """
         now = time.monotonic()
         if self._run is None or now - self._last_poll < _CHECKPOINT_POLL_SECONDS:
             return False

@@ -1,4 +1,4 @@
-"""The state of a viewer without its window: scene, playback, pose and display settings."""
+"""The state of a viewer that does not depend on its window: scene, playback, pose and display settings."""
 
 from __future__ import annotations
 
@@ -19,20 +19,22 @@ TRANSITION_SECONDS = 0.7
 
 
 class Session:
-    """What the panel and the keys change. A scene opens in a thread; the previous one stays until then.
+    """The state that the panel and the keys change.
+
+    A scene opens in a thread, and the previous scene stays on screen until the new one is ready.
 
     Attributes:
         settings: display settings.
         scene: the open scene.
         playback: its clock.
         pose: the viewer's pose.
-        message: the last error or notice for the user; empty when there is none.
-        error: why the last is_opening failed.
+        message: the last error or notice for the user; empty if there is none.
+        error: the last error that kept a scene from opening; None if there was none.
         is_waiting: whether the current frame is still being read.
     """
 
     def __init__(self, settings: DisplaySettings) -> None:
-        """``settings.layers`` 0 stands for the K of each scene."""
+        """If ``settings.layers`` is 0, each scene uses its own K."""
         self.settings = settings
         self.scene: LoadedScene | None = None
         self.playback = Playback(1, 30.0)
@@ -59,7 +61,7 @@ class Session:
         return self._transition is not None
 
     def open(self, path: Path) -> None:
-        """Start to open a scene or a run; ignored while another one opens."""
+        """Start to open a scene or a run. The call is ignored while another scene opens."""
         if self._opener is not None:
             return
         self._opened = None
@@ -67,7 +69,10 @@ class Session:
         self._opener.start()
 
     def take_opened(self, wait: bool = False) -> LoadedScene | None:
-        """The scene that has finished opening, once. A failure sets ``message`` and leaves the open scene."""
+        """The scene that has finished opening, returned only once.
+
+        If opening has failed, the current scene stays and ``message`` contains the reason.
+        """
         if self._opener is None or (self._opener.is_alive() and not wait):
             return None
         self._opener.join()
@@ -78,7 +83,7 @@ class Session:
         return None
 
     def show(self, scene: LoadedScene, pose: Pose) -> None:
-        """Replace the open scene, which is closed."""
+        """Close the current scene and show another one."""
         if self.scene is not None:
             self.scene.close()
         self.scene, self.pose = scene, pose
@@ -90,7 +95,7 @@ class Session:
         self.message = ""
 
     def set_layers(self, layers: int) -> None:
-        """Set K, for this scene and those opened later."""
+        """Set K for this scene and for scenes opened later."""
         self._has_user_layers = True
         self.settings = replace(self.settings, layers=layers)
 
@@ -100,11 +105,11 @@ class Session:
             self._transition = (self.pose, pose, 0.0)
 
     def set_pose(self, pose: Pose) -> None:
-        """Set the pose and end a transition."""
+        """Set the pose and end any transition."""
         self.pose, self._transition = pose, None
 
     def advance(self, seconds: float) -> bool:
-        """Advance playback and transition; playback stops while the current frame is being read.
+        """Advance playback and the transition. Playback stands still while the current frame is being read.
 
         Returns whether the run has a new checkpoint, whose frames replace the current ones.
         """
@@ -119,10 +124,10 @@ class Session:
         return has_new_checkpoint
 
     def render_request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
-        """What to draw into an image of ``size``; None before a scene is open and its first frame is read.
+        """The request for an image of ``size``; None until a scene is open and its first frame is read.
 
-        While a frame is being read, the previous one is returned and ``is_waiting`` is set. When a
-        frame cannot be read, ``message`` has the reason.
+        While a frame is being read, the previous one is returned and ``is_waiting`` is set. When a frame cannot be
+        read, ``message`` contains the reason.
         """
         if self.scene is None or self.pose is None:
             return None
@@ -133,7 +138,7 @@ class Session:
         return RenderRequest(self._scale_points(frame), camera, self.scene.manifest, self.settings)
 
     def close(self) -> None:
-        """Wait for the opener and close the scene."""
+        """Wait for the thread that opens a scene, and close the scene."""
         if self._opener is not None:
             self._opener.join()
             self._opener = None
@@ -158,13 +163,16 @@ class Session:
         return self._last_frame
 
     def _camera(self, pose: Pose, size: tuple[int, int]) -> Camera:
-        """The camera of a pose; the same object while both stay, so that renderers reuse their depth order."""
+        """The camera of the current pose.
+
+        While pose and size do not change, it is the same object, so that renderers can reuse their depth order.
+        """
         if self._last_camera is None or self._last_camera[0] is not pose or self._last_camera[1] != size:
             self._last_camera = (pose, size, pose.camera(*size))
         return self._last_camera[2]
 
     def _scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """The frame with the scales of the settings; the same object for the same frame and scales."""
+        """The frame scaled by the settings. For the same frame and scales, it is the same object."""
         scales = (self.settings.point_scale, self.settings.density_scale)
         if self._scaled is not None:
             source, settings, scaled = self._scaled
@@ -177,5 +185,5 @@ class Session:
     def _open(self, path: Path) -> None:
         try:
             self._opened = LoadedScene(path, open_frame_source(path))
-        except Exception as error:  # reported by take_opened in the window's thread
+        except Exception as error:  # take_opened reports the error in the thread of the window
             self._opened = error

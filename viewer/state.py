@@ -24,15 +24,18 @@ from fourd.viewer.window_renderer import WindowRenderer
 
 
 class Cancelled(Exception):
-    """The user has cancelled a video."""
+    """Raised when the user cancels a video."""
 
 
 class ViewerState:
-    """What the panel shows and changes.
+    """The state that the panel shows and changes.
 
     Attributes:
-        window, session, renderer, timings: of the viewer.
-        recorder: of the camera path; None while nothing is recorded.
+        window: the window of the viewer.
+        session: the scene, the playback and the pose.
+        renderer: draws the session into the window.
+        timings: times of the last images.
+        recorder: recorder of the camera path; None while no path is being recorded.
         recorded_path: the last recording of this scene.
         is_panel_open: whether the panel is visible.
         camera_index: the capture camera selected in the panel.
@@ -51,18 +54,18 @@ class ViewerState:
         self._deferred: list[Callable[[], None]] = []
 
     def defer(self, action: Callable[[], None]) -> None:
-        """Run an action that draws after the current image: nothing else may draw while the panel is built."""
+        """Run ``action`` after the current image is finished, because it draws and the panel is still being built."""
         self._deferred.append(action)
 
     def run_deferred(self) -> bool:
-        """Run the deferred actions. Returns whether there were any."""
+        """Run the deferred actions. Returns whether there were deferred actions."""
         actions, self._deferred = self._deferred, []
         for action in actions:
             action()
         return bool(actions)
 
     def show_scene(self, scene: LoadedScene) -> None:
-        """Replace the open scene; start from its saved view."""
+        """Replace the open scene, and start from the saved view of the new one."""
         self.save_view()
         size = self.window.framebuffer_size
         self.session.show(scene, self._saved_views.load(scene.path) or scene.initial_pose(size))
@@ -70,12 +73,12 @@ class ViewerState:
         self.recorded_path = self.recorder = None
 
     def save_view(self) -> None:
-        """Save the pose of the open scene for the next time."""
+        """Save the pose, so that the scene starts from it when it is opened again."""
         if self.session.scene is not None and self.session.pose is not None:
             self._saved_views.save(self.session.scene.path, self.session.pose)
 
     def switch_renderer(self, name: RendererName, reason: str = "as requested") -> None:
-        """Switch to another renderer; the current one stays where that fails."""
+        """Switch to another renderer. If that fails, the current renderer stays."""
         try:
             self.renderer.switch(name, reason)
         except Exception as error:
@@ -103,7 +106,7 @@ class ViewerState:
         self._write(path, lambda: write_png(path, image))
 
     def toggle_recording(self) -> None:
-        """Start to record the camera path; or stop, keep the path and write it to the working directory."""
+        """Start to record the camera path, or stop recording and write the path to the working directory."""
         if self.recorder is None:
             self.recorder = PathRecorder()
             return
@@ -134,7 +137,7 @@ class ViewerState:
         self.renderer.release()
 
     def _render_samples(self, path: Path, recorded: RecordedPath) -> Iterator[NDArray[np.uint8]]:
-        """The images of a recorded path; draws the progress window before each."""
+        """Yield the images of a recorded path, and draw the progress window before each image."""
         size, canvas = self.window.framebuffer_size, Canvas(self.renderer.context)
         try:
             for index, sample in enumerate(recorded.samples):
@@ -175,7 +178,7 @@ class ViewerState:
 
 
 def unused_path(stem: str, suffix: str) -> Path:
-    """A path in the working directory that does not exist: STEM-001SUFFIX, STEM-002SUFFIX and so on."""
+    """The first path among STEM-001SUFFIX, STEM-002SUFFIX and so on that does not exist in the working directory."""
     number = 1
     while (path := Path(f"{stem}-{number:03d}{suffix}")).exists():
         number += 1

@@ -48,24 +48,24 @@ class Window:
 
     @property
     def framebuffer_size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
+        """(width, height) of the framebuffer in pixels."""
         width, height = self._glfw.get_framebuffer_size(self.handle)
         return int(width), int(height)
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) in the units of mouse positions."""
+        """(width, height) in window coordinates, the units of mouse positions."""
         width, height = self._glfw.get_window_size(self.handle)
         return int(width), int(height)
 
     @property
     def content_scale(self) -> float:
-        """The display's scale factor for text; 2 for 200%."""
+        """The display's scale factor for text, such as 2 for 200%."""
         return float(self._glfw.get_window_content_scale(self.handle)[0])
 
     @property
     def is_hidden(self) -> bool:
-        """Whether nothing of the window is visible: minimised, or of zero size."""
+        """Whether the window is minimised or has zero size."""
         return bool(self._glfw.get_window_attrib(self.handle, self._glfw.ICONIFIED)) or 0 in self.framebuffer_size
 
     @property
@@ -74,7 +74,7 @@ class Window:
         return bool(self._glfw.window_should_close(self.handle))
 
     def set_title(self, text: str) -> None:
-        """Set the title if it differs: a change of title is an event, which ends :meth:`wait_events`."""
+        """Set the title if it differs. An unnecessary change would be an event that ends :meth:`wait_events`."""
         if text != self._title:
             self._glfw.set_window_title(self.handle, text)
             self._title = text
@@ -87,7 +87,7 @@ class Window:
             self._glfw.poll_events()
 
     def take_input_flag(self) -> bool:
-        """Whether there was input since the last call."""
+        """Whether there has been input since the last call."""
         had_input, self._had_input = self._had_input, False
         return had_input
 
@@ -108,16 +108,20 @@ class Window:
         from imgui_bundle import imgui
         from OpenGL import GL
 
-        # The backend restores the program in use, which fails if that program has been deleted.
+        # The backend later binds the current program again, which fails if that program has been deleted.
         GL.glUseProgram(0)
         imgui.render()
         self._ui.render(imgui.get_draw_data())
 
     def copy_framebuffer(self, framebuffer: int) -> None:
-        """Copy a framebuffer of the window's size, by its GL name, to the window; it stays bound for reading."""
+        """Copy a framebuffer to the window, which has the same size.
+
+        The framebuffer is given by its GL name and stays bound for reading.
+        """
         from OpenGL import GL
 
-        # moderngl's copy names the default framebuffer's buffers in a way that OpenGL 3.3 rejects.
+        # This does not use moderngl's copy, because OpenGL 3.3 rejects its names for the buffers of the default
+        # framebuffer.
         width, height = self.framebuffer_size
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, framebuffer)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, 0)
@@ -178,7 +182,7 @@ def _make_ui_backend(handle: Any) -> Any:
 
     imgui.create_context()
     implot.create_context()
-    imgui.get_io().set_ini_filename("")  # no imgui.ini in the user's folder
+    imgui.get_io().set_ini_filename("")  # do not write imgui.ini to the working directory
     imgui.style_colors_dark()
     return GlfwRenderer(handle, attach_callbacks=False)
 

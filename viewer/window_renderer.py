@@ -1,4 +1,4 @@
-"""Draws a session into a window, with a renderer that can be switched."""
+"""Draws a session into a window. The renderer can be switched while the window is open."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ class WindowRenderer:
 
     @property
     def is_stale(self) -> bool:
-        """Whether the last image was drawn with an older depth order."""
+        """Whether the last image was drawn with the depth order of an earlier request."""
         return self.renderer.stale_images > 0
 
     def switch(self, name: RendererName, reason: str = "as requested") -> None:
-        """Switch to another renderer. When that raises, the current one stays."""
+        """Switch to another renderer. If that raises an exception, the current renderer stays."""
         renderer = make_renderer(name, self.context)
         self.renderer.release()
         self.renderer, self.choice, self._drawn = renderer, RendererChoice(name, reason), None
 
     def reset(self) -> None:
-        """Start again with the same renderer, whose textures and threads may hold frames of a closed scene."""
+        """Create the same renderer again, because its textures and threads may hold frames of a closed scene."""
         self.renderer.release()
         self.renderer, self._drawn = make_renderer(self.choice.name, self.context), None
 
     def invalidate(self) -> None:
-        """Draw the next request even if it equals the last one."""
+        """Draw the next request even if it is equal to the last one."""
         self._drawn = None
 
     def needs_draw(self, request: RenderRequest) -> bool:
@@ -65,14 +65,14 @@ class WindowRenderer:
         self._drawn = request
 
     def draw_exact(self) -> NDArray[np.uint8] | None:
-        """The last request with its own frame and depth order, (H, W, 3) uint8; None before the first one."""
+        """The exact image of the last request, (H, W, 3) uint8; None before the first request."""
         if self._drawn is None:
             return None
         self.renderer.draw(self._drawn, self._canvas, wait=True)
         return self._canvas.read_rgb8()
 
     def present(self, shows_image: bool) -> None:
-        """Copy the canvas to the window's back buffer, or clear the buffer."""
+        """Copy the canvas to the window's back buffer. If there is no image, clear the back buffer."""
         size = self.window.framebuffer_size
         if self._screen is None or self._screen.size != size:
             self._screen = self.context.detect_framebuffer(0)

@@ -12,10 +12,13 @@ from fourd.viewer.gl.passes import release_framebuffer
 
 
 class Canvas:
-    """A framebuffer with one RGBA texture, resized on demand. Its first row is the lowest, as in OpenGL."""
+    """A framebuffer with one RGBA texture, resized on demand.
+
+    Row 0 of the texture is the bottom of the image, as in OpenGL.
+    """
 
     def __init__(self, context: moderngl.Context, dtype: Literal["f1", "f4"] = "f1") -> None:
-        """``dtype`` is "f1" for bytes, or "f4" for float32 in tests of differences below a byte's step."""
+        """``dtype`` is "f1" for bytes, or "f4" for float32. Tests use float32 to measure differences below 1/255."""
         self._context = context
         self._dtype = dtype
         self._texture: moderngl.Texture | None = None
@@ -39,7 +42,7 @@ class Canvas:
         height, width = pixels.shape[:2]
         self.framebuffer(width, height)
         assert self._texture is not None
-        # Flipping here costs a quarter of a flipping render pass where GL is software.
+        # With software OpenGL, flipping here takes a quarter of the time of a render pass that flips.
         self._texture.write(np.ascontiguousarray(pixels[::-1]))
 
     def read_rgb8(self) -> NDArray[np.uint8]:

@@ -26,17 +26,17 @@ class Compositor(Protocol):
 
     @property
     def discs(self) -> Discs:
-        """The disc geometry; the caller projects the points of the request into it before :meth:`draw`."""
+        """The disc geometry. The caller projects the points of the request into it before it calls :meth:`draw`."""
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
-        """Composite ``discs`` over the background of the request, into ``target``."""
+        """Composite :attr:`discs` over the background colour of the request and write the result into ``target``."""
 
     def release(self) -> None:
         """Free all GL objects."""
 
 
 class OverBackground:
-    """Draws a composited image, stored with row 0 first, over the background."""
+    """Draws a composited image over the background colour. Row 0 of the texture is the top of the image."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -54,7 +54,7 @@ class OverBackground:
 
 
 class SortedBlending:
-    """One pass, farthest disc first, each blended over those behind it. It ignores K and composites all layers."""
+    """Blends all discs in one pass, from the farthest to the nearest. It ignores K and composites all layers."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -72,7 +72,7 @@ class SortedBlending:
 
 
 class DepthPeeling:
-    """Depth peeling (Everitt 2001), as in 4K4D: K passes, each of which finds the next layer of every pixel."""
+    """Depth peeling (Everitt 2001), as in 4K4D. Each of K passes finds the next layer of every pixel."""
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
         self._context = context
@@ -98,7 +98,7 @@ class DepthPeeling:
 
     def _peel_layer(self, ranks: str, previous_ranks: str) -> None:
         targets = self._targets
-        targets.clear(ranks, NONE)  # pixels with no layer left get none in later passes either
+        targets.clear(ranks, NONE)  # a pixel without a layer in one pass has no layers in later passes
         targets.clear_with_depth("layer")
         disable_blending(self._context)
         self._context.enable(moderngl.DEPTH_TEST)
@@ -114,8 +114,8 @@ class DepthPeeling:
 class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): each pass finds a layer from the front and one from the back.
 
-    Where a pixel has more than K layers, the layers from the back are dropped, and peeling continues
-    from the front while hidden layers could be visible. The result has the K nearest layers, as in
+    If a pixel has more than K layers, its layers from the back are dropped. Peeling then continues from the front until
+    no further layer is visible. The result has the K nearest layers, as in
     :class:`DepthPeeling`.
     """
 
@@ -151,7 +151,10 @@ class DualDepthPeeling:
         self._over_background.run(targets.texture(f"front {last % 2}"), request, target)
 
     def _peel(self, index: int, front_only: bool = False) -> None:
-        """Geometry pass ``index``, from 0: the nearest and farthest ranks inside the bounds of the previous pass."""
+        """Run geometry pass ``index``, from 0.
+
+        It finds the nearest and farthest ranks inside the previous pass's bounds.
+        """
         targets = self._targets
         bounds, previous_bounds = f"bounds {index % 2}", f"bounds {1 - index % 2}"
         targets.clear(bounds, -NONE, -NONE)
@@ -160,7 +163,7 @@ class DualDepthPeeling:
         self.discs.draw("peel", targets.framebuffer([bounds]), bounds=0, front_only=front_only)
 
     def _composite(self, index: int, front_only: bool = False) -> None:
-        """Composite the layers that geometry pass ``index`` has found."""
+        """Composite the layers found by geometry pass ``index``."""
         targets = self._targets
         current, previous = index % 2, 1 - index % 2
         targets.framebuffer([f"front {current}", f"back {current}"]).use()
@@ -170,7 +173,10 @@ class DualDepthPeeling:
         self._composite_layers.run({**textures, "discs": self.discs.texture}, front_only=front_only)
 
     def _peel_front(self, first: int, max_layers: int) -> int:
-        """Peel up to ``max_layers`` from the front, from pass ``first`` on. Returns the last pass composited."""
+        """Peel up to ``max_layers`` layers from the front, starting at pass ``first``.
+
+        Returns the index of the last composited pass.
+        """
         self._peel(first)
         if not self._has_remaining_layers(first, clear_back=True):
             return first - 1
@@ -183,12 +189,14 @@ class DualDepthPeeling:
         return first + max_layers - 1
 
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
-        """Whether pass ``index`` has found layers: any with ``clear_back``, which erases the back of their pixels;
-        otherwise visible ones.
+        """Whether pass ``index`` has found visible layers.
+
+        With ``clear_back``, layers hidden by the front count too, and the layers from the back of their pixels are
+        erased.
         """
         targets = self._targets
         previous = 1 - index % 2
-        # The bounds of the previous pass are free to be overwritten: no pass reads them again.
+        # The bounds of the previous pass can be overwritten, because no pass reads them again.
         targets.framebuffer([f"back {previous}" if clear_back else f"bounds {previous}"]).use()
         disable_blending(self._context)
         with self._counter:

@@ -1,4 +1,4 @@
-"""OpenGL contexts and what their drivers report."""
+"""Creates OpenGL contexts and queries their drivers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ REQUIRED_VERSION = 330
 
 
 def offscreen_context() -> moderngl.Context:
-    """A context without a window; by EGL on Linux, which needs no display.
+    """A context without a window. On Linux it uses EGL, which needs no display.
 
     Raises UserError where OpenGL 3.3 is not available.
     """
@@ -28,9 +28,9 @@ def offscreen_context() -> moderngl.Context:
 
 
 def driver_info(context: moderngl.Context) -> dict[str, Any]:
-    """The driver's names and limits, keyed by their GL constants."""
+    """The names and limits that the driver reports, keyed by GL constant."""
     info = context.info
-    # moderngl also queries limits of newer versions; each one unknown to the driver sets a GL error.
+    # moderngl also queries limits of newer OpenGL versions. Each limit that the driver does not know sets a GL error.
     while context.error != "GL_NO_ERROR":
         pass
     return info

@@ -1,4 +1,4 @@
-"""Depth orders of points: sorted on request, or by a background thread."""
+"""Sorts points by depth, either on request or in a background thread."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class DepthOrder:
     """The points of a frame sorted by depth.
 
     Attributes:
-        frame: the frame of the points.
+        frame: the frame that contains the points.
         camera: the camera that defines depth.
-        points: indices, nearest first.
-        seconds: duration of the sort.
+        points: indices of the visible points, nearest first.
+        seconds: duration of the sort in seconds.
     """
 
     frame: BakedFrame
@@ -33,7 +33,7 @@ class DepthOrder:
     seconds: float
 
     def matches(self, request: RenderRequest) -> bool:
-        """Whether frame and camera are the same objects as the request's."""
+        """Whether the request has the same frame object and the same camera object."""
         return self.frame is request.frame and self.camera is request.camera
 
 
@@ -41,21 +41,24 @@ class DepthOrders(Protocol):
     """Supplies a depth order for each request."""
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """A depth order, possibly of an earlier request; with ``wait``, of this one."""
+        """A depth order.
+
+        With ``wait``, it is computed for this request; otherwise it may be from an earlier request.
+        """
 
     def release(self) -> None:
         """Stop background work."""
 
 
 class ExactOrders:
-    """Sorts on request; the last order is reused for the same frame and camera."""
+    """Sorts on request. The last order is reused if the frame and the camera are the same."""
 
     def __init__(self) -> None:
         self._sorter = DepthSorter()
         self._last: DepthOrder | None = None
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """The order of this request."""
+        """The depth order of this request."""
         if self._last is None or not self._last.matches(request):
             started = time.perf_counter()
             points = self._sorter.sort(request.frame, request.camera, request.manifest.near)
@@ -68,10 +71,10 @@ class ExactOrders:
 
 
 class BackgroundOrders:
-    """Sorts in a thread, which always takes the newest request; :meth:`order` may return an earlier order.
+    """Sorts in a thread that always takes the newest request. :meth:`order` may return the order of an earlier request.
 
-    The thread sorts for twice the field of view, so that points which enter the image before the
-    next order are in this one.
+    The thread sorts the points in twice the field of view. The order then includes points that enter the image while
+    the next order is computed.
     """
 
     def __init__(self) -> None:
@@ -85,7 +88,7 @@ class BackgroundOrders:
         self._thread.start()
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """The newest order; the first call waits for one. Raises RuntimeError when sorting has failed."""
+        """The newest order. The first call waits until an order exists. Raises RuntimeError when sorting has failed."""
         with self._changed:
             self._newest = request
             self._changed.notify_all()

@@ -25,9 +25,9 @@ _MAX_RANKS = 1 << 24
 class Discs:
     """The discs of the visible points.
 
-    In nearest-first order, discs are stored in drawing order, and the index of a disc gives its
-    rank. In farthest-first order, sprites are stored in the order of their points and drawn by
-    index: reading the points' textures in depth order takes twice the time.
+    In nearest-first order, discs are stored in drawing order, and the index of a disc is its rank. In farthest-first
+    order, sprites are stored in the order of their points and are drawn through an index buffer. This halves the time
+    to read the points' textures, compared with reading them in depth order.
     """
 
     def __init__(
@@ -37,9 +37,9 @@ class Discs:
         farthest_first: bool = False,
         as_texture: bool = False,
     ) -> None:
-        """``passes`` maps the names of :meth:`draw` to fragment shaders.
+        """``passes`` maps the pass names that :meth:`draw` accepts to fragment shaders.
 
-        ``as_texture`` also stores the discs in :attr:`texture`: two texels per disc, by rank.
+        With ``as_texture``, the discs are also stored in :attr:`texture`, in order of rank, with two texels per disc.
         """
         self._context = context
         self._farthest_first = farthest_first
@@ -63,9 +63,9 @@ class Discs:
         self._margin: int | None = None
 
     def project(self, textures: FrameTextures, order: NDArray[np.uint32], request: RenderRequest) -> None:
-        """Project and shade the points of ``order``, nearest first, for the camera of ``request``.
+        """Project and shade the points in ``order``, nearest first, for the camera of ``request``.
 
-        Raises UserError above 2^24 points.
+        Raises UserError for 2^24 points or more.
         """
         if len(order) >= _MAX_RANKS:
             raise UserError(
@@ -92,20 +92,23 @@ class Discs:
 
     @property
     def texture(self) -> moderngl.Texture:
-        """The discs of the last :meth:`project`."""
+        """The discs that the last call of :meth:`project` stored."""
         assert self._texture is not None
         return self._texture
 
     @property
     def uses_sprites(self) -> bool:
-        """Whether the discs are drawn as point sprites; otherwise as quads, with four times the vertices."""
+        """Whether the discs are drawn as point sprites.
+
+        Otherwise they are drawn as quads, which need four times the vertices.
+        """
         return self._margin is not None
 
     def draw(self, name: str, framebuffer: moderngl.Framebuffer, upright: bool = False, **uniforms: object) -> None:
         """Draw all discs with pass ``name`` and the ``uniforms`` of its shader.
 
-        With ``upright``, row 0 of the image is at the framebuffer's top, as displayed; otherwise at
-        its bottom, as in textures.
+        With ``upright``, row 0 of the image is at the top of the framebuffer, as on screen. Otherwise it is at the
+        bottom, as in textures.
         """
         if not self._count:
             return
@@ -135,8 +138,8 @@ class Discs:
             program.release()
 
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
-        """How many pixels sprites can extend past the image; None where one may exceed the driver's maximum size."""
-        # The cheap bound fails for backgrounds: their points are large and far, and small on screen.
+        """Pixels by which sprites can extend past the image; None if a sprite may exceed the driver's maximum size."""
+        # The cheap bound is too large for scenes with a background, whose points have large radii but are far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):
             margin = math.ceil(float(request.camera.intrinsics[1, 1]) * ratio(order, request)) + 1
             if self._driver_allows(margin):
@@ -186,18 +189,18 @@ class Discs:
 
 
 def _radius_depth_ratio_bound(order: NDArray[np.uint32], request: RenderRequest) -> float:
-    """A cheap upper bound of :func:`_max_radius_depth_ratio`: the largest radius over the smallest depth."""
+    """The largest radius divided by the smallest depth, a cheap upper bound of :func:`_max_radius_depth_ratio`."""
     nearest, camera = request.frame.xyz[order[0]].astype(np.float64), request.camera
     depth = float(nearest @ camera.forward) + float(camera.translation[2])
     return float(request.frame.radius.max()) / max(depth, request.manifest.near)
 
 
 def _max_radius_depth_ratio(order: NDArray[np.uint32], request: RenderRequest) -> float:
-    """The largest ratio of radius to depth beyond the near plane; 1 ms for 140,000 points."""
+    """The largest ratio of radius to depth beyond the near plane. It takes 1 ms for 140,000 points."""
     camera, near = request.camera, request.manifest.near
     depth = (request.frame.xyz @ camera.forward.astype(np.float32)).take(order) + np.float32(camera.translation[2])
     radius = request.frame.radius.take(order).astype(np.float32)
-    # Half of near, because the shader's rounding can accept points slightly nearer than near.
+    # The limit is near / 2, because rounding in the shader can accept points slightly nearer than near.
     ratio = np.where(depth >= near / 2, radius / np.maximum(depth, np.float32(near)), 0)
     return float(ratio.max())
 

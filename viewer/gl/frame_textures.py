@@ -1,6 +1,7 @@
-"""A frame's arrays as textures that vertex shaders read by index.
+"""Stores the arrays of a frame in textures that vertex shaders read by index.
 
-Buffer textures serve the same purpose, but many drivers read them more slowly, and moderngl does not offer them.
+Buffer textures would serve the same purpose, but many drivers read them more slowly, and moderngl does not support
+them.
 """
 
 from __future__ import annotations
@@ -21,23 +22,29 @@ Precision = Literal["float16", "float32"]
 
 
 class ArrayTexture:
-    """A row-major array as texels. The storage is reused, and grows when a larger array comes."""
+    """A texture that stores a row-major array. The storage is reused, and grows when an array needs more space."""
 
     def __init__(self, context: moderngl.Context, components: int, dtype: str) -> None:
-        """``components`` is the count of numbers per texel; ``dtype`` is moderngl's: f1 (bytes as [0, 1]), f2 or f4."""
+        """``components`` is the count of numbers per texel.
+
+        ``dtype`` is f1 (bytes read as [0, 1]), f2 or f4, as in moderngl.
+        """
         self._context = context
         self._components = components
         self._dtype = dtype
         self._texture: moderngl.Texture | None = None
 
     def write(self, array: NDArray[np.generic], first: int = 0) -> None:
-        """Upload an array of whole texels to the texels from ``first`` on. :meth:`reserve` must cover them."""
+        """Upload an array of whole texels, starting at texel ``first``.
+
+        Call :meth:`reserve` for these texels before.
+        """
         content = np.ascontiguousarray(array).reshape(-1, self._components)
         texture, end = self._texture, first + content.shape[0]
         assert texture is not None
         while first < end:
             row, column = divmod(first, TEXELS_PER_ROW)
-            # Full rows in one upload; the partial rows before and after them in one upload each.
+            # All full rows are uploaded at once. A partial row before or after them is uploaded separately.
             full_rows = 0 if column else (end - first) // TEXELS_PER_ROW
             width = TEXELS_PER_ROW if full_rows else min(end - first, TEXELS_PER_ROW - column)
             count = width * max(full_rows, 1)
@@ -56,7 +63,10 @@ class ArrayTexture:
             self._texture = None
 
     def reserve(self, texels: int) -> bool:
-        """Make room for ``texels``. Returns whether the content is kept. Raises UserError above the driver's limit."""
+        """Reserve storage for ``texels`` texels.
+
+        Returns whether the content is kept. Raises UserError above the driver's limit.
+        """
         rows = -(-texels // TEXELS_PER_ROW)
         if self._texture is not None and self._texture.height >= rows:
             return True
@@ -74,14 +84,17 @@ class ArrayTexture:
 
 
 class FrameTextures:
-    """The arrays of one frame on the GPU; the next frame reuses the textures.
+    """The arrays of one frame in GPU textures, which the next frame reuses.
 
-    The dynamic points come first, then unused room, then the background's points. A background that
+    The dynamic points come first, then unused space, then the background's points. A background that
     consecutive frames share is uploaded once.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
-        """``precision`` float32 doubles memory and bandwidth; tests and benchmarks compare with it."""
+        """``precision`` float32 doubles memory and bandwidth.
+
+        It is the reference for tests and benchmarks of float16.
+        """
         short = "f2" if precision == "float16" else "f4"
         self._float16_dtype = np.float16 if precision == "float16" else np.float32
         formats = {"<f4": "f4", "<f2": short, "|u1": "f1"}
@@ -92,13 +105,13 @@ class FrameTextures:
         self.frame: BakedFrame | None = None
         self._background: BakedFrame | None = None
         self._has_shadow = False
-        self._dynamic_capacity = 0  # points before the background's
+        self._dynamic_capacity = 0  # points that fit before the background's points
 
     def load(self, frame: BakedFrame) -> None:
-        """Upload ``frame``, unless it is the frame that is loaded."""
+        """Upload ``frame``, unless it is already loaded."""
         if frame is self.frame:
             return
-        self.frame = None  # a failed upload leaves no frame, not half of one
+        self.frame = None  # after a failed upload, no frame counts as loaded
         keeps_background = self._reserve(frame)
         changes_shadow = frame.has_shadow or self._has_shadow
         self._background = None
@@ -111,7 +124,10 @@ class FrameTextures:
         self.frame = frame
 
     def use(self) -> dict[str, int]:
-        """Bind all textures. Returns the uniforms of shade.vert: texture units by name, and the storage layout."""
+        """Bind all textures.
+
+        Returns the uniforms of shade.vert, which are texture units by name and the storage layout.
+        """
         assert self.frame is not None
         names = [attribute.name for attribute in self.frame.attributes]
         for unit, name in enumerate(names):
@@ -127,11 +143,11 @@ class FrameTextures:
         self.frame = self._background = None
 
     def _reserve(self, frame: BakedFrame) -> bool:
-        """Make room for all points of ``frame``. Returns whether its background is uploaded."""
+        """Reserve storage for all points of ``frame``. Returns whether its background is already uploaded."""
         is_same = frame.background is not None and frame.background is self._background
         keeps_background = is_same and frame.dynamic_count <= self._dynamic_capacity
         if not keeps_background:
-            # Frames differ a little in their point counts, and the largest frame need not come first.
+            # The extra 25% avoids another allocation when a later frame has slightly more points.
             headroom = 1.0 if frame.background is None else 1.25
             self._dynamic_capacity = int(headroom * frame.dynamic_count)
         background_count = 0 if frame.background is None else frame.background.point_count
@@ -148,7 +164,7 @@ class FrameTextures:
 
 
 def _components(attribute: Attribute) -> int:
-    """Numbers per texel: the largest count up to 4 that divides a point's numbers."""
+    """Numbers per texel: the largest divisor, up to 4, of the count of numbers per point."""
     return next(count for count in (4, 3, 2, 1) if attribute.numbers % count == 0)
 
 

@@ -13,10 +13,10 @@ from fourd.viewer.gl.shaders import compile_program, set_uniforms
 
 
 class RenderTargets:
-    """Named textures of one size, with framebuffers over any of them; created again when the size changes."""
+    """Named textures of one size, and framebuffers that draw into them. All are created again when the size changes."""
 
     def __init__(self, context: moderngl.Context, formats: dict[str, tuple[int, str]], has_depth: bool = False) -> None:
-        """``formats`` maps names to components and dtype; ``has_depth`` adds a depth buffer."""
+        """``formats`` maps texture names to (components, dtype). ``has_depth`` adds a depth buffer."""
         self._context = context
         self._formats = formats
         self._has_depth = has_depth
@@ -43,7 +43,7 @@ class RenderTargets:
         return self._textures[name]
 
     def clear(self, name: str, first: float = 0.0, second: float = 0.0) -> None:
-        """Fill a texture: its first two components with ``first`` and ``second``, the others with 0."""
+        """Set the first two components of a texture to ``first`` and ``second``, and the others to 0."""
         self.framebuffer([name]).clear(color=(first, second, 0.0, 0.0))
 
     def clear_with_depth(self, name: str) -> None:
@@ -70,14 +70,14 @@ class RenderTargets:
 
 
 def release_framebuffer(context: moderngl.Context, framebuffer: moderngl.Framebuffer) -> None:
-    """Unbind and release a framebuffer; moderngl fails when it restores a released one."""
+    """Unbind and release a framebuffer. moderngl fails if it restores the binding of a released framebuffer."""
     if context.fbo is not None and context.fbo.glo == framebuffer.glo:
         context.detect_framebuffer(0).use()
     framebuffer.release()
 
 
 class FullScreenPass:
-    """Runs a fragment shader for every pixel of the framebuffer in use."""
+    """Runs a fragment shader for every pixel of the bound framebuffer."""
 
     def __init__(self, context: moderngl.Context, fragment: str) -> None:
         self._program = compile_program(context, "fullscreen.vert", fragment)
@@ -98,7 +98,10 @@ class FullScreenPass:
 
 
 class SampleCounter:
-    """An occlusion query: counts the samples that pass inside its block. moderngl cannot delete its own queries."""
+    """An occlusion query that counts the samples drawn inside its ``with`` block.
+
+    It replaces the queries of moderngl, which cannot be deleted.
+    """
 
     def __init__(self) -> None:
         self._query = int(np.asarray(GL.glGenQueries(1)).ravel()[0])
@@ -114,7 +117,7 @@ class SampleCounter:
 
     @property
     def samples(self) -> int:
-        """The count of the last block; waits for the GPU."""
+        """The sample count of the last ``with`` block. This property waits for the GPU."""
         return int(np.asarray(GL.glGetQueryObjectuiv(self._query, GL.GL_QUERY_RESULT)).ravel()[0])
 
     def release(self) -> None:
@@ -133,7 +136,7 @@ def blend_over(context: moderngl.Context) -> None:
 
 
 def blend_max(context: moderngl.Context) -> None:
-    """Keep the maximum of each component."""
+    """Set the blend mode that keeps the maximum of each component."""
     _set_blending(context, moderngl.MAX, moderngl.ONE, moderngl.ONE)
 
 

@@ -15,7 +15,7 @@ from fourd.viewer.gl.frame_textures import FrameTextures, Precision
 
 
 class GLRenderer:
-    """Renders requests with one compositor. Not to be shared between contexts or threads."""
+    """Renders requests with one compositor. An instance belongs to one context and one thread."""
 
     def __init__(
         self,
@@ -29,24 +29,27 @@ class GLRenderer:
         self._context = context
         self._compositor = compositor
         self._orders = orders
-        # Two: the previous frame is drawn while the next one waits for its order.
+        # Two sets of textures: the previous frame is drawn until the next frame has a depth order.
         self._textures = [FrameTextures(context, precision) for _ in range(2)]
         self._stale_images = 0
         self.sort_seconds = 0.0
 
     @property
     def stale_images(self) -> int:
-        """Count of consecutive images drawn with an older depth order; 0 once the order is current."""
+        """Count of consecutive images drawn with the depth order of an earlier request; 0 when the order is current."""
         return self._stale_images
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw into ``canvas`` at the camera's size. With ``wait``, the depth order is the request's own."""
+        """Draw into ``canvas`` at the image size of the camera.
+
+        With ``wait``, the depth order is computed for this request.
+        """
         order = self._orders.order(request, wait)
         self._stale_images = 0 if order.matches(request) else self._stale_images + 1
         self.sort_seconds = order.seconds
         ordered_request = replace(request, frame=order.frame)
         self._context.disable(moderngl.CULL_FACE | moderngl.BLEND | moderngl.DEPTH_TEST)
-        # Without a window there is no default framebuffer, and transform feedback fails while none is bound.
+        # A context without a window has no default framebuffer. Transform feedback fails unless a framebuffer is bound.
         target = canvas.framebuffer(request.camera.width, request.camera.height)
         target.use()
         self._compositor.discs.project(self._upload(order.frame), order.points, ordered_request)

@@ -12,9 +12,9 @@ import moderngl
 from fourd.ops.play.op import MIN_TRANSMITTANCE
 
 TEXELS_PER_ROW = 4096
-"""Width of the textures that hold arrays; a power of two."""
+"""Width in texels of the textures that store arrays. It is a power of two, so that shaders can use bit operations."""
 NONE = 1e9
-"""A rank behind every layer; as bounds of a dual peeling pass: no layer."""
+"""A rank behind every layer. In the bounds of a dual peeling pass, it means that the pixel has no layer."""
 
 _DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}
 _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
@@ -23,7 +23,7 @@ _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
 def compile_program(
     context: moderngl.Context, vertex: str, fragment: str | None = None, varyings: Sequence[str] = ()
 ) -> moderngl.Program:
-    """Compile shader files by name; ``varyings`` are the outputs captured by transform feedback."""
+    """Compile shader files, given by name. ``varyings`` are the outputs captured by transform feedback."""
     return context.program(
         vertex_shader=_load_source(vertex),
         fragment_shader=None if fragment is None else _load_source(fragment),
@@ -32,7 +32,7 @@ def compile_program(
 
 
 def set_uniforms(program: moderngl.Program, **values: Any) -> None:
-    """Set uniforms by name; names that the compiler removed as unused are skipped."""
+    """Set uniforms by name, and skip uniforms that the compiler has removed as unused."""
     for name, value in values.items():
         uniform = program.get(name, None)
         if isinstance(uniform, moderngl.Uniform):

@@ -1,7 +1,7 @@
 """Camera paths around a capture.
 
-A path is a list of cameras, one per image. A looping path omits the last camera, which would equal
-the first, so that it repeats without a pause.
+A path is a list of cameras, one per image. A looping path omits its last camera, which would be equal to the first, so
+that the loop has no pause.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Bounds = tuple[Sequence[float], Sequence[float]]
 PathKind = Literal["orbit", "spiral", "cameras"]
 
 _MAX_GAP = np.radians(120)
-"""Above this gap in azimuth between neighbouring cameras, a side of the scene is unobserved."""
+"""Gap in azimuth between neighbouring cameras above which one side of the scene counts as unobserved."""
 
 
 def camera_path(
@@ -35,7 +35,7 @@ def camera_path(
     *,
     size: tuple[int, int] | None = None,
 ) -> list[Camera]:
-    """A looping path by name: :func:`orbit`, :func:`spiral`, or "cameras", through all cameras by azimuth."""
+    """A looping path: "orbit" (:func:`orbit`), "spiral" (:func:`spiral`), or "cameras" (all cameras by azimuth)."""
     if kind == "orbit":
         return orbit(cameras, steps, focus=focus, size=size)
     if kind == "spiral":
@@ -57,15 +57,15 @@ def orbit(
     """A looping circle around ``focus`` that starts at the azimuth of the first camera.
 
     Args:
-        cameras: of the capture; at least 1.
+        cameras: cameras of the capture; at least 1.
         steps: count of images, at least 1.
         focus: (3,) centre of the circle; None estimates it (:func:`estimate_focus`).
         up: (3,) up direction; None estimates it (:func:`estimate_up`).
-        distance: from the focus in world units; None for the median of the cameras.
-        elevation: degrees above the plane through the focus; None for the median of the cameras.
+        distance: distance from the focus in world units; None uses the median of the cameras.
+        elevation: degrees above the horizontal plane through the focus; None uses the median of the cameras.
         size: (width, height) in pixels; None for the first camera's.
-        full: True for a full circle, False to swing back and forth over the arc of the cameras.
-            None makes a full circle unless the cameras leave a gap of more than 120 degrees.
+        full: True makes a full circle. False swings back and forth over the arc of the cameras. None makes a full
+            circle unless the cameras leave a gap of more than 120 degrees.
     """
     rig = _measure_rig(cameras, steps, focus, up)
     distance = rig.distance if distance is None else distance
@@ -85,12 +85,12 @@ def spiral(
     size: tuple[int, int] | None = None,
     full: bool | None = None,
 ) -> list[Camera]:
-    """A looping :func:`orbit` of several turns, whose elevation makes one period of a sine.
+    """A looping :func:`orbit` of several turns, during which the elevation follows one period of a sine.
 
     Args:
-        turns: count of circles (or swings), at least 1.
-        swing: amplitude in degrees around the median elevation; None for the largest deviation of
-            the cameras, at least 10.
+        turns: count of full circles or of swings, at least 1.
+        swing: amplitude of the elevation in degrees around its median. None uses the largest deviation of the cameras,
+            but at least 10.
     """
     if turns < 1:
         raise ValueError(f"turns: expected at least 1, got {turns}")
@@ -110,15 +110,15 @@ def interpolate(
     loop: bool = True,
     size: tuple[int, int] | None = None,
 ) -> list[Camera]:
-    """A smooth path through ``cameras`` in their order.
+    """A smooth path through ``cameras`` in the given order.
 
-    Positions, orientations (quaternions), focal lengths and principal points follow cubic splines
-    with continuous second derivatives, at nearly constant speed.
+    Positions, orientations (quaternions), focal lengths and principal points follow cubic splines with continuous
+    second derivatives. The speed is nearly constant.
 
     Args:
-        cameras: at least 1; consecutive duplicates count once.
+        cameras: cameras to pass through; at least 1. Consecutive duplicates count once.
         steps: count of images, at least 1.
-        loop: return from the last camera to the first; otherwise the path ends at the last camera.
+        loop: whether the path returns from the last camera to the first. Otherwise it ends at the last camera.
         size: (width, height) in pixels; None for the first camera's.
     """
     _check_arguments(cameras, steps)
@@ -132,7 +132,7 @@ def interpolate(
 
 
 def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array | None = None) -> list[int]:
-    """Indices of the cameras by azimuth around ``focus``: an order for :func:`interpolate`.
+    """Indices of the cameras sorted by azimuth around ``focus``, for :func:`interpolate`.
 
     The order starts after the widest gap, so that a path through an arc of cameras follows the arc.
     """
@@ -144,11 +144,11 @@ def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array |
 
 
 def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> Array:
-    """(3,) the least-squares intersection of all optical axes.
+    """The least-squares intersection of all optical axes, (3,).
 
-    Where the axes do not determine a point in front of the cameras (they are nearly parallel, or
-    there is one camera), the result is the centre of ``bounds`` (lower, upper); without bounds, a
-    point in front of the cameras at three times their spread (at 1 for a single camera).
+    The axes do not determine a point in front of the cameras if they are nearly parallel or if there is one camera. The
+    result is then the centre of ``bounds`` (lower, upper). Without bounds it is a point in front of the cameras at
+    three times their spread, or at distance 1 for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -165,7 +165,7 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
 
 
 def fit_camera(camera: Camera, width: int, height: int) -> Camera:
-    """Resize an image without distortion or cropping: the new image contains the old one, scaled and centred."""
+    """Change the image size without distortion or cropping. The new image contains the old one, scaled and centred."""
     zoom = min(width / camera.width, height / camera.height)
     intrinsics = np.diag([zoom, zoom, 1.0]) @ camera.intrinsics
     intrinsics[0, 2] += (width - zoom * camera.width) / 2
@@ -179,10 +179,11 @@ class _Rig:
 
     Attributes:
         focus: (3,) origin.
-        axes: (3, 3) rows: towards the first camera in the horizontal plane, sideways, up.
-        azimuths: (C,) of the cameras, radians.
-        distance, elevation: medians of the cameras, world units and radians.
-        elevation_deviation: largest deviation from the median, radians.
+        axes: (3, 3) unit vectors as rows. The first points towards the first camera in the horizontal plane, the second
+            sideways, the third up.
+        azimuths: (C,) azimuths of the cameras in radians.
+        distance, elevation: medians of the cameras, in world units and in radians.
+        elevation_deviation: largest deviation from the median elevation, in radians.
         zoom: median focal length, in units of the shorter image side.
         size: (width, height) of the first camera.
     """
@@ -223,7 +224,7 @@ def _measure_rig(
     local = offsets @ axes.T
     distances = np.maximum(np.linalg.norm(local, axis=1), 1e-9)
     elevations = np.arcsin(np.clip(local[:, 2] / distances, -1, 1))
-    # At 90 degrees the up direction would be parallel to the view direction.
+    # At an elevation of 90 degrees, the up direction would be parallel to the view direction.
     median = float(np.clip(np.median(elevations), -np.radians(80), np.radians(80)))
     zooms = [camera.intrinsics[1, 1] / min(camera.width, camera.height) for camera in cameras]
     return _Rig(
@@ -239,7 +240,7 @@ def _measure_rig(
 
 
 def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> Array:
-    """(steps,) azimuths of full circles, or of swings over the arc of the cameras."""
+    """Azimuths (steps,) of full circles, or of swings over the arc of the cameras."""
     phases = 2 * np.pi * turns * np.arange(steps) / steps
     ordered = np.sort(rig.azimuths)
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
@@ -254,10 +255,10 @@ def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> 
 
 
 def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
-    """(steps, D) samples of the spline through ``knots`` (M, D), at equal steps of its length."""
+    """Samples (steps, D) of the spline through ``knots`` (M, D), at equal distances along the spline."""
     if loop:
-        # After one loop the quaternions can return with the opposite sign, which is the same rotation.
-        # Two loops are always periodic, and the first is sampled.
+        # After one loop, the quaternions can have the opposite sign, although the rotation is the same. Two loops are
+        # always periodic, so the spline covers two loops and the first is sampled.
         knots = _align_signs(np.concatenate([knots, knots, knots[:1]]))
     else:
         knots = _align_signs(knots)
@@ -271,14 +272,14 @@ def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
 
 
 def _to_vector(camera: Camera) -> Array:
-    """(11,) centre, quaternion, log focal lengths, principal point."""
+    """A camera as a vector (11,): centre, quaternion, log focal lengths and principal point."""
     k = camera.intrinsics
     quaternion = Rotation.from_matrix(camera.rotation).as_quat()
     return np.concatenate([camera.centre, quaternion, np.log([k[0, 0], k[1, 1]]), k[:2, 2]])
 
 
 def _from_vector(vector: Array, width: int, height: int) -> Camera:
-    """The inverse of :func:`_to_vector`; the quaternion need not be of unit length."""
+    """The inverse of :func:`_to_vector`. The quaternion does not need unit length."""
     rotation = Rotation.from_quat(vector[3:7]).as_matrix()
     focal = np.exp(vector[7:9])
     intrinsics = np.array([[focal[0], 0, vector[9]], [0, focal[1], vector[10]], [0, 0, 1.0]])
@@ -286,7 +287,7 @@ def _from_vector(vector: Array, width: int, height: int) -> Camera:
 
 
 def _align_signs(knots: Array) -> Array:
-    """Negate quaternions so that consecutive ones have a positive dot product: the shorter rotation."""
+    """Negate quaternions so that consecutive ones have a positive dot product, which selects the shorter rotation."""
     knots = knots.copy()
     for previous, current in pairwise(knots):
         if previous[3:7] @ current[3:7] < 0:
@@ -295,7 +296,7 @@ def _align_signs(knots: Array) -> Array:
 
 
 def _drop_duplicates(knots: Array, loop: bool) -> Array:
-    """Drop knots that equal the previous one."""
+    """Drop each knot that is equal to the previous knot."""
     previous = np.roll(knots, 1, axis=0)
     scale = max(float(np.ptp(knots[:, :3], axis=0).max()), 1e-12)
     keep = _distances(previous, knots) > 1e-6 * min(scale, 1.0)
@@ -305,7 +306,7 @@ def _drop_duplicates(knots: Array, loop: bool) -> Array:
 
 
 def _distances(first: Array, second: Array) -> Array:
-    """Lengths of the steps: translation plus a share of rotation, so that pure rotations take time."""
+    """Length of each step: translation plus weighted rotation, so that a pure rotation also takes time."""
     turn = 1 - np.abs((first[:, 3:7] * second[:, 3:7]).sum(axis=1)).clip(max=1)
     moved = np.linalg.norm(first[:, :3] - second[:, :3], axis=1)
     return np.hypot(moved, np.sqrt(turn) * 0.1 * max(float(moved.mean()), 1e-3))

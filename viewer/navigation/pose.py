@@ -1,4 +1,4 @@
-"""The viewer's pose, and how mouse and keys move it; the same motions as in Blender and three.js OrbitControls."""
+"""The viewer's pose and its motions by mouse and keys, as in Blender and three.js OrbitControls."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _MAX_DISTANCE = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """An eye and a pivot on its viewing axis. Lengths are in world units.
+    """A viewpoint: an eye, and a pivot on its viewing axis. Lengths are in world units.
 
     Attributes:
-        pivot: (3,) centre of orbits.
-        rotation: (3, 3) R_camera_world; x right, y down, z forward.
-        distance: from the eye to the pivot, above 0.
-        field_of_view: vertical, in radians.
-        up: (3,) unit vector, the up direction of the world.
+        pivot: (3,) point that the eye orbits around.
+        rotation: (3, 3) R_camera_world. The camera's x axis points right, y down and z forward.
+        distance: distance from the eye to the pivot, above 0.
+        field_of_view: vertical field of view in radians.
+        up: (3,) up direction of the world, a unit vector.
         offset: (x, y) of the principal point from the image centre, in image heights.
     """
 
@@ -47,7 +47,7 @@ class Pose:
         return self.pivot - self.distance * self.rotation[2]
 
     def camera(self, width: int, height: int) -> Camera:
-        """The camera of an image of ``width`` x ``height`` pixels."""
+        """The camera of this pose for an image of ``width`` x ``height`` pixels."""
         focal = height / 2 / np.tan(self.field_of_view / 2)
         intrinsics = np.array(
             [
@@ -59,13 +59,16 @@ class Pose:
         return Camera(intrinsics, self.rotation, -self.rotation @ self.eye, width, height)
 
     def orbit(self, right: float, down: float) -> Pose:
-        """Rotate about the pivot, as if the scene were dragged by these angles in radians; stops at the poles."""
+        """Rotate about the pivot, as if the scene were dragged by these angles in radians.
+
+        The rotation stops at the poles.
+        """
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # The image's x axis would pass over the pole where the camera has roll.
+        # With camera roll, a rotation about the x axis of the image would pass over the pole.
         level = level / length if length > 1e-6 else self.rotation[0]
-        if level @ self.rotation[0] < 0:  # upside down: keep the drag direction on screen
+        if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down
         angle = float(np.arccos(np.clip(forward @ self.up, -1, 1)))
         limits = min(angle, _MIN_POLE_ANGLE), max(angle, np.pi - _MIN_POLE_ANGLE)
@@ -74,12 +77,12 @@ class Pose:
         return replace(self, rotation=_nearest_rotation(self.rotation @ turn.T))
 
     def pan(self, right: float, down: float) -> Pose:
-        """Translate, as if the scene at the pivot's depth were dragged by these fractions of the image height."""
+        """Translate, as if the scene at the depth of the pivot were dragged by these fractions of the image height."""
         length = 2 * np.tan(self.field_of_view / 2) * self.distance
         return replace(self, pivot=self.pivot - length * (right * self.rotation[0] + down * self.rotation[1]))
 
     def dolly(self, factor: float) -> Pose:
-        """Multiply the distance to the pivot by ``factor``, above 0."""
+        """Multiply the distance to the pivot by ``factor``, which is above 0."""
         return replace(self, distance=float(np.clip(self.distance * factor, _MIN_DISTANCE, _MAX_DISTANCE)))
 
     def fly(self, right: float, up: float, forward: float) -> Pose:
@@ -88,19 +91,19 @@ class Pose:
         return replace(self, pivot=self.pivot + step)
 
     def with_field_of_view(self, radians: float) -> Pose:
-        """The pose with another vertical field of view, clamped to its range."""
+        """The pose with another vertical field of view, clamped to the allowed range."""
         return replace(self, field_of_view=float(np.clip(radians, MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW)))
 
 
 def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
     """The pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
-    The pivot is the point of the viewing axis nearest to ``focus`` where that is in front of the
-    camera, else a point at distance 1.
+    The pivot is the point of the viewing axis nearest to ``focus``. If that point is not in front of the camera, the
+    pivot is at distance 1.
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
-    # A pose has square pixels; the shorter focal length of the two crops nothing.
+    # A pose has square pixels. The shorter of the two focal lengths avoids cropping.
     focal = zoom * float(min(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
     distance = float((np.asarray(focus, np.float64) - camera.centre) @ camera.forward)
     if not distance > _MIN_DISTANCE:
@@ -119,13 +122,13 @@ def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, 
 
 
 def pose_facing(eye: Array, pivot: Array, up: Array, field_of_view: float) -> Pose:
-    """The pose at ``eye`` that faces ``pivot``, with ``up`` towards the top of the image."""
+    """The pose at ``eye`` that looks at ``pivot``, with ``up`` towards the top of the image."""
     camera = look_at(eye, pivot, up, np.eye(3), 1, 1)
     return Pose(pivot, camera.rotation, float(np.linalg.norm(pivot - eye)), field_of_view, up)
 
 
 def interpolate_poses(start: Pose, end: Pose, fraction: float) -> Pose:
-    """The pose at ``fraction`` in [0, 1] of the way from ``start`` to ``end``, with smoothstep easing."""
+    """Interpolate from ``start`` to ``end`` at ``fraction`` in [0, 1], with smoothstep easing."""
     t = fraction * fraction * (3 - 2 * fraction)
     if fraction >= 1:
         return end
@@ -144,11 +147,11 @@ def interpolate_poses(start: Pose, end: Pose, fraction: float) -> Pose:
 
 
 def _rotation_matrix(vector: Array) -> Array:
-    """The rotation about ``vector`` (3,) by its length in radians."""
+    """The rotation matrix of a rotation vector (3,), whose length is the angle in radians."""
     return np.asarray(cv2.Rodrigues(np.ascontiguousarray(vector, np.float64))[0], np.float64)
 
 
 def _nearest_rotation(rotation: Array) -> Array:
-    """The nearest rotation matrix; removes the rounding that accumulates over thousands of small rotations."""
+    """The nearest rotation matrix. This removes rounding errors that accumulate over thousands of small rotations."""
     left, _, right = np.linalg.svd(rotation)
     return left @ right

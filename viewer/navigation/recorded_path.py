@@ -1,4 +1,4 @@
-"""A recorded camera path: poses and frames at a constant rate, and its file format."""
+"""Recorded camera paths, which are poses and frames at a constant rate, and their file format."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _MAX_BYTES = 256 << 20
 
 @dataclass(frozen=True, eq=False)
 class PathSample:
-    """The pose and the frame at one time."""
+    """The pose and the frame index at one time."""
 
     pose: Pose
     frame: int
@@ -27,7 +27,7 @@ class PathSample:
 
 @dataclass(frozen=True, eq=False)
 class RecordedPath:
-    """Samples at ``fps`` per second."""
+    """A recorded path with ``fps`` samples per second."""
 
     samples: tuple[PathSample, ...]
     fps: float = RECORDED_FPS
@@ -44,7 +44,7 @@ class RecordedPath:
 
 
 class PathRecorder:
-    """Records samples at RECORDED_FPS, independent of the rate of :meth:`advance`."""
+    """Records RECORDED_FPS samples per second, independent of how often :meth:`advance` is called."""
 
     def __init__(self) -> None:
         self._samples: list[PathSample] = []
@@ -52,22 +52,22 @@ class PathRecorder:
 
     @property
     def seconds(self) -> float:
-        """Duration of the recording so far."""
+        """Duration of the recording in seconds."""
         return self._seconds
 
     def advance(self, seconds: float, pose: Pose, frame: int) -> None:
-        """Advance the recording by ``seconds``, to ``pose`` and ``frame``."""
+        """Advance the recording by ``seconds``. ``pose`` and ``frame`` are the values at the new time."""
         self._seconds += seconds
         while len(self._samples) < self._seconds * RECORDED_FPS:
             self._samples.append(PathSample(pose, frame))
 
     def path(self) -> RecordedPath:
-        """The recording so far."""
+        """The samples recorded until now."""
         return RecordedPath(tuple(self._samples))
 
 
 def load_recorded_path(path: Path) -> RecordedPath:
-    """Read a recorded path. Raises UserError that names the file and the fix."""
+    """Read a recorded path. Raises UserError with a message that names the file and the fix."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError(f"expected at most {_MAX_BYTES} bytes")

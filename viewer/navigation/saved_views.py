@@ -1,4 +1,4 @@
-"""The last view of each scene, in the user's state folder."""
+"""Stores the last view of each scene in the user's state folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_SCENES = 200
 
 
 def default_file() -> Path:
-    """The file for saved views in the platform's state folder."""
+    """Path of the file with saved views, in the platform's folder for application state."""
     return platformdirs.user_state_path("fourd") / "views.json"
 
 
@@ -53,20 +53,20 @@ def pose_from_json(content: Any) -> Pose:
 
 
 class SavedViews:
-    """Poses by scene. A file that cannot be read counts as empty; one that cannot be written stays unchanged."""
+    """Poses by scene. A file that cannot be read counts as empty. A file that cannot be written stays unchanged."""
 
     def __init__(self, file: Path) -> None:
         self._file = file
 
     def load(self, scene: Path) -> Pose | None:
-        """The saved pose of a scene; None where there is none."""
+        """The saved pose of a scene; None if no pose is saved."""
         try:
             return pose_from_json(self._read().get(_key(scene)))
         except ValueError:
             return None
 
     def save(self, scene: Path, pose: Pose) -> None:
-        """Save the pose; above 200 scenes, the oldest views are dropped."""
+        """Save the pose. Views of up to 200 scenes are kept, and the oldest are dropped."""
         views = self._read()
         views.pop(_key(scene), None)
         views[_key(scene)] = pose_to_json(pose)

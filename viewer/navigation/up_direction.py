@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def estimate_up(cameras: Sequence[Camera]) -> Array:
-    """(3,) unit mean of the cameras' -y axes; the first camera's where they cancel out."""
+    """Normalised mean (3,) of the cameras' -y axes; the -y axis of the first camera if the axes cancel out."""
     mean = np.mean([-camera.rotation[1] for camera in cameras], axis=0)
     if np.linalg.norm(mean) < 1e-3:
         mean = -cameras[0].rotation[1]

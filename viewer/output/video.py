@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fourd.errors import UserError
 from fourd.files import atomic_path
 
-# ITU-T H.273 code points of BT.709; 1 is also FFmpeg's "limited range".
+# The ITU-T H.273 code points of BT.709 are 1. FFmpeg's code of "limited range" is also 1.
 _BT709 = 1
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "h264")
 
@@ -23,18 +23,18 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
     """Write images as an MP4 (H.264, yuv420p, BT.709), which every player opens.
 
     Args:
-        path: the file, written atomically: when an image raises, no file is left.
-        images: (H, W, 3) RGB, uint8 or float in [0, 1], all of one size. They are consumed one by
-            one, so a generator keeps memory constant. Odd sides are padded by a copy of the last
-            row or column, because yuv420p needs even sides.
+        path: the file, written atomically. If an image raises an exception, no file is left.
+        images: (H, W, 3) RGB, uint8 or float in [0, 1], all of one size. Images are consumed one by one, so memory
+            stays constant with a generator. An odd side is padded by a copy of the last row or column, because yuv420p
+            needs even sides.
         fps: images per second, above 0.
-        quality: x264's CRF, 0 (lossless) to 51; smaller is better and larger.
+        quality: x264's CRF, from 0 (lossless) to 51. A smaller CRF gives better quality and a larger file.
 
     Returns:
         The count of images written.
 
     Raises:
-        UserError: when there is no H.264 encoder, or ``images`` is empty.
+        UserError: when there is no H.264 encoder, or when ``images`` is empty.
         ValueError: when an image differs in shape from the first.
     """
     path = Path(path)

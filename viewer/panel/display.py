@@ -1,4 +1,4 @@
-"""Display settings: K, point size, density, background."""
+"""The Display section: K, point size, density and background."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Controls: the list of mouse and keyboard controls."""
+"""The Controls section, which lists the mouse and keyboard controls."""
 
 from __future__ import annotations
 

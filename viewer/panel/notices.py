@@ -1,4 +1,4 @@
-"""Notices over the image: the message line, and a spinner while something loads."""
+"""Draws notices over the image: the message line, and a spinner while a scene or a frame is being read."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from imgui_bundle import imgui
 from fourd.viewer.state import ViewerState
 
 MARGIN = 10.0
-"""Distance from the window's edges in mouse units."""
+"""Distance of the notices from the edges of the window, in window coordinates."""
 
 _SPINNER = "|/-\\"
 _FLAGS = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_nav
 
 
 def draw_notices(state: ViewerState) -> None:
-    """Draw the spinner and the message that apply."""
+    """Draw the spinner if something is being read, and the message if there is one."""
     session = state.session
     if session.is_opening or session.is_waiting:
         _draw_spinner(state, "opening" if session.is_opening else "reading a frame")

@@ -1,4 +1,4 @@
-"""Output: screenshots, recorded paths, videos."""
+"""The Output section: screenshots, recorded paths and videos."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Playback: play, pause, step, seek, speed."""
+"""The Playback section: play, pause, step, seek and speed."""
 
 from __future__ import annotations
 

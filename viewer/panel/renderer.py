@@ -1,4 +1,4 @@
-"""Renderer: its name, why it was chosen, and the time per stage."""
+"""The Renderer section: the renderer's name, the reason for the choice, and the time per part of an image."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from imgui_bundle import imgui, implot
 from fourd.viewer.panel.section import PANEL_WIDTH, Section, text_scale
 from fourd.viewer.rendering.renderers import RENDERERS
 from fourd.viewer.state import ViewerState
-from fourd.viewer.timings import STAGES
+from fourd.viewer.timings import PARTS
 
 _PLOT_HEIGHT = 110.0
 
@@ -23,12 +23,12 @@ def _draw(state: ViewerState) -> None:
         age = renderer.stale_images
         imgui.text_disabled(f"sorted in {1e3 * renderer.sort_seconds:.1f} ms, {age} image{'' if age == 1 else 's'} old")
     medians = state.timings.medians()
-    imgui.text(", ".join(f"{stage} {medians[stage]:.1f}" for stage in STAGES) + " ms")
+    imgui.text(", ".join(f"{part} {medians[part]:.1f}" for part in PARTS) + " ms")
     _draw_plot(state)
 
 
 def _draw_plot(state: ViewerState) -> None:
-    """A stacked plot of the time per stage."""
+    """Draw a stacked plot of the time per part."""
     tops = state.timings.cumulative()
     scale = text_scale(state)
     size = imgui.ImVec2(scale * (PANEL_WIDTH - 20), scale * _PLOT_HEIGHT)
@@ -40,9 +40,9 @@ def _draw_plot(state: ViewerState) -> None:
     implot.setup_axis_limits(implot.ImAxis_.x1, 0, len(tops), imgui.Cond_.always)
     bottom = np.zeros(len(tops))
     positions = np.arange(len(tops), dtype=np.float64)
-    for column, stage in enumerate(STAGES):
+    for column, part in enumerate(PARTS):
         top = np.ascontiguousarray(tops[:, column])
-        implot.plot_shaded(stage, positions, bottom, top)
+        implot.plot_shaded(part, positions, bottom, top)
         bottom = top
     implot.end_plot()
 

@@ -8,18 +8,18 @@ from dataclasses import dataclass
 from fourd.viewer.state import ViewerState
 
 PANEL_WIDTH = 320.0
-"""Minimum width in mouse units at a text scale of 1."""
+"""Minimum width of the panel at a text scale of 1, in window coordinates."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the panel.
+    """A section of the panel.
 
     Attributes:
-        title: of the collapsible header; empty for a section without one.
-        draw: draws the widgets and applies their changes.
+        title: title of the collapsible header; empty for a section without a header.
+        draw: function that draws the widgets and applies the user's changes.
         needs_scene: whether the section is hidden while no scene is open.
-        is_open: whether it is expanded at first.
+        is_open: whether the section is expanded at first.
     """
 
     title: str
@@ -29,6 +29,9 @@ class Section:
 
 
 def text_scale(state: ViewerState) -> float:
-    """The scale of text and widgets: the display's, unless the framebuffer is already larger than the window."""
+    """The scale of text and widgets.
+
+    It is the scale of the display, or 1 if the framebuffer is already larger than the window.
+    """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

@@ -1,4 +1,4 @@
-"""Viewpoint: capture camera, field of view, initial view."""
+"""The Viewpoint section: capture camera, field of view and initial view."""
 
 from __future__ import annotations
 

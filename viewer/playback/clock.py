@@ -1,4 +1,4 @@
-"""The playback clock: which frame is shown at which time."""
+"""The playback clock, which selects the frame to show."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ class Playback:
     """A clock over the frames of a scene.
 
     Attributes:
-        frame_count: at least 1.
+        frame_count: count of frames, at least 1.
         fps: frames per second at speed 1.
         speed: factor on ``fps``; negative plays backwards.
         is_playing: whether :meth:`advance` moves the clock.
-        is_looping: whether playback wraps at the ends; otherwise it pauses there.
+        is_looping: whether playback wraps at the first and the last frame. Otherwise it pauses there.
     """
 
     frame_count: int
@@ -27,7 +27,7 @@ class Playback:
 
     @property
     def frame(self) -> int:
-        """The frame to show, from 0."""
+        """Index of the frame to show, from 0."""
         return min(int(self._position), self.frame_count - 1)
 
     @property
@@ -36,7 +36,7 @@ class Playback:
         return -1 if self.speed < 0 else 1
 
     def advance(self, seconds: float) -> None:
-        """Move the clock by ``seconds``; at an end, wrap or pause."""
+        """Move the clock by ``seconds``. At the first or the last frame, wrap or pause."""
         if not self.is_playing or self.frame_count < 2:
             return
         self._position += seconds * self.fps * self.speed
@@ -49,7 +49,7 @@ class Playback:
             self.is_playing = False
 
     def seconds_to_next_frame(self) -> float:
-        """Time until the frame changes; infinite while paused."""
+        """Seconds until the frame changes; infinite while paused."""
         if not self.is_playing or self.frame_count < 2 or self.speed == 0:
             return math.inf
         fraction = self._position - int(self._position)
@@ -57,16 +57,16 @@ class Playback:
         return frames / (self.fps * abs(self.speed))
 
     def seek(self, frame: int) -> None:
-        """Go to a frame, clamped to the scene."""
+        """Seek to a frame. The index is clamped to the scene."""
         self._position = float(min(max(frame, 0), self.frame_count - 1))
 
     def step(self, frames: int) -> None:
-        """Pause and move by ``frames``, wrapping at the ends."""
+        """Pause and move by ``frames``, wrapping at the first and the last frame."""
         self.is_playing = False
         self._position = float((self.frame + frames) % self.frame_count)
 
     def toggle(self) -> None:
-        """Play or pause. At the last frame of a scene that does not loop, play from the first."""
+        """Play or pause. At the last frame of a scene that does not loop, playback restarts at the first frame."""
         self.is_playing = not self.is_playing
         last = self.frame_count - 1 if self.direction > 0 else 0
         if self.is_playing and not self.is_looping and self.frame == last:

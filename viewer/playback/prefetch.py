@@ -1,4 +1,4 @@
-"""Prefetches frames in playback order with a thread, in bounded memory."""
+"""A thread prefetches frames in playback order, within a memory limit."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ _MAX_FRAMES = 32
 
 
 class BakedFrameSource(Protocol):
-    """Reads baked frames; used by one thread at a time."""
+    """Reads baked frames. Only one thread uses a source at a time."""
 
     @property
     def manifest(self) -> SceneManifest:
         """The manifest of the scene."""
 
     def read(self, index: int) -> BakedFrame:
-        """Read a frame; slow. Raises UserError when it is damaged."""
+        """Read a frame, which may take long. Raises UserError if the frame is damaged."""
 
     def close(self) -> None:
         """Close files."""
 
 
 class FramePrefetcher:
-    """Returns buffered frames and reads the following ones in a thread. :meth:`get` is for one thread."""
+    """Returns buffered frames and reads the following frames in a thread. Only one thread may call :meth:`get`."""
 
     def __init__(self, source: BakedFrameSource, buffer_bytes: int = BUFFER_BYTES) -> None:
-        """Owns ``source`` and closes it.
+        """Takes ownership of ``source`` and closes it.
 
-        ``buffer_bytes`` covers the buffered frames and the background that the source keeps. At
+        ``buffer_bytes`` is the memory limit for the buffered frames and the background that the source keeps. At
         least two frames are buffered.
         """
         self._source = source
@@ -45,7 +45,7 @@ class FramePrefetcher:
         self._buffer: dict[int, BakedFrame | UserError] = {}
         self._head, self._direction = 0, 1
         self._has_started = False
-        self._largest: int | None = None  # bytes of the largest frame so far
+        self._largest: int | None = None  # bytes of the largest frame read until now
         self._generation = 0  # frames read for an earlier generation are dropped
         self._is_stopped = False
         self._failure: BaseException | None = None
@@ -53,9 +53,9 @@ class FramePrefetcher:
         self._thread.start()
 
     def get(self, index: int, direction: int = 1, wait: bool = False) -> BakedFrame | None:
-        """A frame, or None while it is being read; the frames after it in ``direction`` are prefetched.
+        """A frame, or None while it is being read. The next frames in ``direction`` are prefetched.
 
-        Raises UserError when the frame is damaged, IndexError outside the scene.
+        Raises UserError if the frame is damaged, and IndexError if the scene does not have the frame.
         """
         if not 0 <= index < self._frame_count:
             raise IndexError(f"frame: expected 0 to {self._frame_count - 1}, got {index}")
@@ -68,12 +68,13 @@ class FramePrefetcher:
             self._raise_failure()
             found = self._buffer.get(index)
         if isinstance(found, UserError):
-            raise UserError(str(found))  # a new one, because the traceback of an exception grows with every raise
+            # A new exception, because the traceback of an exception grows each time that it is raised.
+            raise UserError(str(found))
         return found
 
     @property
     def frames_ahead(self) -> int:
-        """How many frames after the current one are buffered without a gap."""
+        """Count of consecutive frames after the current one that are buffered."""
         with self._changed:
             upcoming = self._playback_order()
             next(upcoming)
@@ -110,7 +111,7 @@ class FramePrefetcher:
                 self._changed.notify_all()
 
     def _read_next(self) -> bool:
-        """Wait for a frame to read and read it. Returns False once stopped."""
+        """Wait until a frame is needed and read it. Returns False after :meth:`close`."""
         with self._changed:
             index = self._first_missing()
             while not self._is_stopped and index is None:
@@ -147,7 +148,10 @@ class FramePrefetcher:
             del self._buffer[index]
 
     def _capacity(self) -> int:
-        """How many frames of the largest size so far fit; the bound is conservative, so eviction frees enough."""
+        """Count of frames that fit if all are as large as the largest frame read until now.
+
+        This bound is conservative, so that evicting one frame frees enough memory for another.
+        """
         if self._largest is None:
             return min(_MIN_FRAMES, self._frame_count)
         fitting = self._frame_bytes // max(self._largest, 1)

@@ -1,4 +1,4 @@
-"""Frame sources: a `.4dv` file, or a run whose newest checkpoint is baked frame by frame."""
+"""Frame sources. A source is a `.4dv` file, or a run whose newest checkpoint is baked frame by frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _NICENESS = 10
 
 
 class RunSource:
-    """Bakes frames of a run's newest checkpoint; needs torch. Used by one thread at a time.
+    """Bakes frames of the newest checkpoint of a run. It needs torch. Only one thread uses it at a time.
 
     Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """
@@ -29,7 +29,7 @@ class RunSource:
         self._folder = folder
         self._trained: TrainedRun | None = None
         self._background: BakedFrame | None = None
-        self._background_step = -1  # of the checkpoint that the background is baked from
+        self._background_step = -1  # training step of the checkpoint from which the background is baked
         trained = self._load_newest()
         require_bakeable(trained.run)
         self.manifest: SceneManifest = make_manifest(trained)
@@ -41,10 +41,10 @@ class RunSource:
         return max(names, default="")
 
     def read(self, index: int) -> BakedFrame:
-        """Bake a frame of the newest checkpoint. Raises UserError when it has values that are not finite."""
+        """Bake a frame of the newest checkpoint. Raises UserError if the frame has values that are not finite."""
         try:
             return self._bake(index)
-        except FileNotFoundError:  # training replaced the checkpoint while it was loaded
+        except FileNotFoundError:  # training has replaced the checkpoint while this method was loading it
             return self._bake(index)
 
     def close(self) -> None:
@@ -102,7 +102,7 @@ def _lower_priority() -> None:
 def open_frame_source(path: Path) -> BakedFrameSource:
     """Open a `.4dv` file or a run's folder.
 
-    Raises UserError that names the file and the fix.
+    Raises UserError with a message that names the file and the fix.
     """
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")

@@ -1,1 +1,1 @@
-"""The renderers behind one interface, and the choice among them."""
+"""The renderers, their common interface, and the automatic choice of a renderer."""

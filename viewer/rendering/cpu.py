@@ -1,4 +1,4 @@
-"""The renderer that needs no GPU: the native kernel."""
+"""The cpu renderer, which uses the native kernel and needs no GPU."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class CPURenderer:
-    """Renders with the native kernel; in a window, the image is uploaded."""
+    """Renders with the native kernel. In a window, the image is then uploaded to OpenGL."""
 
     name = "cpu"
     stale_images = 0
@@ -41,7 +41,7 @@ class CPURenderer:
         )
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw into ``canvas`` at the camera's size."""
+        """Draw into ``canvas`` at the image size of the camera."""
         canvas.write(self.render(request))
 
     def release(self) -> None:

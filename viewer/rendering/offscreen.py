@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 class OffscreenRenderer:
-    """Renders requests to arrays with any renderer; with cpu it needs no OpenGL. Use as a context manager."""
+    """Renders requests to arrays with any renderer. The cpu renderer needs no OpenGL. Use as a context manager."""
 
     def __init__(self, requested: RendererName | Literal["auto"]) -> None:
-        """Raises UserError when a GL renderer is requested and there is no OpenGL."""
+        """Raises UserError when an OpenGL renderer is requested but OpenGL is not available."""
         self._context = None if requested == "cpu" else _make_context(requested)
         self.choice: RendererChoice = choose_renderer(
             requested, None if self._context is None else _driver_name(self._context)
@@ -59,7 +59,7 @@ class OffscreenRenderer:
 
 
 def _make_context(requested: RendererName | Literal["auto"]) -> moderngl.Context | None:
-    """A context; None where there is no OpenGL and the renderer is chosen automatically."""
+    """An OpenGL context; None if OpenGL is not available and the renderer is chosen automatically."""
     from fourd.viewer.gl.context import offscreen_context
 
     try:

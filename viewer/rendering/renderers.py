@@ -39,17 +39,17 @@ class Renderer(Protocol):
 
     @property
     def stale_images(self) -> int:
-        """Count of consecutive images drawn with the depth order of an earlier request; 0 when exact."""
+        """Count of consecutive images drawn with the depth order of an earlier request; 0 when the order is current."""
 
     @property
     def sort_seconds(self) -> float:
-        """Duration of the last depth sort; 0 for renderers that do not sort."""
+        """Duration of the last depth sort in seconds; 0 for renderers that do not sort."""
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw into ``canvas`` at the camera's size.
+        """Draw into ``canvas`` at the image size of the camera.
 
-        With ``wait``, frame and depth order are the request's own; otherwise they may be of an
-        earlier request.
+        With ``wait``, the frame and the depth order are those of this request. Otherwise they may be from an earlier
+        request.
         """
 
     def release(self) -> None:
@@ -68,11 +68,11 @@ def choose_renderer(requested: RendererName | Literal["auto"], driver: str | Non
     """Choose a renderer.
 
     Args:
-        requested: the user's choice.
-        driver: GL_RENDERER; None where there is no OpenGL.
+        requested: the renderer that the user has requested, or "auto".
+        driver: the driver's GL_RENDERER string; None if OpenGL is not available.
 
     Raises:
-        UserError: when a GL renderer is requested and there is no OpenGL.
+        UserError: when an OpenGL renderer is requested but OpenGL is not available.
     """
     if requested == "cpu":
         return RendererChoice("cpu", "as requested")
@@ -90,7 +90,7 @@ def choose_renderer(requested: RendererName | Literal["auto"], driver: str | Non
 
 
 def make_renderer(name: RendererName, context: moderngl.Context | None, precision: Precision = "float16") -> Renderer:
-    """Create a renderer; ``precision`` is that of arrays and render targets on the GPU.
+    """Create a renderer. ``precision`` is the floating-point type of arrays and render targets on the GPU.
 
     Raises ImportError where the native module is not built.
     """

@@ -1,12 +1,12 @@
 // Per-disc outputs that the vertex shaders of all geometry passes share.
 
-uniform vec2 size;     // of the image, in pixels
-uniform bool upright;  // image row 0 at the top of the framebuffer, as displayed; otherwise at its bottom
+uniform vec2 size;     // width and height of the image in pixels
+uniform bool upright;  // true: image row 0 at the top of the framebuffer, as on screen; false: at its bottom
 
 in vec4 disc;   // u, v, 1 / radius^2, radius; in pixels
 in vec4 paint;  // red, green, blue, density
 
-flat out vec3 disc_centre;  // window position, and 1 / radius^2
+flat out vec3 disc_centre;  // centre in window coordinates, and 1 / radius^2
 flat out vec4 tint;
 flat out float rank;  // 1 for the first disc drawn
 

@@ -1,8 +1,8 @@
 #version 330 core
 // Composites the two layers of a dual peeling pass: the nearer one behind `front`, the farther one in front of `back`.
 
-uniform sampler2D bounds;  // minus the rank of the nearer layer, and the rank of the farther one
-uniform sampler2D discs;   // two texels per disc, by rank
+uniform sampler2D bounds;  // (-rank of the nearer layer, rank of the farther layer)
+uniform sampler2D discs;   // two texels per disc, in order of rank
 uniform sampler2D front;
 uniform sampler2D back;
 uniform bool front_only;

@@ -1,9 +1,9 @@
 #version 330 core
-// Geometry pass of dual depth peeling (Bavoil and Myers 2008): with max blending, one pass finds the nearest and the
+// Geometry pass of dual depth peeling (Bavoil and Myers 2008). With max blending, one pass finds the nearest and the
 // farthest remaining layer of each pixel. Ranks replace depths, because no two points share a rank.
 #include "alpha.glsl"
 
-uniform sampler2D bounds;  // of the previous pass: minus the nearest rank, and the farthest; (-NONE, -NONE) where empty
+uniform sampler2D bounds;  // previous pass: (-nearest rank, farthest rank); (-NONE, -NONE) for pixels without layers
 uniform bool front_only;
 
 flat in vec3 disc_centre;

@@ -1,6 +1,6 @@
 #version 330 core
-// Keeps the pixels that have layers left between front and back; with `visible_only`, only those whose next layer is
-// visible through the front. An occlusion query counts them.
+// Keeps the pixels that have layers left between front and back. With `visible_only`, it keeps only pixels whose next
+// layer is visible through the front. An occlusion query counts them.
 
 uniform sampler2D bounds;
 uniform sampler2D front;

@@ -1,6 +1,6 @@
 #version 330 core
-// Projects and shades one point. Transform feedback stores the result once per image for the passes that draw it.
-// The operations and their order are those of fourd/ops/points/reference.py and fourd/baking/shade.py.
+// Projects and shades one point. Transform feedback stores the result once per image, and all geometry passes draw from
+// it. The operations and their order are those of fourd/ops/points/reference.py and fourd/baking/shade.py.
 
 uniform sampler2D xyz;            // one texel per point
 uniform sampler2D radius;
@@ -9,8 +9,8 @@ uniform sampler2D sh;             // 12 texels per point: 16 coefficients of red
 uniform sampler2D blend_weights;  // `views` texels per point
 uniform sampler2D rgb;            // `views` texels per point
 uniform int views;
-uniform int dynamic_count;        // the dynamic points are stored first,
-uniform int gap;                  // then this many unused places, then the background
+uniform int dynamic_count;        // count of dynamic points, which are stored first
+uniform int gap;                  // count of unused slots between the dynamic points and the background
 
 uniform vec3 intrinsics_x;  // the first two rows of K
 uniform vec3 intrinsics_y;
@@ -31,7 +31,7 @@ in uint point;
 out vec4 disc;   // u, v, 1 / rho^2, rho; in pixels
 out vec4 paint;  // red, green, blue, density
 
-int slot;  // of the point in the textures
+int slot;  // index of the point in the textures
 
 ivec2 at(int texel) { return ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW); }
 

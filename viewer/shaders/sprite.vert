@@ -1,6 +1,6 @@
 #version 330 core
-// A disc's bounding square as a point sprite: a quarter of the vertices of a quad, but drivers limit its size. OpenGL
-// drops sprites with their centre outside the viewport, so the viewport extends past the image by `margin`.
+// A disc's bounding square as a point sprite. A sprite needs a quarter of the vertices of a quad, but drivers limit its
+// size. OpenGL drops sprites whose centre is outside the viewport, so the viewport extends past the image by `margin`.
 #include "disc.glsl"
 
 uniform float margin;  // in pixels
