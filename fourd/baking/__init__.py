@@ -1,4 +1,4 @@
-"""Baked scenes: the `.4dv` file, and rendering it without torch and without the model."""
+"""Baked scenes: reading and writing `.4dv` files, and rendering them without torch and without the model."""
 
 from fourd.baking.combine import combine_frames
 from fourd.baking.container import SceneReader, SceneWriter

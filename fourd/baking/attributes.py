@@ -1,8 +1,8 @@
-"""The arrays of a baked frame, declared once: the file, the manifest, combining and the GL upload follow this table.
+"""The table of a baked frame's arrays. The file, the manifest, combining and the OpenGL upload all use it.
 
 To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True`` and a field of the same name to
-:class:`fourd.baking.scene.BakedFrame`, and compute it in :mod:`fourd.baking.bake`. Older scenes lack it and stay
-readable; older programs skip it.
+:class:`fourd.baking.scene.BakedFrame`, and compute it in :mod:`fourd.baking.bake`. Older scenes, which lack the
+attribute, stay readable. Older programs skip the attribute.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from numpy.typing import NDArray
 from fourd.ops.shade.harmonics import SH_TERMS
 
 Values = Literal["any", "finite", "nonnegative", "unit"]
-"""Which values are valid; "unit" is [0, 1], and all but "any" exclude NaN and infinity."""
+"""Valid values of an attribute. "unit" means [0, 1]. Every kind except "any" excludes NaN and infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
-"""How a background's array joins a frame's: appended, or appended after multiplication by the frame's shadow."""
+"""How the background's array is appended to the frame's: unchanged, or multiplied by the frame's shadow first."""
 
 
 @dataclass(frozen=True)
 class Attribute:
-    """One array of a frame as stored.
+    """One array of a frame, as stored in the file.
 
     Attributes:
-        name: of the field of BakedFrame, the file's member and the manifest's key.
+        name: the field of BakedFrame, which is also the name of the file's member and the key in the manifest.
         dtype: little-endian NumPy dtype.
-        shape: "points" and "views" stand for their counts.
-        values: which values are valid.
-        combine: how a full scene's background is joined.
-        is_optional: whether scenes may lack it.
+        shape: side lengths, where "points" and "views" stand for the numbers of points and of source views.
+        values: the valid values, see :data:`Values`.
+        combine: how the background's array is appended to the frame's, see :data:`Combine`.
+        is_optional: whether a scene may lack this attribute.
     """
 
     name: str
@@ -44,19 +44,19 @@ class Attribute:
 
     @property
     def is_per_view(self) -> bool:
-        """Whether every source view has its own values."""
+        """Whether the array has separate values for every source view."""
         return "views" in self.shape
 
     @property
     def numbers(self) -> int:
-        """Numbers per point, and per view where the attribute is per view."""
+        """Numbers stored per point, or per point and view if :attr:`is_per_view`."""
         count = 1
         for side in self.shape:
             count *= side if isinstance(side, int) else 1
         return count
 
     def resolve_shape(self, points: int, views: int) -> tuple[int, ...]:
-        """The shape for given counts."""
+        """The array's shape for these numbers of points and source views."""
         counts = {"points": points, "views": views}
         return tuple(counts[side] if isinstance(side, str) else side for side in self.shape)
 
@@ -68,7 +68,7 @@ class Attribute:
         return count * np.dtype(self.dtype).itemsize
 
     def check(self, array: NDArray[Any], points: int, views: int) -> None:
-        """Check shape and dtype. Raises ValueError that names the attribute."""
+        """Check the array's shape and dtype. Raises ValueError, which names the attribute."""
         shape, dtype = self.resolve_shape(points, views), np.dtype(self.dtype)
         if array.shape != shape or array.dtype != dtype:
             raise ValueError(
@@ -76,7 +76,7 @@ class Attribute:
             )
 
     def has_valid_values(self, array: NDArray[Any]) -> bool:
-        """Whether all values are as ``values`` requires."""
+        """Whether every element satisfies the constraint ``self.values``."""
         if self.values == "any" or array.size == 0:
             return True
         if array.dtype == np.float16:
@@ -96,15 +96,16 @@ ATTRIBUTES = (
     Attribute("blend_weights", "<f2", ("points", "views"), values="nonnegative"),
     Attribute("rgb", "|u1", ("points", "views", 3), values="any", combine="cast_shadow"),
 )
-"""In the order of the file's members and of the native kernels' arguments."""
+"""All attributes, in the order of the file's members and of the native kernels' arguments."""
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
-    """Compare float16 as bits, several times faster: the sign makes them large; infinity and NaN start at 0x7C00."""
+    """Whether all float16 values, given as bits, are valid. Comparing bits is several times faster than floats."""
     limit = 0x3C00 if values == "unit" else 0x7BFF
     if values == "finite":
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # -0 is valid.
+    # Infinity and NaN start at 0x7C00. Negative values have the highest bit set, which also exceeds the limit. -0 is
+    # valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

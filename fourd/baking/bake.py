@@ -1,4 +1,4 @@
-"""From a trained run to a scene file: everything that needs the networks is evaluated once per frame."""
+"""Export of a trained run to a scene file. Everything that needs the networks is evaluated once per frame."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
 
 GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
-"""Returns the source view of a camera index, with the depth that occludes the given points."""
+"""A function that returns the source view of a camera, with a depth map for testing the points for occlusion."""
 
 BAKED_LAYERS = 12
 MAX_BAKED_WEIGHT = 1024.0
-"""Every point's largest blend weight is scaled to this value, so that fp16 keeps the small ones."""
+"""Each point's blend weights are scaled to this maximum, so that small weights do not underflow in fp16."""
 
 
 def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float = 30.0) -> None:
@@ -39,11 +39,11 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
     Blend weights (fp16) and colours (uint8) are baked for every training view.
 
     Args:
-        layers: K of the scene, the most points that a pixel composites.
+        layers: the scene's K, the maximum number of points that a pixel composites.
         fps: playback rate, frames per second.
 
     Raises:
-        UserError: for a model whose blend weights depend on the viewer, or a file that cannot be written.
+        UserError: if the model's blend weights depend on the viewer, or if the file cannot be written.
     """
     run = trained.run
     require_bakeable(run)
@@ -60,18 +60,18 @@ def require_bakeable(run: Run) -> None:
     """Check that the model's blend weights do not depend on the viewer. Raises UserError."""
     if run.config.train.model.continuous:
         raise UserError(
-            f"{run.folder}: expected blend weights that can be baked, got model.continuous: true; "
+            f"{run.folder}: expected blend weights that do not depend on the viewer, got model.continuous: true; "
             f"train with model.continuous: false"
         )
 
 
 def select_baked_views(run: Run) -> list[int]:
-    """Return the camera indices whose colours are baked: the training views; none for SH-only appearance."""
+    """Return the cameras whose colours are baked: the training views, or no cameras if the appearance is SH only."""
     return run.training if run.config.train.model.appearance != "sh" else []
 
 
 def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
-    """Describe a run's scene; the writer sets the numbers of points."""
+    """Return the manifest of a run's scene, without the numbers of points, which the writer sets."""
     run, background = trained.run, trained.renderer.background
     sources = select_baked_views(run)
     others = [index for index in range(len(run.capture.names)) if index not in sources]
@@ -96,7 +96,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate everything that does not depend on the viewer for one frame's dynamic points.
+    """Evaluate one frame's dynamic points: everything that does not depend on the viewer.
 
     ``sources`` are the camera indices from :func:`select_baked_views`.
     """
@@ -111,7 +111,7 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
 
 
 def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:
-    """Evaluate the same for the points that all frames share, with clean plates as source views; None without them."""
+    """Evaluate the static background points, with clean plates as source views. None if the run has no background."""
     background = trained.renderer.background
     if background is None:
         return None
@@ -125,7 +125,7 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
 
 
 def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
-    """Evaluate a frame's shadow: (M,) uint8 factors of the background's colours in units of 1/128; None without any."""
+    """Evaluate a frame's shadow factors, (M,) uint8 in units of 1/128. None if the run has no shadow model."""
     background = trained.renderer.background
     if background is None or background.model.shadow is None:
         return None
@@ -156,7 +156,7 @@ def _bake_points(
 def _bake_blending(
     model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView
 ) -> tuple[Tensor, Tensor]:
-    """Compute blend weights (N, V), 0 where invisible, and colours (N, V, 3) in [0, 1], one view at a time."""
+    """Compute blend weights (N, V) and colours (N, V, 3) in [0, 1], view by view. Occluded points have weight 0."""
     count = points.xyz.shape[0]
     weights = torch.zeros(count, len(sources))
     rgb = torch.zeros(count, len(sources), 3)

@@ -1,4 +1,4 @@
-"""Combining a frame's dynamic points with a full scene's background and the shadow on it."""
+"""Combining a frame's dynamic points with the background of a full scene and the shadow on that background."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, make_frame
 
 _ROWS = 2048
-"""Rows multiplied at a time, so that they stay in the second-level cache."""
+"""Rows per chunk of the multiplication; a chunk fits in the L2 cache."""
 
 
 def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> BakedFrame:
-    """Concatenate the points of both into one frame, the dynamic points first, in new read-only arrays.
+    """Concatenate dynamic and background points, in this order, into one frame with new read-only arrays.
 
-    The result keeps ``background``: renderers recognize by it what they have uploaded.
+    The result refers to ``background``, so that a renderer can recognize a background that it has already uploaded.
 
     Args:
-        dynamic: N points.
-        background: M points, with the same source views and attributes.
-        shadow: (M,) factors for the background's colours in units of 1/128; None keeps the colours.
+        dynamic: the frame's own N points.
+        background: the M background points, with the same source views and attributes.
+        shadow: (M,) uint8 factors of the background's colours, in units of 1/128. None leaves the colours unchanged.
 
     Raises:
-        ValueError: naming the argument, what was expected and what came.
+        ValueError: for an invalid argument. The message names the argument and the expected value.
     """
     if background.view_count != dynamic.view_count:
         raise ValueError(f"background: expected {dynamic.view_count} source views, got {background.view_count}")
@@ -31,7 +31,7 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
         raise ValueError(f"background: expected the attributes {expected}, got {got}")
     if shadow is not None and (shadow.dtype != np.uint8 or shadow.shape != (background.point_count,)):
         raise ValueError(
-            f"shadow: expected uint8 of shape ({background.point_count},), got {shadow.dtype} of {shadow.shape}"
+            f"shadow: expected uint8 of shape ({background.point_count},), got {shadow.dtype} of shape {shadow.shape}"
         )
     arrays = {}
     for attribute in dynamic.attributes:
@@ -44,9 +44,9 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
 
 
 def _cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> None:
-    """Multiply colours (M, V, 3) by factors (M,) in place, rounded half up and clipped at 255.
+    """Multiply colours (M, V, 3) by factors (M,) in place. Results are rounded half up and clipped at 255.
 
-    Most points lie in no shadow and are not touched.
+    Only points in shadow are computed; most points are not in shadow.
     """
     points, views, channels = rgb.shape
     rows = rgb.reshape(points, views * channels)
@@ -55,6 +55,6 @@ def _cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> None:
     for start in range(0, len(changed), _ROWS):
         chunk = changed[start : start + _ROWS]
         products = rows[chunk] * factors[start : start + _ROWS]
-        products += SHADOW_IDENTITY // 2  # at most 255 * 255 + 64, which fits 16 bits
+        products += SHADOW_IDENTITY // 2  # The sum is at most 255 * 255 + 64 and fits 16 bits.
         products //= SHADOW_IDENTITY
         rows[chunk] = np.minimum(products, 255, out=products)

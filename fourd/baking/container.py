@@ -1,10 +1,9 @@
 """The `.4dv` file: a ZIP64 with manifest.json and one stored member per frame and attribute.
 
-A full scene has its background's attributes once, and optionally one more member per frame: the shadow on it.
+A full scene also stores its background's attributes, once, and optionally one shadow per frame.
 
-Members are never deflated, so that range requests of a web server and plain seeks reach a frame's bytes. The reader
-assumes a hostile file: it compares sizes with the manifest before it allocates memory. It skips members that the
-manifest or this program does not know.
+Members are stored uncompressed, so that a seek or an HTTP range request can read one frame. The reader treats the file
+as untrusted: it compares member sizes with the manifest before it allocates memory. It skips unknown members.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from fourd.files import atomic_path
 MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 64 << 20
 BACKGROUND = "background"
-"""Folder of the background's members in the ZIP."""
+"""Folder inside the ZIP that contains the background's members."""
 SHADOW = "shadow"
 _TIMESTAMP = (1980, 1, 1, 0, 0, 0)
 _ENCRYPTED = 0x1
@@ -56,7 +55,7 @@ def member_name(frame: int, attribute: str) -> str:
 
 
 class SceneWriter:
-    """Writes a scene frame by frame; memory does not grow with the number of frames.
+    """Writes a scene frame by frame. Memory use does not grow with the number of frames.
 
     Use as a context manager: the complete file appears at ``path`` when the block ends. If the block raises, an older
     file stays and no other file remains.
@@ -77,9 +76,9 @@ class SceneWriter:
         self.path = Path(path)
         self.manifest = manifest
         self._points: list[int] = []
-        self._background: int | None = None  # number of points, once added
-        self._shadow: int | None = None  # length of the frames' shadows; None while there are none
-        self._optional: tuple[str, ...] | None = None  # optional attributes, once points were added
+        self._background: int | None = None  # point count; None until it is added
+        self._shadow: int | None = None  # length of the frames' shadows; None if there are none
+        self._optional: tuple[str, ...] | None = None  # names; None until points are added
         self._stack = ExitStack()
         self._zip: zipfile.ZipFile | None = None
 
@@ -91,15 +90,17 @@ class SceneWriter:
         return self
 
     def add_frame(self, index: int, frame: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> None:
-        """Append frame ``index``; frames are added in order, starting at 0.
+        """Append frame ``index``. Frames must be added in order, starting at 0.
 
         Args:
             frame: the points of this frame, without the background.
-            shadow: (M,) uint8, factors in units of 1/128 for the colours of a full scene's M background points in
-                this frame. Given for all frames or for none.
+            shadow: (M,) uint8 factors, in units of 1/128, of the colours of a full scene's M background points in this
+                frame. Either all frames have a shadow or no frame has one.
         """
         if index != len(self._points) or index >= self.manifest.frame_count:
-            raise ValueError(f"index: expected frame {len(self._points)} of {self.manifest.frame_count}, got {index}")
+            raise ValueError(
+                f"index: expected frame {len(self._points)} of {self.manifest.frame_count} as the next one, got {index}"
+            )
         self._check(f"frame {index}", frame)
         if shadow is not None or self._shadow is not None:
             self._check_shadow(index, shadow)
@@ -110,7 +111,10 @@ class SceneWriter:
         self._points.append(frame.point_count)
 
     def add_background(self, frame: BakedFrame) -> None:
-        """Add the static points of a full scene, once, before, between or after the frames."""
+        """Add the static points of a full scene.
+
+        Call it exactly once, at any time before, between or after the frames.
+        """
         if self.manifest.kind != "full":
             raise ValueError(f'background: expected none in a scene of kind "{self.manifest.kind}", got one')
         if self._background is not None:
@@ -189,11 +193,13 @@ class SceneWriter:
 
 
 class SceneReader:
-    """Reads a `.4dv`. Every read gets arrays from the file; only the background is cached. Threads may share it.
+    """Reads a `.4dv`. Frames are read from the file every time; only the background is cached.
+
+    Several threads may use one instance.
 
     Raises:
-        UserError: one line that names the file and the fix. On opening: the file is truncated, is not a scene, is
-            newer than this program or contradicts itself. On reading: a member is damaged.
+        UserError: on opening, if the file is truncated, is not a scene, has a newer format or is inconsistent; on
+            reading, if a member is damaged. The message is one line that names the file and the fix.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -210,26 +216,26 @@ class SceneReader:
             raise
 
     def close(self) -> None:
-        """Close the file and release the background; reading then raises ValueError."""
+        """Close the file and release the background. Later reads raise ValueError."""
         self._zip.close()
         self._background = None
 
     def read(self, index: int) -> BakedFrame:
-        """Read frame ``index``, from 0: its dynamic points, then the background's under the frame's shadow, if any.
+        """Read frame ``index``, from 0: the dynamic points, followed by the background points with the frame's shadow.
 
-        Its arrays are read-only. Raises IndexError outside the scene.
+        The arrays are read-only. Raises IndexError if the scene has no such frame.
         """
         dynamic = self.read_dynamic(index)
         background = self.read_background()
         return dynamic if background is None else combine_frames(dynamic, background, self.read_shadow(index))
 
     def read_dynamic(self, index: int) -> BakedFrame:
-        """Read the dynamic points of frame ``index``. Raises IndexError outside the scene."""
+        """Read the dynamic points of frame ``index``. Raises IndexError if the scene has no such frame."""
         self._require_frame(index)
         return self._read(_frame_folder(index), self.manifest.points[index])
 
     def read_background(self) -> BakedFrame | None:
-        """Return the points that all frames share, without shadows; None for an object scene. Cached."""
+        """Return the cached background points, without shadows. None for an object scene."""
         described = self.manifest.background
         if described is None:
             return None
@@ -239,9 +245,9 @@ class SceneReader:
             return self._background
 
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:
-        """Read a frame's (M,) uint8 factors in units of 1/128 for the background's colours; None without shadows.
+        """Read a frame's shadow factors, (M,) uint8 in units of 1/128. None if the scene has no shadows.
 
-        Raises IndexError outside the scene.
+        Raises IndexError if the scene has no such frame.
         """
         self._require_frame(index)
         if self.manifest.background is None or not self.manifest.background.shadow:
@@ -262,7 +268,7 @@ class SceneReader:
         invalid = frame.find_invalid_array()
         if invalid is not None:
             name = f"{folder}/{invalid}"
-            raise _damaged(self.path, f"finite numbers in {name}", "NaN, infinity or a number out of range")
+            raise _damaged(self.path, f"finite numbers in {name}", "NaN, infinity or a value out of range")
         return frame
 
     def _content(self, name: str) -> bytes:
@@ -277,7 +283,7 @@ class SceneReader:
 
     def _read_manifest(self) -> SceneManifest:
         if MANIFEST_NAME not in self._members:
-            raise _damaged(self.path, f"a scene with {MANIFEST_NAME}", "a ZIP without it")
+            raise _damaged(self.path, f"a scene that contains {MANIFEST_NAME}", "a ZIP without it")
         size = self._members[MANIFEST_NAME].file_size
         if size > MAX_MANIFEST_BYTES:
             raise _damaged(self.path, f"at most {MAX_MANIFEST_BYTES} bytes of {MANIFEST_NAME}", f"{size}")
@@ -294,7 +300,7 @@ class SceneReader:
                 raise _damaged(self.path, f"a member {name}", "none")
             size = self._members[name].file_size
             if size != expected:
-                raise _damaged(self.path, f"{expected} bytes in {name} by the manifest", f"{size}")
+                raise _damaged(self.path, f"{expected} bytes in {name} according to the manifest", f"{size}")
 
 
 def _frame_folder(index: int) -> str:
@@ -320,7 +326,7 @@ def _open_zip(path: Path) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(path)
     except FileNotFoundError as error:
-        raise UserError(f"{path}: expected a .4dv file, got nothing there; check the name") from error
+        raise UserError(f"{path}: expected a .4dv file, got a path that does not exist; check the name") from error
     except _ZIP_ERRORS as error:
         raise UserError(
             f"{path}: expected a complete .4dv scene (a ZIP), got a truncated file or another kind of file; "
@@ -340,10 +346,12 @@ def _check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zi
         if name in members:
             raise _damaged(path, "every member once", f"{name!r} twice")
         if info.flag_bits & _ENCRYPTED:
-            raise UserError(f"{path}: expected plain members, got {name!r} encrypted; export the scene again")
+            raise UserError(
+                f"{path}: expected unencrypted members, got the encrypted member {name!r}; export the scene again"
+            )
         if info.compress_type != zipfile.ZIP_STORED or info.compress_size != info.file_size:
             raise UserError(
-                f"{path}: expected stored members, got {name!r} compressed; zip it again with zip -0 or export again"
+                f"{path}: expected uncompressed members, got the compressed member {name!r}; use zip -0 or export again"
             )
         total += info.file_size
         members[name] = info

@@ -1,4 +1,4 @@
-"""A frame's points in order of depth, for renderers that draw them over each other."""
+"""Sorting a frame's points by depth, for renderers that blend points in depth order."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from fourd.ops.play.op import PointSorter
 
 
 class DepthSorter:
-    """Sorts frames' points by depth; keeps its workspace between calls. Threads may share it; they take turns."""
+    """Sorts the points of frames by depth and reuses its workspace between calls.
+
+    Several threads may use one instance; a lock serializes their calls.
+    """
 
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
         self._points = PointSorter()
 
     def sort(self, frame: BakedFrame, camera: Camera, near: float, *, threads: int = 0) -> NDArray[np.uint32]:
-        """Return the indices of the points that ``camera`` sees, nearest first, ties by index.
+        """Return the indices of the points visible to ``camera``, nearest first; equal depths are ordered by index.
 
-        See :meth:`fourd.ops.play.op.PointSorter.sort` for the points that are left out, the arguments and the errors.
-        ``frame`` has finite radii and densities, as :class:`fourd.baking.container.SceneReader` guarantees.
+        See :meth:`fourd.ops.play.op.PointSorter.sort` for the arguments, the errors and the points that are omitted.
+        The radii and densities of ``frame`` must be finite; :class:`fourd.baking.container.SceneReader` checks this.
         """
         return self._points.sort(frame.xyz, frame.radius, frame.density, camera, near, threads=threads)

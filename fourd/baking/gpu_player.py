@@ -1,4 +1,4 @@
-"""Pictures of baked frames on a GPU: :mod:`fourd.baking.player` with frames and pictures in device memory."""
+"""Rendering of baked frames on a GPU: :mod:`fourd.baking.player` with frames and images in device memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fourd.ops.shade.cuda import shade_points_gpu
 
 @dataclass(frozen=True)
 class GpuFrame:
-    """What the kernels read of a :class:`fourd.baking.scene.BakedFrame` of N points and V views, on a device.
+    """The arrays of a :class:`fourd.baking.scene.BakedFrame` of N points and V views in device memory.
 
     Attributes:
         xyz: (N, 3) float32.
@@ -39,15 +39,15 @@ class GpuFrame:
 
     @classmethod
     def from_frame(cls, frame: BakedFrame, device: torch.device) -> GpuFrame:
-        """Copy a frame, whose arrays may be read-only, to a device."""
+        """Copy a frame to a device. The frame's arrays may be read-only."""
         halves = (frame.radius, frame.density, frame.sh, frame.blend_weights)
         arrays: list[NDArray[Any]] = [frame.xyz, *(half.view(np.int16) for half in halves), frame.rgb]
-        # The copy avoids torch's warning about read-only arrays.
+        # copy() avoids torch's warning about read-only arrays.
         return cls(*(torch.from_numpy(array.copy()).to(device) for array in arrays))
 
 
 class GpuPlayer:
-    """Draws frames on a CUDA device. On the CPU it runs the emulated kernels, for tests."""
+    """Draws frames on a CUDA device. For tests, a CPU device runs emulated kernels."""
 
     def __init__(self, device: torch.device) -> None:
         """Raises ImportError if the device's kernels are not built."""
@@ -63,15 +63,15 @@ class GpuPlayer:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         out: Tensor | None = None,
     ) -> Tensor:
-        """Draw the picture of :meth:`fourd.baking.player.Player.draw`, to one step of a byte.
+        """Draw the same image as :meth:`fourd.baking.player.Player.draw`; each byte differs by at most 1.
 
-        The work is queued on torch's current stream and not waited for.
+        The work is queued on torch's current stream; this call does not wait for it.
 
         Returns:
-            (H, W, 4) uint8 on the device, ``out`` if given.
+            (H, W, 4) uint8 on the device; this is ``out`` if it is given.
 
         Raises:
-            TypeError, ValueError: naming the argument, what was expected and what came.
+            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
         return draw_points_gpu(
             frame.xyz,

@@ -1,6 +1,6 @@
-"""manifest.json of a `.4dv`: written from a SceneManifest, and parsed into one.
+"""Conversion of SceneManifest to and from the manifest.json of a `.4dv`.
 
-The parser trusts nothing: it checks every field for type, range and finiteness. It skips keys that it does not know.
+The parser treats the file as untrusted: it checks the type, range and finiteness of every field. It skips unknown keys.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class NewerVersionError(ManifestError):
 
 
 def manifest_to_json(manifest: SceneManifest) -> bytes:
-    """Encode the manifest as UTF-8 JSON. Equal manifests give equal bytes."""
+    """Encode the manifest as UTF-8 JSON. Equal manifests produce equal bytes."""
     content = {
         "format": FORMAT_NAME,
         "version": manifest.version,
@@ -111,7 +111,7 @@ def manifest_from_json(text: bytes) -> SceneManifest:
 
 
 class _Node:
-    """A JSON object, and its path for error messages."""
+    """A JSON object, with its path inside the manifest for error messages."""
 
     def __init__(self, content: object, where: str) -> None:
         if not isinstance(content, dict):
@@ -228,7 +228,7 @@ def _bounds(node: _Node) -> tuple[tuple[float, float, float], tuple[float, float
 
 
 def _check_attributes(node: _Node) -> tuple[str, ...]:
-    """Check the entries of known attributes; return the names of the optional ones. Unknown entries are skipped."""
+    """Check the known attributes and return the names of the optional ones. Unknown attributes are skipped."""
     optional = []
     for attribute in ATTRIBUTES:
         if attribute.is_optional:

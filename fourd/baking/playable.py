@@ -1,4 +1,4 @@
-"""A common interface to trained runs and baked scenes, for rendering frames."""
+"""A common interface for rendering frames of trained runs and of baked scenes."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Playable(Protocol):
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the scene, world units."""
+        """Centre of the scene, (3,), in world units."""
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """The frames' numbers in the capture."""
+        """The number of every frame in the capture."""
 
     @property
     def fps(self) -> float:
@@ -45,7 +45,7 @@ class Playable(Protocol):
         """Render a frame (index from 0): RGB (H, W, 3) float32 in [0, 1].
 
         Args:
-            layers: K, the most points that a pixel composites; None for the scene's or the run's own.
+            layers: K, the maximum number of points that a pixel composites. None for the value of the scene or run.
             background: (3,) colour in [0, 1] behind the points.
         """
 
@@ -81,7 +81,7 @@ class PlayableScene:
 
 @dataclass(frozen=True)
 class PlayableRun:
-    """A trained run, rendered with its networks."""
+    """A trained run. Rendering evaluates its networks."""
 
     trained: TrainedRun
 
@@ -113,9 +113,9 @@ class PlayableRun:
 
 
 def open_playable(path: Path) -> Playable:
-    """Open a run's folder or a `.4dv`; only runs load torch. Raises UserError."""
+    """Open a run's folder or a `.4dv`. torch is loaded only for a run. Raises UserError."""
     if not path.exists():
-        raise UserError(f"{path}: expected a run's folder or a .4dv file, got nothing there; check the path")
+        raise UserError(f"{path}: expected a run's folder or a .4dv file, got a path that does not exist; check it")
     if path.is_dir():
         from fourd.training.run import load_run
 
@@ -124,20 +124,23 @@ def open_playable(path: Path) -> Playable:
 
 
 def find_view(playable: Playable, name: str) -> Camera:
-    """Return a capture camera by name. Raises UserError that lists the names."""
+    """Return the capture camera ``name``. Raises UserError, which lists the valid names."""
     views = playable.views
     if name not in views:
-        raise UserError(f"--views: expected names among {', '.join(views)}, got {name}")
+        raise UserError(f"--views: expected names out of {', '.join(views)}, got {name}")
     return views[name]
 
 
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
-    """Return the indices of the frames whose capture numbers lie in A:B or A:B:S; all for None. Raises UserError."""
+    """Return the indices of the frames whose capture numbers lie in A:B or A:B:S. None selects all.
+
+    Raises UserError.
+    """
     numbers = playable.frame_numbers
     if selection is None:
         return list(range(len(numbers)))
     wanted = parse_frame_range(selection, max(numbers) + 1, "scene")
     chosen = [index for index, number in enumerate(numbers) if number in wanted]
     if not chosen:
-        raise UserError(f"--frames: expected frames among {numbers[0]} to {numbers[-1]}, got '{selection}'")
+        raise UserError(f"--frames: expected at least one frame from {numbers[0]} to {numbers[-1]}, got '{selection}'")
     return chosen

@@ -1,4 +1,4 @@
-"""Pictures of baked frames as bytes, for real-time playback on the CPU."""
+"""Rendering of baked frames to 8-bit images, for real-time playback on the CPU."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from fourd.ops.play.op import PointPlayer
 
 
 class Player:
-    """Draws baked frames; keeps its workspace between pictures. Threads may share it; they take turns."""
+    """Draws baked frames and reuses its workspace between images.
+
+    Several threads may use one instance; a lock serializes their calls.
+    """
 
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
@@ -29,21 +32,21 @@ class Player:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw the frame from ``camera``: (H, W, 4) uint8, colour over the background, and alpha.
+        """Draw the frame from ``camera``: an (H, W, 4) uint8 image of the colour over the background, and alpha.
 
-        The picture equals that of :meth:`fourd.baking.rendering.Scene.render` up to rounding to bytes and up to what
-        lies behind a transmittance of :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
+        The image equals that of :meth:`fourd.baking.rendering.Scene.render`, except that values are rounded to bytes
+        and that a pixel ends at a transmittance of :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
-            frame: finite, as :class:`fourd.baking.container.SceneReader` guarantees.
-            camera: an ideal pinhole.
-            layers: K; None for the manifest's.
-            background: red, green and blue in [0, 1].
-            threads: 0 uses FOURD_THREADS if set, else all cores.
-            out: (H, W, 4) uint8, C-contiguous, to draw into; None for a new array.
+            frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
+            camera: a pinhole camera without lens distortion.
+            layers: K, the maximum number of points that a pixel composites. None for the manifest's value.
+            background: red, green and blue behind the points, in [0, 1].
+            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. None for a new array.
 
         Raises:
-            TypeError, ValueError: naming the argument, what was expected and what came.
+            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
         return self._points.draw(
             frame.xyz,

@@ -1,4 +1,4 @@
-"""Opening a baked scene and rendering its frames with NumPy and the native kernels; no torch is loaded."""
+"""Opening a baked scene and rendering its frames with NumPy and the native kernels, without torch."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ CACHE_BYTES = 256 << 20
 
 @dataclass(frozen=True, eq=False)
 class RenderedImage:
-    """A picture: rgb (H, W, 3) in [0, 1], alpha (H, W) and camera depth (H, W) in world units, all float32."""
+    """An image: rgb (H, W, 3) in [0, 1], alpha (H, W) and camera depth (H, W) in world units, all float32."""
 
     rgb: NDArray[np.float32]
     alpha: NDArray[np.float32]
     depth: NDArray[np.float32]
 
     def to_uint8(self) -> NDArray[np.uint8]:
-        """Round ``rgb`` to (H, W, 3) bytes."""
+        """Convert ``rgb`` to (H, W, 3) uint8, rounded to nearest."""
         return np.round(self.rgb * 255).astype(np.uint8)
 
 
 class Scene:
-    """An open baked scene. Threads may share it.
+    """An open baked scene. Several threads may use one instance.
 
-    Use as a context manager or call :meth:`close`. The frames used last are cached, up to a size in bytes.
+    Use it as a context manager or call :meth:`close`. The most recently used frames are cached, up to a size in bytes.
     """
 
     def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
         self._reader = SceneReader(path)
         manifest = self._reader.manifest
         largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
-        # The reader caches the background; the cache holds at least one frame of any size.
+        # The reader caches the background, so its size is subtracted. At least the largest frame must fit in the cache.
         size = max(cache_bytes - manifest.background_nbytes, largest)
         self._cache: LRUCache[int, BakedFrame] = LRUCache(size, getsizeof=lambda frame: frame.nbytes)
         self._lock = Lock()
@@ -74,9 +74,9 @@ class Scene:
             self._cache.clear()
 
     def frame(self, index: int) -> BakedFrame:
-        """Return the arrays of frame ``index`` from 0, the background's points after the dynamic ones; read-only.
+        """Return frame ``index``, from 0: the dynamic points, then the background points, in read-only arrays.
 
-        Raises IndexError outside the scene, UserError where the file is damaged.
+        Raises IndexError if the scene has no such frame, and UserError if the file is damaged.
         """
         with self._lock:
             cached = self._cache.get(index)
@@ -99,15 +99,15 @@ class Scene:
         """Render a frame.
 
         Args:
-            camera: an ideal pinhole.
-            frame: index from 0.
-            layers: the most points that a pixel composites; None for the manifest's.
+            camera: a pinhole camera without lens distortion.
+            frame: index of the frame, from 0.
+            layers: maximum number of points that a pixel composites. None for the manifest's value.
             background: (3,) colour in [0, 1] behind the points; None for black.
-            threads: 0 uses FOURD_THREADS if set, else all cores.
+            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
 
         Raises:
-            IndexError: outside the scene. UserError: where the file is damaged.
-            TypeError, ValueError: naming the argument, what was expected and what came.
+            IndexError: if the scene has no such frame. UserError: if the file is damaged.
+            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
         baked = self.frame(frame)
         rgb, alpha, depth = render_points_numpy(
@@ -128,9 +128,9 @@ def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
     """Open a `.4dv`.
 
     Args:
-        cache_bytes: memory for cached frames and the background; at least one frame is cached whatever its size.
+        cache_bytes: memory for cached frames and the background. One frame is cached even if it is larger.
 
     Raises:
-        UserError: one line that names the file and the fix, if it is not a valid scene.
+        UserError: if the file is not a valid scene. The message is one line that names the file and the fix.
     """
     return Scene(path, cache_bytes=cache_bytes)

@@ -1,4 +1,4 @@
-"""A baked scene in memory: the arrays of a frame, and what holds for all frames."""
+"""A baked scene in memory: the arrays of a frame, and the manifest that all frames share."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from fourd.cameras import Camera
 
 FORMAT_NAME = "fourd-scene"
 FORMAT_VERSION = 2
-"""The newest version that this program reads."""
+"""The newest version of the file format that this program reads."""
 OBJECT_VERSION, FULL_VERSION = 1, 2
-"""The version written for each kind: programs that only support version 1 can still read object scenes."""
+"""The format version of each scene kind. Object scenes keep version 1, so that older programs can read them."""
 SHADOW_IDENTITY = 128
-"""The shadow that keeps a colour: shadows are bytes in units of 1/128."""
+"""The shadow value that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
 SceneKind = Literal["object", "full"]
 
@@ -32,14 +32,14 @@ class BakedFrame:
         radius: (N,) float16, world units.
         density: (N,) float16 in [0, 1].
         sh: (N, 3, 16) float16, degree-3 spherical harmonics of red, green and blue.
-        blend_weights: (N, V) float16, not negative, not normalized: shading normalizes them over the few views that
-            it selects.
+        blend_weights: (N, V) float16, 0 or more. Shading normalizes the weights over the views that it selects.
         rgb: (N, V, 3) uint8, the point's colour in every source view.
-        background: M points, the same object for all frames that end with these points; None for other frames.
-        has_shadow: whether ``rgb`` of the last M points differs from the background's.
+        background: the M background points that this frame ends with, one object shared by all frames. None if the
+            frame has no background points.
+        has_shadow: whether the ``rgb`` of the last M points is the background's multiplied by a shadow.
 
     Raises:
-        ValueError: naming the array, for a wrong shape or dtype.
+        ValueError: for a wrong shape or dtype. The message names the array.
     """
 
     xyz: NDArray[np.float32]
@@ -76,17 +76,17 @@ class BakedFrame:
 
     @property
     def point_count(self) -> int:
-        """N."""
+        """N, the number of points."""
         return int(self.xyz.shape[0])
 
     @property
     def dynamic_count(self) -> int:
-        """N - M: the first points, which are this frame's own."""
+        """N - M, the number of dynamic points, which come first."""
         return self.point_count - (0 if self.background is None else self.background.point_count)
 
     @property
     def view_count(self) -> int:
-        """V."""
+        """V, the number of source views."""
         return int(self.blend_weights.shape[1])
 
     @property
@@ -95,7 +95,7 @@ class BakedFrame:
         return sum(array.nbytes for array in self.arrays.values())
 
     def find_invalid_array(self) -> str | None:
-        """Name of the first array with a value that :data:`ATTRIBUTES` excludes, such as NaN; None if there is none."""
+        """Name of the first array with a value that :data:`ATTRIBUTES` excludes, such as NaN. None if all are valid."""
         arrays = self.arrays
         for attribute in self.attributes:
             if not attribute.has_valid_values(arrays[attribute.name]):
@@ -106,7 +106,10 @@ class BakedFrame:
 def make_frame(
     arrays: Mapping[str, NDArray[Any]], background: BakedFrame | None = None, has_shadow: bool = False
 ) -> BakedFrame:
-    """Make a frame from arrays by attribute name; optional attributes may be missing. Raises ValueError."""
+    """Make a frame from a mapping of attribute names to arrays. Optional attributes may be missing.
+
+    Raises ValueError.
+    """
     given: dict[str, Any] = {attribute.name: arrays.get(attribute.name) for attribute in ATTRIBUTES}
     return BakedFrame(**given, background=background, has_shadow=has_shadow)
 
@@ -116,8 +119,8 @@ class SceneBackground:
     """The static points of a full scene, which are stored once.
 
     Attributes:
-        points: their number.
-        shadow: whether every frame has a factor for the colours of each point.
+        points: number of background points.
+        shadow: whether every frame has a shadow, which is one colour factor per background point.
     """
 
     points: int
@@ -126,29 +129,29 @@ class SceneBackground:
 
 @dataclass(frozen=True)
 class SceneManifest:
-    """What holds for all frames of a baked scene; the manifest.json of a `.4dv`.
+    """Metadata that all frames of a baked scene share, stored as the manifest.json of a `.4dv`.
 
     Attributes:
         source_names, source_cameras: the V source views in the order of the frames' arrays.
-        focus: (x, y, z) from which view angles are measured, world units.
+        focus: (x, y, z) of the point at which angles between views are measured, world units.
         bounds: lower and upper corner of the dynamic points, world units.
-        frame_numbers: the frames' numbers in the capture, one per frame.
-        points: number of points of every frame without the background's; set by the writer.
+        frame_numbers: the number of each frame in the capture.
+        points: number of dynamic points of each frame; set by the writer.
         other_names, other_cameras: further cameras of the capture, such as held-out views, that contribute no colour
             but can be rendered by name.
         fps: playback rate, frames per second.
-        layers: K, the most points that a pixel composites.
-        neighbours: N', the number of source views that a picture blends.
+        layers: K, the maximum number of points that a pixel composites.
+        neighbours: N', the number of source views that are blended for an image.
         sh_range, sh_base: the view-dependent colour is ``sh_base + sh_range * tanh(sh . Y(d))``.
         near: camera depth below which points are culled, world units.
         kind: "object" (on black) or "full" (with a static background).
-        background: of a full scene; set by the writer.
+        background: static points of a full scene; set by the writer.
         producer: program and version that wrote the scene.
-        version: of the file format; set by the writer.
-        optional_attributes: names of the optional attributes that the scene's points have; set by the writer.
+        version: version of the file format; set by the writer.
+        optional_attributes: names of the optional attributes that the scene has; set by the writer.
 
     Raises:
-        ValueError: naming the fields that contradict each other.
+        ValueError: if fields contradict each other. The message names them.
     """
 
     source_names: tuple[str, ...]
@@ -173,13 +176,13 @@ class SceneManifest:
 
     def __post_init__(self) -> None:
         if len(self.source_names) != len(self.source_cameras):
-            raise ValueError("source_names: expected as many as source_cameras")
+            raise ValueError("source_names: expected as many names as source_cameras")
         if len(self.other_names) != len(self.other_cameras):
-            raise ValueError("other_names: expected as many as other_cameras")
+            raise ValueError("other_names: expected as many names as other_cameras")
         if len(set(self.names)) != len(self.names):
-            raise ValueError(f"source_names and other_names: expected no name twice, got {self.names}")
+            raise ValueError(f"source_names and other_names: expected every name once, got {self.names}")
         if self.points and len(self.points) != self.frame_count:
-            raise ValueError("points: expected as many as frame_numbers")
+            raise ValueError("points: expected as many counts as frame_numbers")
         if self.kind == "object" and self.background is not None:
             raise ValueError('background: expected none in a scene of kind "object"')
 
@@ -203,7 +206,7 @@ class SceneManifest:
         return self.source_cameras + self.other_cameras
 
     def camera(self, name: str) -> Camera:
-        """The camera of that name. Raises KeyError."""
+        """The camera with this name. Raises KeyError if there is no such camera."""
         if name not in self.names:
             raise KeyError(name)
         return self.cameras[self.names.index(name)]
@@ -227,12 +230,12 @@ class SceneManifest:
 
 
 def select_attributes(optional: Iterable[str]) -> tuple[Attribute, ...]:
-    """The required attributes and the named optional ones, in the order of ATTRIBUTES."""
+    """The required attributes and the optional ones named in ``optional``, in the order of ATTRIBUTES."""
     names = set(optional)
     return tuple(item for item in ATTRIBUTES if not item.is_optional or item.name in names)
 
 
 def to_triple(values: Sequence[float] | NDArray[np.floating]) -> tuple[float, float, float]:
-    """Convert three numbers to a tuple of Python floats, as the manifest stores them."""
+    """Convert three numbers to a tuple of Python floats, the type that the manifest stores."""
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -1,11 +1,11 @@
-"""The Python side of the native kernels: one folder per kernel of ``csrc``, all built the same way.
+"""Python interfaces of the native kernels: one folder per kernel of ``csrc``, all with the same structure.
 
 - ``op.py``: the public function. It checks arguments, selects the backend and, where the operation is differentiable,
   registers a ``torch.library`` operator with a fake implementation and its gradient.
-- ``reference.py``: the same computation, slow and obvious. Tests hold every backend to it.
+- ``reference.py``: a slow and simple implementation. Tests compare every backend with it.
 
-Kernels that play baked scenes (``shade``, ``play``, and ``points/arrays.py``) take NumPy arrays and import no torch;
-their CUDA versions for torch tensors are in ``cuda.py``.
+Kernels for playing baked scenes (``shade``, ``play`` and ``points/arrays.py``) take NumPy arrays and do not import
+torch. Their CUDA versions, for torch tensors, are in ``cuda.py``.
 
-Modules here import only each other and the base modules (:mod:`fourd.cameras` and the like).
+Modules in this folder import only each other and base modules such as :mod:`fourd.cameras`.
 """

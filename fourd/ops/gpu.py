@@ -1,8 +1,8 @@
-"""CUDA kernels for torch tensors: their module, stream and scratch memory.
+"""Access to the CUDA kernels for torch tensors: the native module, the stream and scratch memory.
 
-No function here synchronizes with the GPU. For CPU tensors the same functions run the CUDA sources in an emulator,
-thread by thread: slow, but it tests the kernels on machines without a GPU. FOURD_SIMD=emulated makes the operators
-use the emulator.
+No function here synchronizes with the GPU. For CPU tensors the same functions run the CUDA sources in a slow emulator,
+one thread after another. The emulator serves to test the kernels on machines without a GPU. FOURD_SIMD=emulated makes
+the operators use it.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Gpu:
 
     Attributes:
         kernels: ``fourd._cuda``, or ``fourd._emulated`` for the CPU.
-        estimator: native object that predicts how many (point, tile) entries the next picture on this device needs.
-        device: the device.
+        estimator: native object that predicts the number of (point, tile) pairs of the next image on this device.
+        device: device that the kernels run on.
     """
 
     kernels: ModuleType
@@ -40,20 +40,20 @@ class Gpu:
         return torch.cuda.current_stream(self.device).cuda_stream if self.device.type == "cuda" else 0
 
     def activate(self) -> AbstractContextManager[Any]:
-        """Return a context in which kernels are launched on this device."""
+        """Return a context manager that makes this the device on which kernels are launched."""
         return torch.cuda.device(self.device) if self.device.type == "cuda" else nullcontext()
 
     def allocate(self, size: int) -> Tensor:
-        """Return ``size`` bytes from torch's allocator. Later work on the same stream may reuse them."""
+        """Allocate ``size`` bytes with torch's allocator. Later work on the same stream may reuse the memory."""
         return torch.empty(size, dtype=torch.uint8, device=self.device)
 
 
 @cache
 def load_gpu(device: torch.device) -> Gpu:
-    """Load the kernels of a device; for the CPU, the emulated ones.
+    """Load the kernels for a device. The CPU gets the emulated kernels.
 
     Raises:
-        ImportError: if they are not built.
+        ImportError: if the kernels are not built.
     """
     if device.type == "cuda":
         kernels = import_module("fourd._cuda")
@@ -73,10 +73,10 @@ def cuda_unavailable_reason() -> str:
 
 
 def uses_gpu_kernels(tensor: Tensor) -> bool:
-    """Return whether operators run the CUDA kernels on this tensor: on a CUDA device, or with FOURD_SIMD=emulated."""
+    """Return whether operators run CUDA kernels on this tensor: it is on a CUDA device, or FOURD_SIMD is "emulated"."""
     return tensor.device.type == "cuda" or simd_name() == "emulated"
 
 
 def contiguous(tensor: Tensor) -> Tensor:
-    """Return the tensor without gradient and contiguous; copies only if it is not contiguous."""
+    """Return the detached tensor in contiguous memory. The data is copied only if it is not contiguous."""
     return tensor.detach().contiguous()

@@ -1,4 +1,4 @@
-"""Loading of the native module, and the settings that all its kernels share: threads and instruction set."""
+"""Loading of the native module, and the settings of all its kernels: number of threads and instruction set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def load_native() -> ModuleType:
     """Import and return ``fourd._native``.
 
     Raises:
-        ImportError: with the cause and the fix, if the module cannot be loaded.
+        ImportError: if the module cannot be loaded. The message names the cause and the fix.
     """
     try:
         return import_module("fourd._native")
@@ -24,12 +24,12 @@ def load_native() -> ModuleType:
 
 
 def as_array(tensor: Any) -> Any:
-    """Return a CPU tensor as a contiguous NumPy array; copies only if the tensor is not contiguous."""
+    """Return a CPU tensor as a contiguous NumPy array. The data is copied only if the tensor is not contiguous."""
     return tensor.detach().contiguous().numpy()
 
 
 def thread_count(threads: int, default: int | None = None) -> int:
-    """Resolve a thread count: ``threads`` if positive, else FOURD_THREADS, else ``default``, else the available cores.
+    """Return the number of threads: ``threads`` if positive, else FOURD_THREADS, ``default`` or all available cores.
 
     Raises:
         ValueError: for a negative ``threads`` or an invalid FOURD_THREADS.

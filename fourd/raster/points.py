@@ -61,7 +61,7 @@ def render_points(
             appears in the pixels that composite its point.
         radius: (N,) world units.
         density: (N,) peak alpha in [0, 1]; larger values count as 1.
-        camera: an ideal pinhole.
+        camera: a pinhole camera without lens distortion.
         layers: K, the most points that a pixel composites.
         near: camera depth, in world units, below which points are culled. Also culled, with zero gradients, are
             points with a radius or density that is not positive, and points whose position, radius, density or
@@ -74,7 +74,7 @@ def render_points(
         threads: for "cpu"; 0 uses FOURD_THREADS if set, else torch.get_num_threads().
 
     Raises:
-        TypeError, ValueError: naming the argument, what was expected and what came.
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         RuntimeError: if the backend is not built.
     """
     arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}

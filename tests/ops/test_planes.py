@@ -136,9 +136,9 @@ def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
     good = points(rng, 5)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 4\), got \(5, 3\)"):
         sample_planes(good[:, :3], planes, axes)
-    with pytest.raises(ValueError, match="axes: expected two for each of 7 planes, got 2"):
+    with pytest.raises(ValueError, match="axes: expected two indices for each of 7 planes, got 2"):
         sample_planes(good, planes, axes[:2])
-    with pytest.raises(TypeError, match=r"planes\[6\]: expected float32 or float64, the same in all, got float64"):
+    with pytest.raises(TypeError, match=r"planes\[6\]: expected float32 or float64 in all tensors, got float64"):
         sample_planes(good, [*planes[:6], planes[6].double()], axes)
     with pytest.raises(ValueError, match=r"planes\[6\]: expected shape .*, got \(1, 4, 3\)"):
         sample_planes(good, [*planes[:6], torch.zeros(1, 4, 3)], axes)

@@ -150,7 +150,7 @@ def test_invalid_scenes_raise_one_line_errors(scene: Path, tmp_path: Path, capsy
     inconsistent = rewrite_manifest(
         scene, tmp_path / "inconsistent.4dv", lambda content: content["frames"][1].update(points=801)
     )
-    assert "by the manifest, got" in error_line(capsys, inconsistent, "--screenshot", out)
+    assert "according to the manifest, got" in error_line(capsys, inconsistent, "--screenshot", out)
     empty = rewrite_manifest(scene, tmp_path / "empty.4dv", lambda content: content.update(frames=[]))
     assert "empty.4dv: expected at least one frame, got a scene without frames" in error_line(
         capsys, empty, "--screenshot", out

@@ -14,19 +14,19 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
     """Compute ``5 tanh((out . relu(point + weight sample) + bias) / 5)`` for every point and source view.
 
-    This is the blend MLP of 4K4D (sec. 3.2) with the point's half of the first layer computed once for all views.
-    Float32 on the CPU uses a kernel that never stores the hidden layer of all views and points; everything else uses
-    :func:`fourd.ops.blend.reference.blend_logits_reference`.
+    This is the blend MLP of 4K4D (sec. 3.2). The part of the first layer that depends only on the point is an input,
+    because it is the same for all views. Float32 on the CPU uses a kernel that does not store the hidden layer. Other
+    inputs use :func:`fourd.ops.blend.reference.blend_logits_reference`.
 
     Args:
-        point: (N, H) the point's contribution to the hidden layer, H from 1 to 256.
-        samples: (V, C, N) image features and colours of the views at the points, C from 1 to 64.
-        weight: (H, C) weights of the hidden layer for the samples.
-        out: (H,) weights of the output.
+        point: (N, H) contribution of each point to the hidden layer, with H from 1 to 256.
+        samples: (V, C, N) image features and colours sampled from each view at each point, with C from 1 to 64.
+        weight: (H, C) weights from the samples to the hidden layer.
+        out: (H,) weights from the hidden layer to the output.
         bias: (1,) bias of the output.
 
     Returns:
-        (V, N) logits in [-5, 5]. Differentiable in all arguments. The gradient has the same bits for any number of
+        (V, N) logits in [-5, 5]. Differentiable in all arguments. The gradient's bits do not depend on the number of
         threads.
 
     Raises:
@@ -59,7 +59,7 @@ def _logits_backward(
     point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor, logits: Tensor, gradient: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     gradients = _empty_gradients(point, samples, weight, out, bias)
-    # The kernel reads and writes the weight transposed.
+    # The kernel takes and returns the transposed weight matrix.
     grad_weight = weight.new_empty(weight.shape[1], weight.shape[0])
     targets = [gradients[0], gradients[1], grad_weight, gradients[3], gradients[4]]
     load_native().blend_logits_backward(

@@ -10,6 +10,6 @@ LOGIT_RANGE = 5.0
 
 
 def blend_logits_reference(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
-    """Compute what :func:`fourd.ops.blend.op.blend_logits` specifies, on any device and in any dtype."""
+    """Compute the result of :func:`fourd.ops.blend.op.blend_logits` on any device and in any dtype."""
     hidden = torch.relu(point + samples.transpose(1, 2) @ weight.T)
     return LOGIT_RANGE * torch.tanh((hidden @ out + bias) / LOGIT_RANGE)

@@ -17,28 +17,28 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -> Tensor:
     """Interpolate every level of a hash grid trilinearly and concatenate the features.
 
-    This is the encoding of Instant-NGP (Mueller et al. 2022, Instant Neural Graphics Primitives with a Multiresolution
-    Hash Encoding, sec. 3), with its constants. A level whose samples all fit stores sample (x, y, z) in row
-    x + y s + z s^2 (s = resolution + 1); other levels in row
-    (x xor 2654435761 y xor 805459861 z) mod 2^log2_entries, in 32 bits.
+    This is the encoding of Instant-NGP, with the same constants (Mueller et al. 2022, Instant Neural Graphics
+    Primitives with a Multiresolution Hash Encoding, sec. 3). Let s = resolution + 1. If a level has at most
+    2^log2_entries samples, sample (x, y, z) is in row x + y s + z s^2. Otherwise it is in row (x xor 2654435761 y xor
+    805459861 z) mod 2^log2_entries, computed in 32 bits.
 
-    Float32 on the CPU, or on a CUDA device whose kernels are built, uses a kernel; everything else uses
+    Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
     :func:`fourd.ops.hashgrid.reference.encode_hash_grid_reference`.
 
     Args:
-        coordinates: (N, 3) x, y, z in [0, 1], float32 or float64. Values outside are clamped to the border; NaN counts
-            as 0. The first and last samples of a level lie on the borders.
-        table: (shape.total_entries, shape.features), of the coordinates' dtype and device.
-        shape: the grid's sizes.
+        coordinates: (N, 3) x, y, z in [0, 1], float32 or float64. Values outside [0, 1] are clamped; NaN counts as 0.
+            The first and last samples of a level lie at 0 and 1.
+        table: (shape.total_entries, shape.features) features, with the dtype and device of the coordinates.
+        shape: sizes of the grid.
 
     Returns:
-        (N, shape.out_features), coarsest level first. Differentiable once in the table and in the coordinates (zero
-        where these are clamped); a gradient that is not required is not computed. On the CPU the gradient has the same
-        bits for any number of threads (FOURD_THREADS, else torch.get_num_threads()); on a GPU its last bits vary from
-        run to run.
+        (N, shape.out_features), coarsest level first. Differentiable once in the table and in the coordinates; clamped
+        coordinates have a gradient of 0. Only required gradients are computed. On the CPU the gradient's bits do not
+        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU its last bits vary
+        between calls.
 
     Raises:
-        TypeError, ValueError: naming the argument, what was expected and what came.
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
     """
     check_hash_grid(coordinates, table, shape)
     device = coordinates.device.type
@@ -142,7 +142,7 @@ def _empty_rows(coordinates: Tensor, table: Tensor, resolutions: Sequence[int]) 
 def _empty_gradients(
     coordinates: Tensor, table: Tensor, needs_coordinates: bool, needs_table: bool
 ) -> tuple[Tensor, Tensor]:
-    """Allocate the gradients; one that is not needed is empty."""
+    """Allocate the gradients. A gradient that is not needed is empty."""
     return (
         coordinates.new_empty(coordinates.shape[0] if needs_coordinates else 0, 3),
         table.new_empty(table.shape[0] if needs_table else 0, table.shape[1]),

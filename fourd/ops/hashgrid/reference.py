@@ -11,7 +11,7 @@ PRIMES = (1, 2654435761, 805459861)  # Mueller et al. 2022, eq. 4
 
 
 def encode_hash_grid_reference(coordinates: Tensor, table: Tensor, shape: HashGridShape) -> Tensor:
-    """Compute what :func:`fourd.ops.hashgrid.op.encode_hash_grid` specifies, on any device, in float32 or float64."""
+    """Compute the result of :func:`fourd.ops.hashgrid.op.encode_hash_grid` on any device, in float32 or float64."""
     check_hash_grid(coordinates, table, shape)
     positions = coordinates.nan_to_num(nan=0.0).clamp(0, 1)
     levels = zip(shape.resolutions, shape.entries, shape.offsets, strict=True)
@@ -19,7 +19,7 @@ def encode_hash_grid_reference(coordinates: Tensor, table: Tensor, shape: HashGr
 
 
 def _level(positions: Tensor, values: Tensor, resolution: int) -> Tensor:
-    """Interpolate one level: entries (E, F) -> (N, F)."""
+    """Interpolate the stored values (E, F) of one level at positions (N, 3) in [0, 1]. Returns (N, F)."""
     scaled = positions * resolution
     low = scaled.detach().long().clamp(max=resolution - 1)
     fraction = scaled - low
@@ -32,10 +32,10 @@ def _level(positions: Tensor, values: Tensor, resolution: int) -> Tensor:
 
 
 def _entry_index(sample: Tensor, resolution: int, entries: int) -> Tensor:
-    """Entry (N,) of each sample (N, 3) in a level that stores ``entries``."""
+    """Return the index (N,) of each sample (N, 3) in a level that stores ``entries`` values."""
     x, y, z = sample.unbind(dim=1)
     side = resolution + 1
     if side**3 <= entries:
         return x + y * side + z * side**2
-    # The number of entries is a power of two: bits above 32 of the products are cut off.
+    # ``entries`` is a power of two of at most 2^24, so the mask discards the bits above 32 of the 64-bit products.
     return (x * PRIMES[0] ^ y * PRIMES[1] ^ z * PRIMES[2]) & (entries - 1)

@@ -1,4 +1,4 @@
-"""Sizes of a hash grid, and the checks of its arguments."""
+"""Sizes of a hash grid, and argument checks."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ MAX_LEVELS = 32
 MAX_FEATURES = 8
 LOG2_ENTRIES_RANGE = (4, 24)
 ROW_ALIGNMENT = 16
-"""Rows; every level then begins at a cache line."""
+"""The first row of every level is a multiple of this number, so that levels start at a cache line."""
 MAX_RESOLUTION = 2**20
-"""Cells per side. Float32 still resolves sixteen positions within a cell."""
+"""Maximum number of cells per side. Up to this size, float32 resolves at least 16 positions within a cell."""
 
 
 @dataclass(frozen=True)
 class HashGridShape:
-    """Sizes of a hash grid; the names in Mueller et al. 2022 are in brackets.
+    """Sizes of a hash grid. The symbols of Mueller et al. 2022 are in brackets.
 
     Raises:
-        ValueError: naming the field, what was expected and what came.
+        ValueError: for an invalid field. The message names the field and the expected value.
     """
 
     levels: int = 16
-    """Number of grids, 1 to 32 (L)."""
+    """Number of levels, which are grids of different resolutions, 1 to 32 (L)."""
     features: int = 2
-    """Numbers per sample, 1 to 8 (F)."""
+    """Number of features per sample, 1 to 8 (F)."""
     log2_entries: int = 19
-    """Log2 of the maximum number of entries that a level stores, 4 to 24 (T). Larger levels share them by a hash."""
+    """Log2 of the maximum number of stored entries per level, 4 to 24 (log2 T). Levels with more samples are hashed."""
     coarsest: int = 16
     """Cells per side of the first level (N_min)."""
     finest: int = 2048
@@ -51,38 +51,41 @@ class HashGridShape:
 
     @property
     def resolutions(self) -> tuple[int, ...]:
-        """Cells per side of every level, in geometric progression. A single level has the coarsest resolution."""
+        """Cells per side of every level: a geometric progression from coarsest to finest.
+
+        A single level is the coarsest.
+        """
         growth = math.log(self.finest / self.coarsest) / max(self.levels - 1, 1)
-        # 1e-6: rounding must not reduce the last level to one cell below the finest resolution.
+        # Without 1e-6, rounding could reduce the last level to one cell less than the finest resolution.
         return tuple(int(self.coarsest * math.exp(growth * level) + 1e-6) for level in range(self.levels))
 
     @property
     def entries(self) -> tuple[int, ...]:
-        """Stored entries of every level: all samples, or 2^log2_entries if there are more."""
+        """Number of stored entries of every level: the number of samples, but at most 2^log2_entries."""
         return tuple(min((side + 1) ** 3, 2**self.log2_entries) for side in self.resolutions)
 
     @property
     def offsets(self) -> tuple[int, ...]:
-        """First table row of every level, a multiple of 16."""
+        """Index of the first table row of every level, a multiple of 16."""
         ends = accumulate(self.entries, lambda end, entries: _align(end) + entries)
         return tuple(end - entries for end, entries in zip(ends, self.entries, strict=True))
 
     @property
     def total_entries(self) -> int:
-        """Rows of the table: those of all levels, and the unused padding between levels."""
+        """Number of rows of the table: the entries of all levels and the unused padding between levels."""
         return self.offsets[-1] + self.entries[-1]
 
     @property
     def out_features(self) -> int:
-        """Features of an encoded point."""
+        """Number of features of an encoded point."""
         return self.levels * self.features
 
 
 def check_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -> None:
-    """Check shapes, dtypes and devices of the arguments of the encoding.
+    """Check the shapes, dtypes and devices of the arguments.
 
     Raises:
-        TypeError, ValueError: naming the argument, what was expected and what came.
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
     """
     if coordinates.ndim != 2 or coordinates.shape[1] != 3:
         raise ValueError(f"coordinates: expected shape (N, 3), got {tuple(coordinates.shape)}")

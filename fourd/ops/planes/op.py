@@ -18,23 +18,24 @@ MAX_PLANES_GPU = 64
 def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
     """Sample every plane bilinearly and concatenate the features (K-Planes, Fridovich-Keil et al. 2023, eq. 1).
 
-    Float32 on the CPU, or on a CUDA device whose kernels are built, uses a kernel; everything else uses
+    Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
     :func:`fourd.ops.planes.reference.sample_planes_reference`.
 
     Args:
-        coordinates: (N, 4) x, y, z, t in [-1, 1], float32 or float64. Values outside are clamped to the border; NaN
-            counts as -1.
-        planes: each (rows, columns, F) of the coordinates' dtype, with at least 2 rows and columns; F from 1 to 64,
-            the same for all. The first and last samples lie on the borders (align_corners).
-        axes: two indices from 0 to 3 per plane: the coordinate along its columns, then the one along its rows.
+        coordinates: (N, 4) x, y, z, t in [-1, 1], float32 or float64. Values outside [-1, 1] are clamped; NaN counts as
+            -1.
+        planes: tensors of shape (rows, columns, F) and the coordinates' dtype, with at least 2 rows and 2 columns. F is
+            the same for all planes, from 1 to 64. The first and last samples lie at -1 and 1 (align_corners).
+        axes: two indices from 0 to 3 per plane: first the coordinate along a row of the plane, which selects the
+            column, then the coordinate that selects the row.
 
     Returns:
-        (N, F * len(planes)). Differentiable in the planes and the coordinates. On the CPU the gradient has the same
-        bits for any number of threads (FOURD_THREADS, else torch.get_num_threads()); on a GPU its last bits vary from
-        run to run.
+        (N, F * len(planes)). Differentiable in the planes and the coordinates. On the CPU the gradient's bits do not
+        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU its last bits vary
+        between calls.
 
     Raises:
-        TypeError, ValueError: naming the argument, what was expected and what came.
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
     """
     _check(coordinates, planes, axes)
     device = coordinates.device.type
@@ -48,10 +49,10 @@ def _check(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -
     if coordinates.ndim != 2 or coordinates.shape[1] != 4:
         raise ValueError(f"coordinates: expected shape (N, 4), got {tuple(coordinates.shape)}")
     if len(planes) == 0 or len(axes) != 2 * len(planes):
-        raise ValueError(f"axes: expected two for each of {len(planes)} planes, got {len(axes)}")
+        raise ValueError(f"axes: expected two indices for each of {len(planes)} planes, got {len(axes)} indices")
     for name, tensor in (("coordinates", coordinates), *((f"planes[{k}]", plane) for k, plane in enumerate(planes))):
         if tensor.dtype != coordinates.dtype or tensor.dtype not in (torch.float32, torch.float64):
-            expected = "float32 or float64, the same in all"
+            expected = "float32 or float64 in all tensors"
             raise TypeError(f"{name}: expected {expected}, got {str(tensor.dtype).removeprefix('torch.')}")
         if tensor.device != coordinates.device:
             raise ValueError(f"{name}: expected device {coordinates.device} like coordinates, got {tensor.device}")
@@ -141,6 +142,6 @@ def _empty_samples(coordinates: Tensor, planes: Sequence[Tensor]) -> Tensor:
 def _empty_gradients(
     coordinates: Tensor, planes: Sequence[Tensor], needs_coordinates: bool
 ) -> tuple[list[Tensor], Tensor]:
-    """Allocate the gradients; that of the coordinates is empty unless it is needed."""
+    """Allocate the gradients. The coordinates' gradient is empty unless it is needed."""
     grad_planes = [torch.empty_like(plane, memory_format=torch.contiguous_format) for plane in planes]
     return grad_planes, coordinates.new_empty(coordinates.shape if needs_coordinates else (0, 4))

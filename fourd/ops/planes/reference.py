@@ -10,7 +10,7 @@ from torch.nn import functional
 
 
 def sample_planes_reference(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
-    """Compute what :func:`fourd.ops.planes.op.sample_planes` specifies, on any device, in float32 or float64."""
+    """Compute the result of :func:`fourd.ops.planes.op.sample_planes` on any device, in float32 or float64."""
     samples = []
     for k, plane in enumerate(planes):
         grid = coordinates[:, [axes[2 * k], axes[2 * k + 1]]].nan_to_num(nan=-1.0).reshape(1, 1, -1, 2)

@@ -27,16 +27,16 @@ def draw_points_gpu(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     out: Tensor | None = None,
 ) -> Tensor:
-    """Draw the picture of :meth:`fourd.ops.play.op.PointPlayer.draw` on the tensors' device, to one step of a byte.
+    """Draw the image of :meth:`fourd.ops.play.op.PointPlayer.draw` on the tensors' device; bytes differ by at most 1.
 
-    Float16 arrays come as int16 tensors of their bits; all tensors are contiguous. The work is queued on torch's
-    current stream and not waited for. CPU tensors run the emulated kernels.
+    Float16 arrays are passed as int16 tensors with the same bits. All tensors must be contiguous. The work is queued on
+    torch's current stream; this call does not wait for it. For CPU tensors, the emulated kernels run.
 
     Returns:
-        (H, W, 4) uint8 on the device, ``out`` if given.
+        (H, W, 4) uint8 on the device; this is ``out`` if it is given.
 
     Raises:
-        TypeError, ValueError: naming the argument, what was expected and what came.
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
     """
     check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
     gpu = load_gpu(xyz.device)

@@ -1,7 +1,7 @@
 """Drawing and depth-sorting of baked points by the CPU kernels, for NumPy arrays.
 
-Both classes keep a workspace in native memory between calls. The native objects must not run two calls at once, so
-each object has a lock: threads that share an object take turns.
+Both classes keep a workspace in native memory between calls. A native object supports only one call at a time, so each
+object has a lock that serializes calls from several threads.
 """
 
 from __future__ import annotations
@@ -17,11 +17,14 @@ from fourd.ops.points.validation import check_points, pack_camera
 from fourd.ops.shade.shading import Shading
 
 MIN_TRANSMITTANCE = 1e-3
-"""A pixel ends below this transmittance, a quarter of a byte's step: what lies behind cannot change its bytes."""
+"""Compositing of a pixel ends below this transmittance, a quarter of an 8-bit step. Points behind are not visible."""
 
 
 class PointPlayer:
-    """Shades and composites baked points to bytes in one native call. Threads may share it; they take turns."""
+    """Shades and composites baked points to an 8-bit image in one native call.
+
+    Several threads may use one instance; a lock serializes their calls.
+    """
 
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
@@ -51,19 +54,19 @@ class PointPlayer:
             xyz: (N, 3) positions, world units.
             radius: (N,) world units.
             density: (N,) in [0, 1].
-            sh, blend_weights, rgb, shading: as in :func:`fourd.ops.shade.op.shade_points`.
-            camera: an ideal pinhole.
-            layers: K, the most points that a pixel composites.
-            near: depth in world units below which points are culled.
-            background: red, green and blue in [0, 1].
-            threads: 0 uses FOURD_THREADS if set, else all cores.
-            out: (H, W, 4) uint8, C-contiguous, to draw into; None for a new array.
+            sh, blend_weights, rgb, shading: inputs of :func:`fourd.ops.shade.op.shade_points`.
+            camera: a pinhole camera without lens distortion.
+            layers: K, the maximum number of points that a pixel composites.
+            near: camera depth below which points are culled, in world units.
+            background: red, green and blue behind the points, in [0, 1].
+            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. None for a new array.
 
         Returns:
-            (H, W, 4) uint8, ``out`` if given: colour over the background, and alpha.
+            (H, W, 4) uint8: colour over the background, and alpha. This is ``out`` if it is given.
 
         Raises:
-            TypeError, ValueError: naming the argument, what was expected and what came.
+            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
         out = _check_canvas(out, (camera.height, camera.width, 4))
@@ -97,7 +100,7 @@ def _check_canvas(out: NDArray[np.uint8] | None, shape: tuple[int, int, int]) ->
 
 
 class PointSorter:
-    """Sorts points by depth. Threads may share it; they take turns."""
+    """Sorts points by depth. Several threads may use one instance; a lock serializes their calls."""
 
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
@@ -114,21 +117,22 @@ class PointSorter:
         *,
         threads: int = 0,
     ) -> NDArray[np.uint32]:
-        """Return the indices of the points that ``camera`` sees, nearest first, ties by index.
+        """Return the indices of the points visible to ``camera``, nearest first; equal depths are ordered by index.
 
-        Points that :func:`fourd.raster.render_points` does not draw are left out: those nearer than ``near``, outside
-        the image, with a radius or density that is not positive, or with a position that is not finite.
+        Points that :func:`fourd.raster.render_points` does not draw are omitted: points nearer than ``near``, points
+        outside the image, points with a radius or density that is not positive, and points at a position that is not
+        finite.
 
         Args:
             xyz: (N, 3) positions, world units.
             radius: (N,) world units, finite.
             density: (N,) in [0, 1].
-            camera: an ideal pinhole.
-            near: depth in world units, positive.
-            threads: 0 uses FOURD_THREADS if set, else all cores.
+            camera: a pinhole camera without lens distortion.
+            near: camera depth below which points are culled, in world units, above 0.
+            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
 
         Raises:
-            TypeError, ValueError: naming the argument, what was expected and what came.
+            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, 1, near)
         order = np.empty(len(xyz), np.uint32)

@@ -13,7 +13,7 @@ from fourd.ops.shade.shading import Shading
 
 MAX_FLOAT32 = np.finfo(np.float32).max
 RADIUS_MARGIN = 1 + 1e-6
-"""The kernels enlarge discs by this factor before they test for pixels, so that rounding loses none."""
+"""The kernels enlarge discs by this factor before they search for covered pixels, so that rounding omits no pixel."""
 
 
 def draw_points_reference(
@@ -30,10 +30,10 @@ def draw_points_reference(
     near: float,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> NDArray[np.float32]:
-    """Compute the picture of :meth:`fourd.ops.play.op.PointPlayer.draw` without early termination.
+    """Compute the image of :meth:`fourd.ops.play.op.PointPlayer.draw` without early termination.
 
     Returns:
-        (H, W, 4) float32 in [0, 1]: colour over the background, and alpha; not rounded to bytes.
+        (H, W, 4) float32 in [0, 1]: colour over the background, and alpha. Values are not rounded to bytes.
     """
     colours = shade_points_reference(xyz, sh, blend_weights, rgb, shading)
     rendered = render_points_reference(
@@ -57,9 +57,9 @@ def sort_points_reference(
     camera: Camera,
     near: float,
 ) -> NDArray[np.uint32]:
-    """Compute what :meth:`fourd.ops.play.op.PointSorter.sort` specifies, by a stable sort of float32 depths.
+    """Compute the result of :meth:`fourd.ops.play.op.PointSorter.sort` with a stable sort of float32 depths.
 
-    The float32 operations and their order are those of ``csrc/points/maths.h``.
+    The float32 operations are the same, in the same order, as in ``csrc/points/maths.h``.
     """
     k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
     radius_float, density_float = radius.astype(np.float32), density.astype(np.float32)
@@ -79,7 +79,7 @@ def sort_points_reference(
 
 
 def _covers_pixel(centre: NDArray[np.float32], rho: NDArray[np.float32], size: int) -> NDArray[np.bool_]:
-    """Whether a disc's extent along one axis contains a pixel centre of the image."""
+    """Return whether a disc's extent along one axis contains the centre of any pixel of the image."""
     extent = rho.astype(np.float64) * RADIUS_MARGIN
     first = np.ceil(centre - extent - 0.5)
     last = np.floor(centre + extent - 0.5)

@@ -1,4 +1,4 @@
-"""Compositing of points given as NumPy arrays: the CPU kernels, without torch and without gradients."""
+"""Compositing of points in NumPy arrays with the CPU kernels, without torch and without gradients."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def render_points_numpy(
     transmittance_min: float = 0.0,
     threads: int = 0,
 ) -> tuple[Floats, Floats, Floats]:
-    """Render float32 arrays to the same bits as :func:`fourd.raster.render_points` on the CPU (same arguments).
+    """Render float32 arrays. Arguments and result bits are those of :func:`fourd.raster.render_points` on the CPU.
 
-    ``threads``: 0 uses FOURD_THREADS if set, else all cores.
+    With ``threads`` = 0, the number of threads is FOURD_THREADS if that is set, else all cores.
 
     Returns:
         features (H, W, C), alpha (H, W) and depth (H, W), float32.
 
     Raises:
-        TypeError, ValueError: naming the argument, what was expected and what came.
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
     """
     arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}
     check_points(arrays, camera, layers, near)
@@ -70,7 +70,7 @@ def point_visibility_numpy(
     near: float = 0.01,
     threads: int = 0,
 ) -> Floats:
-    """Compute the (N,) float32 weights of :func:`fourd.raster.point_visibility` (same arguments)."""
+    """Compute the (N,) float32 weights of :func:`fourd.raster.point_visibility`, from the same arguments."""
     arrays: dict[str, Any] = {"xyz": xyz, "radius": radius, "density": density}
     check_points(arrays, camera, layers, near)
     out = np.empty(radius.shape, np.float32)

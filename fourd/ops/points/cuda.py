@@ -9,7 +9,7 @@ from torch import Tensor
 from fourd.ops.gpu import Gpu, contiguous, load_gpu
 
 MAX_LAYERS_BACKWARD = 64
-"""The gradient kernel keeps a pixel's layers in its thread's own memory."""
+"""Maximum number of layers of the gradient kernel, which stores a pixel's layers in the memory of one thread."""
 
 
 def render(
@@ -38,7 +38,10 @@ def render_backward(
     gradients: tuple[Tensor, Tensor, Tensor | None],
     out: tuple[Tensor, Tensor, Tensor, Tensor],
 ) -> None:
-    """Write the gradients of xyz, features, radius and density to ``out``, given those of features, alpha and depth."""
+    """Write the gradients of xyz, features, radius and density to ``out``.
+
+    ``gradients`` are those of the three images.
+    """
     gpu = load_gpu(inputs[0].device)
     height, width = gradients[1].shape
     with gpu.activate():
@@ -64,7 +67,7 @@ def visibility(
     near: float,
     out: Tensor,
 ) -> None:
-    """Write every point's largest weight in any pixel (N,) to ``out``; ``size`` is (width, height) in pixels."""
+    """Write every point's largest weight in any pixel, (N,), to ``out``. ``size`` is (width, height) in pixels."""
     gpu = load_gpu(inputs[0].device)
     with gpu.activate():
         plan = _plan(gpu, inputs[0].shape[0], 0, *size)
@@ -72,7 +75,7 @@ def visibility(
 
 
 def _plan(gpu: Gpu, count: int, channels: int, width: int, height: int) -> tuple[Any, int, Tensor]:
-    """Predict the entries that a picture needs and allocate scratch memory for them."""
+    """Predict the number of (point, tile) pairs of an image and allocate scratch memory for them."""
     entries, size = gpu.kernels.plan_points(gpu.estimator, count, channels, width, height)
     return gpu.estimator, entries, gpu.allocate(size)
 

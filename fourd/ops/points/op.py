@@ -1,7 +1,7 @@
 """Compositing of points: the operators ``torch.ops.fourd.render_points``, its gradient, and ``point_visibility``.
 
 :mod:`fourd.raster.points` is the public API: it checks the arguments and selects the backend. The operators support
-autograd, ``torch.library.opcheck`` and ``torch.compile`` (through their fake implementations).
+autograd and ``torch.library.opcheck``, and ``torch.compile`` through fake implementations.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def render_backward(
     near: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the gradients of xyz, features, radius and density from those of the image."""
+    """Compute the gradients of xyz, features, radius and density from the gradients of the images."""
     inputs = (xyz, features, radius, density)
     out = _empty_gradients(*inputs)
     if uses_gpu_kernels(xyz):
@@ -152,7 +152,7 @@ def visibility(
     near: float,
     threads: int,
 ) -> Tensor:
-    """Compute every point's largest weight (N,) in any pixel."""
+    """Compute every point's largest weight in any pixel, (N,)."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
     if uses_gpu_kernels(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
@@ -179,10 +179,10 @@ def _(
 
 
 def _check_layers(xyz: Tensor, layers: int) -> None:
-    """Check that the gradient kernel of a GPU can hold a pixel's layers."""
+    """Check that the GPU's gradient kernel can store ``layers`` layers per pixel."""
     if uses_gpu_kernels(xyz) and layers > gpu.MAX_LAYERS_BACKWARD:
         expected = f"at most {gpu.MAX_LAYERS_BACKWARD} where gradients are required on a GPU"
-        raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' takes any number")
+        raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' supports any number")
 
 
 def _empty_image(features: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:

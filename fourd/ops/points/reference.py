@@ -1,8 +1,8 @@
-"""The point renderer in plain torch: slow, obvious, and the standard for every other backend.
+"""The reference point renderer in plain torch. It is slow and simple; other backends are tested against it.
 
-It works in float32 and float64 on any device and is differentiable by autograd. In float32 it computes the numbers
-that decide hits and order with the operations of ``csrc/points/maths.h`` in the same order, so that the kernels agree
-with it on every hit.
+It works in float32 and float64 on any device and is differentiable by autograd. In float32 it uses the same operations
+in the same order as ``csrc/points/maths.h`` for depth, projection and alpha, so that the kernels and the reference
+composite the same points at every pixel.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CHUNK = 1 << 23
-"""Pixels times points evaluated at once; bounds the memory to about 100 MB."""
+"""Maximum number of pixels times points per chunk, which limits memory to about 100 MB."""
 
 
 class Splats(NamedTuple):
-    """Points projected to the image, (M,) each; alpha is density * (1 - distance_px^2 * inverse_square)."""
+    """Points projected to the image, (M,) each. ``inverse_square`` is 1 / radius_px^2."""
 
     u: Tensor
     v: Tensor
@@ -29,7 +29,10 @@ class Splats(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """The points that P pixels composite, (P, K), nearest first. Where ``valid`` is False, ``splat`` is 0."""
+    """Indices of the splats that P pixels composite, (P, K), nearest first.
+
+    Where ``valid`` is False, ``splat`` is 0.
+    """
 
     splat: Tensor
     valid: Tensor
@@ -38,14 +41,14 @@ class Layers(NamedTuple):
 def render_points_reference(
     xyz: Tensor, features: Tensor, radius: Tensor, density: Tensor, camera: Camera, layers: int, near: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Render features (H, W, C), alpha (H, W) and depth (H, W) as :func:`fourd.raster.render_points` specifies."""
+    """Compute features (H, W, C), alpha (H, W) and depth (H, W) of :func:`fourd.raster.render_points`."""
     kept = _cull(xyz, radius, density, camera, near)
     splats = _project(xyz[kept], radius[kept], density[kept], camera)
     features = features[kept]
     chunks = [_composite(splats, features, *chunk)[:3] for chunk in _pixel_chunks(splats, camera, layers)]
     colour, alpha, depth = (torch.cat(chunk) for chunk in zip(*chunks, strict=True))
     shape = (camera.height, camera.width)
-    # If every point is culled, the image still needs a gradient, which is zero.
+    # Adding zero keeps the image connected to the inputs in autograd if every point is culled.
     zero = sum((array[:0].sum() for array in (features, radius, density)), start=xyz[:0].sum())
     return colour.reshape(*shape, features.shape[1]) + zero, alpha.reshape(shape) + zero, depth.reshape(shape)
 
@@ -54,7 +57,7 @@ def render_points_reference(
 def point_visibility_reference(
     xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, layers: int, near: float
 ) -> Tensor:
-    """Compute the (N,) weights that :func:`fourd.raster.point_visibility` specifies."""
+    """Compute the (N,) weights of :func:`fourd.raster.point_visibility`."""
     kept = _cull(xyz, radius, density, camera, near)
     splats = _project(xyz[kept], radius[kept], density[kept], camera)
     best = xyz.new_zeros(kept.shape[0])
@@ -66,7 +69,7 @@ def point_visibility_reference(
 
 @torch.no_grad()
 def _cull(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, near: float) -> Tensor:
-    """Return the indices of the points that are not culled, nearest first, ties by index."""
+    """Return the indices of the points that are not culled, nearest first; equal depths are ordered by index."""
     u, v, inverse_square, _, z = _project(xyz, radius, density, camera)
     keep = (z >= torch.as_tensor(near, dtype=xyz.dtype)) & (radius > 0) & (density > 0) & (inverse_square > 0)
     for value in (z, radius, density, u, v, inverse_square):
@@ -87,14 +90,17 @@ def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Sp
 
 
 def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
-    """Evaluate alpha of splats (P, K) or (1, M) at pixel centres (P, 2), without the lower limit of 0."""
+    """Return density * (1 - distance_px^2 / radius_px^2), not clamped.
+
+    The splats are (P, K), or (1, M) for all pixels; the pixel centres are (P, 2).
+    """
     dx = splats.u - pixels[:, :1]
     dy = splats.v - pixels[:, 1:]
     return splats.density * (1 - (dx * dx + dy * dy) * splats.inverse_square)
 
 
 def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Tensor, Layers]]:
-    """Return the pixel centres (P, 2) in row-major order, in chunks, with the points that each composites."""
+    """Return chunks of pixel centres (P, 2), in row-major order, with the points that each pixel composites."""
     rows = torch.arange(camera.height, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     columns = torch.arange(camera.width, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).reshape(-1, 2)
@@ -103,7 +109,7 @@ def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Ten
 
 @torch.no_grad()
 def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
-    """Select the nearest ``layers`` splats with positive alpha at every pixel; splats are sorted nearest first."""
+    """Select the nearest ``layers`` splats with positive alpha at every pixel. ``splats`` are sorted by depth."""
     count = len(splats.z)
     hit = _alpha(Splats(*(value[None] for value in splats)), pixels) > 0
     order = torch.where(hit, torch.arange(count, device=hit.device), count)
@@ -115,13 +121,13 @@ def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
 def _composite(
     splats: Splats, features: Tensor, pixels: Tensor, chosen: Layers
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Composite front to back: features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
+    """Composite front to back. Returns features (P, C), alpha (P,), depth (P,) and the layers' weights (P, K)."""
     local = Splats(*(value[chosen.splat] for value in splats))
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
-    # Depths are averaged relative to the nearest one, which is constant: the mean and its gradient are the same,
-    # and a pixel with one layer has no rounding error that a small weight would amplify.
+    # Depths are averaged relative to the nearest depth, which is a constant in autograd. This changes neither the mean
+    # nor its gradient, and avoids a rounding error that a small weight would amplify where a pixel has one layer.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

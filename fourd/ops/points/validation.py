@@ -1,4 +1,4 @@
-"""Argument checks of the point renderers, the same for torch tensors and NumPy arrays."""
+"""Argument checks of the point renderers, for torch tensors and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from fourd.cameras import Camera
 MAX_CHANNELS = 32
 MAX_POINTS = 2**31 - 1
 MAX_SIDE_PX = 2**18
-"""The kernels count tiles of 16 x 16 pixels in 32 bits; this limit leaves a factor of 8."""
+"""Maximum width or height of an image.
+
+The kernels count tiles of 16 x 16 pixels in 32 bits; the limit leaves a safety factor of 8.
+"""
 
 
 def check_points(
@@ -20,17 +23,17 @@ def check_points(
     """Check the arguments that all renderers share.
 
     Args:
-        arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32, all of one
-            dtype out of ``dtypes`` and on one device. Values are not checked: the renderers cull points that are not
-            finite.
-        camera: must be an ideal pinhole.
+        arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32, all on one
+            device and of one dtype out of ``dtypes``. Values are not checked: the renderers cull points whose values
+            are not finite.
+        camera: must be a pinhole camera without lens distortion.
         layers: must be an integer of at least 1.
         near: must be finite and positive.
         dtypes: names of the accepted dtypes.
 
     Raises:
-        TypeError: for a wrong type or dtype, naming the argument, what was expected and what came.
-        ValueError: for a wrong shape or range, likewise.
+        TypeError: for a wrong type or dtype. The message names the argument and the expected value.
+        ValueError: for a wrong shape or range, with the same message.
     """
     for name, array in arrays.items():
         if not hasattr(array, "shape") or not hasattr(array, "dtype"):
@@ -56,7 +59,7 @@ def check_background(background: Any, camera: Camera, channels: int) -> None:
 
 
 def pack_camera(camera: Camera) -> list[float]:
-    """Return the 21 numbers that the kernels take: K and R row by row, then T."""
+    """Return the camera as the kernels expect it: 21 numbers, K and R row by row, then T."""
     return [*camera.intrinsics.ravel(), *camera.rotation.ravel(), *camera.translation]
 
 
@@ -86,9 +89,9 @@ def _check_dtypes(arrays: Mapping[str, Any], dtypes: tuple[str, ...]) -> None:
             fix = "; float64 needs backend='reference'" if dtype == "float64" else ""
             raise TypeError(f"{name}: expected {' or '.join(dtypes)}, got {dtype}{fix}")
         if dtype != first:
-            raise TypeError(f"{name}: expected {first} like xyz, got {dtype}")
+            raise TypeError(f"{name}: expected {first}, the dtype of xyz, got {dtype}")
         if str(getattr(array, "device", "cpu")) != str(getattr(arrays["xyz"], "device", "cpu")):
-            raise ValueError(f"{name}: expected device {arrays['xyz'].device} like xyz, got {array.device}")
+            raise ValueError(f"{name}: expected device {arrays['xyz'].device}, that of xyz, got {array.device}")
 
 
 def _check_camera(camera: Camera) -> None:

@@ -1,1 +1,1 @@
-"""Colours of baked points seen from a camera (``csrc/shade``)."""
+"""Colours of baked points for a viewpoint (``csrc/shade``)."""

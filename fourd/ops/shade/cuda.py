@@ -1,4 +1,4 @@
-"""Colours of baked points seen from a camera, by the CUDA kernel, for torch tensors."""
+"""Colours of baked points for a viewpoint: the CUDA kernel, for torch tensors."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from fourd.ops.shade.shading import Shading
 
 
 def shade_points_gpu(xyz: Tensor, sh: Tensor, blend_weights: Tensor, rgb: Tensor, shading: Shading) -> Tensor:
-    """Compute what :func:`fourd.ops.shade.op.shade_points` specifies, (N, 3) float32 on the tensors' device.
+    """Compute the colours of :func:`fourd.ops.shade.op.shade_points`, (N, 3) float32, on the tensors' device.
 
-    ``sh`` and ``blend_weights`` hold the bits of float16 as int16; all tensors are contiguous. The work is queued on
-    torch's current stream. CPU tensors run the emulated kernel.
+    ``sh`` and ``blend_weights`` are int16 tensors with the bits of float16. All tensors must be contiguous. The work is
+    queued on torch's current stream. For CPU tensors, the emulated kernel runs.
     """
     gpu = load_gpu(xyz.device)
     out = torch.empty_like(xyz)

@@ -1,6 +1,6 @@
-"""Real spherical harmonics of degree 3, with the order and constants of PlenOctrees and 3DGS.
+"""Real spherical harmonics up to degree 3, in the order and with the constants of PlenOctrees and 3DGS.
 
-The C++ side has the same table in ``csrc/shade/maths.h``.
+``csrc/shade/maths.h`` has the same table for the kernels.
 """
 
 from __future__ import annotations
@@ -9,17 +9,17 @@ from typing import Any
 
 SH_TERMS = 16
 SH_CONSTANT = 0.28209479177387814
-"""Term 0, the same in all directions."""
+"""Term 0, which is constant over all directions."""
 
 
 def directional_terms(x: Any, y: Any, z: Any) -> list[Any]:
     """Evaluate terms 1 to 15 at unit vectors (x, y, z).
 
     Args:
-        x, y, z: NumPy arrays or torch tensors of one shape; they are not normalized here.
+        x, y, z: NumPy arrays or torch tensors of equal shape. This function does not normalize them.
 
     Returns:
-        15 arrays of that shape. With :data:`SH_CONSTANT` in front they are orthonormal over the sphere.
+        15 arrays of that shape. Together with term 0, :data:`SH_CONSTANT`, they are an orthonormal basis on the sphere.
     """
     xx, yy, zz = x * x, y * y, z * z
     return [

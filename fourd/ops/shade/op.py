@@ -1,4 +1,4 @@
-"""Colours of baked points seen from a camera, by the CPU kernel, for NumPy arrays."""
+"""Colours of baked points for a viewpoint: the CPU kernel, for NumPy arrays."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ def shade_points(
     *,
     threads: int = 0,
 ) -> NDArray[np.float32]:
-    """Blend the colours of the chosen source views and add spherical harmonics (4K4D, sec. 3.2).
+    """Blend the colours of the selected source views and add spherical harmonics (4K4D, sec. 3.2).
 
-    With d the unit vector from the camera to the point, the colour is
-    ``sum_v w_v rgb_v / sum_v w_v + sh_base + sh_range * tanh(sh . Y(d))`` over the views v of ``shading``. Where all
-    weights are 0, the views count equally.
+    Let d be the unit vector from the camera to the point, and Y(d) the 16 spherical harmonics in this direction.
+    The colour is ``sum_v w_v rgb_v / sum_v w_v + sh_base + sh_range * tanh(sh . Y(d))``. The sums are over the views v
+    in ``shading.views``.
+    If all weights of a point are 0, its views get equal weights.
 
     Args:
         xyz: (N, 3) positions, world units.
-        sh: (N, 3, 16) spherical harmonics of red, green and blue.
-        blend_weights: (N, V), not negative.
+        sh: (N, 3, 16) spherical harmonics coefficients of red, green and blue.
+        blend_weights: (N, V) blend weights, 0 or more.
         rgb: (N, V, 3) the points' colours in the source views.
-        shading: the viewpoint and the views to blend, indices below V.
-        threads: 0 uses FOURD_THREADS if set, else all cores.
+        shading: the viewpoint and the indices of the views to blend, below V.
+        threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
 
     Returns:
-        (N, 3) float32 RGB, not clamped. The result has the same bits for any number of threads.
+        (N, 3) float32 RGB, not clamped. The result's bits do not depend on the number of threads.
 
     Raises:
         ImportError: if the native module is not built.
-        ValueError: for shapes that do not match, or a view index that is out of range.
+        ValueError: if shapes do not match or a view index is out of range.
     """
     colours: NDArray[np.float32] = load_native().shade(
         xyz,

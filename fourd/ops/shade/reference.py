@@ -1,4 +1,4 @@
-"""Colours of baked points seen from a camera, in NumPy."""
+"""Colours of baked points for a viewpoint, in NumPy."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def shade_points_reference(
     rgb: NDArray[np.uint8],
     shading: Shading,
 ) -> NDArray[np.float32]:
-    """Compute what :func:`fourd.ops.shade.op.shade_points` specifies."""
+    """Compute the colours of :func:`fourd.ops.shade.op.shade_points`."""
     colour = np.empty((len(xyz), 3), dtype=np.float32)
     for start in range(0, len(xyz), CHUNK):
         chunk = slice(start, start + CHUNK)
@@ -35,14 +35,14 @@ def shade_points_reference(
 
 
 def sh_basis(directions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Evaluate the 16 real spherical harmonics of degree 3 at unit vectors (N, 3); returns (N, 16) float32."""
+    """Evaluate the 16 real spherical harmonics up to degree 3 at unit vectors (N, 3). Returns (N, 16) float32."""
     x, y, z = directions.T
     terms = [np.full_like(x, SH_CONSTANT), *directional_terms(x, y, z)]
     return np.stack(terms, axis=1).astype(np.float32, copy=False)
 
 
 def _normalize(weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scale rows to a sum of 1; rows of zeros become uniform."""
+    """Scale each row to a sum of 1. Rows of zeros become uniform."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.float32(1 / weights.shape[1])
     return np.where(total > 0, weights / np.where(total > 0, total, 1), uniform)

@@ -1,4 +1,4 @@
-"""The viewpoint and the constants that shading needs beside the points' arrays."""
+"""Inputs of shading other than the points: the viewpoint and constants."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """A viewpoint, and the constants of the colour model.
+    """The viewpoint, the source views and the constants of the colour model.
 
     Attributes:
-        views: (K,) int32 indices of the source views to blend; empty for spherical harmonics only.
+        views: (K,) int32 indices of the source views to blend. Empty if the colour is spherical harmonics only.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.
-        sh_range, sh_base: the view-dependent part is ``sh_base + sh_range * tanh(sh . Y(d))``.
+        sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
+            are the spherical harmonics in viewing direction d.
     """
 
     views: NDArray[np.int32]
@@ -24,5 +25,5 @@ class Shading:
     sh_base: float
 
     def arguments(self) -> tuple[NDArray[np.int32], NDArray[np.float64], float, float]:
-        """The fields in the order in which the native kernels take them."""
+        """Return the fields in the order of the native kernels' arguments."""
         return self.views, self.centre, self.sh_range, self.sh_base

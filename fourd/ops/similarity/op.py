@@ -14,14 +14,14 @@ from fourd.ops.similarity.reference import WINDOW_PX, structural_similarity_refe
 def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
     """Compute :func:`fourd.ops.similarity.reference.structural_similarity_reference` of two (H, W, C) images.
 
-    Float32 on the CPU with a target that requires no gradient uses a kernel, which computes the gradient together with
-    the value, to the same bits for any number of threads. Everything else uses the reference.
+    Float32 images on the CPU use a kernel if the target requires no gradient. The kernel computes value and gradient
+    together; their bits do not depend on the number of threads. Other inputs use the reference.
 
     Returns:
         A scalar, differentiable in both images.
 
     Raises:
-        ValueError: as the reference.
+        ValueError: in the same cases as the reference.
     """
     fits = prediction.ndim == 3 and prediction.shape == target.shape and min(prediction.shape[:2]) >= WINDOW_PX
     has_kernel = all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in (prediction, target))
@@ -33,7 +33,7 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
 
 @torch.library.custom_op("fourd::similarity", mutates_args=(), device_types="cpu")
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    """The similarity, and its gradient (H, W, C) in the prediction; the gradient is empty unless requested."""
+    """Return the similarity and its gradient (H, W, C) in the prediction. The gradient is empty unless requested."""
     gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())
     out = as_array(gradient) if with_gradient else None

@@ -13,16 +13,16 @@ C2 = 0.03**2
 
 
 def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tensor:
-    """Structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5 and data range 1.
+    """Compute structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5 and data range 1.
 
     The mean is taken over channels and over the pixels whose window lies inside the image, as in
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
 
     Args:
-        prediction, target: (..., H, W, C) of the same shape, floating point; H and W at least 11 pixels.
+        prediction, target: floating-point images (..., H, W, C) of equal shape; H and W are at least 11 pixels.
 
     Returns:
-        A scalar, differentiable in both images; 1 for equal images.
+        A scalar, which is 1 for equal images. Differentiable in both images.
 
     Raises:
         ValueError: for different shapes, integer images, or an image smaller than the window.
@@ -35,7 +35,7 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         )
     x, y = _to_planes(prediction), _to_planes(target)
     planes = x.shape[1]
-    # The target's two means are filtered separately, so that a loss computes no gradients for them.
+    # The target's two means are filtered in a separate call, so that the backward pass of a loss skips them.
     mean_x, square_x, product = _blur(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
     mean_y, square_y = _blur(torch.cat([y, y * y], dim=1)).split(planes, dim=1)
     covariance = product - mean_x * mean_y
@@ -51,7 +51,7 @@ def check_image_pair(prediction: Tensor, target: Tensor) -> None:
         got = tuple(target.shape)
         raise ValueError(f"target: expected the prediction's shape {tuple(prediction.shape)}, got {got}")
     if not (prediction.is_floating_point() and target.is_floating_point()):
-        raise ValueError(f"images: expected floating point in [0, 1], got {prediction.dtype} and {target.dtype}")
+        raise ValueError(f"images: expected floating-point values in [0, 1], got {prediction.dtype} and {target.dtype}")
 
 
 def _to_planes(images: Tensor) -> Tensor:
@@ -62,7 +62,7 @@ def _to_planes(images: Tensor) -> Tensor:
 
 
 def _blur(planes: Tensor) -> Tensor:
-    """Filter (1, P, H, W) -> (1, P, H-10, W-10) where the window lies inside the image."""
+    """Filter (1, P, H, W) -> (1, P, H-10, W-10): only pixels whose window lies inside the image."""
     count = planes.shape[1]
     offsets = torch.arange(WINDOW_PX, dtype=planes.dtype, device=planes.device) - WINDOW_PX // 2
     window = torch.softmax(-offsets.square() / (2 * SIGMA_PX**2), dim=0)

@@ -23,30 +23,31 @@ def sample_sources(
     cameras: list[float],
     softness: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Project points into every source view and sample it bilinearly.
+    """Project points into every source view and sample the view bilinearly.
 
-    Float32 on the CPU, or on a CUDA device whose kernels are built, uses a kernel; everything else uses
+    Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
     :func:`fourd.ops.sources.reference.sample_sources_reference`.
 
     Args:
         xyz: (N, 3) world points.
-        features: (V, C, h, w) image features at their own resolution, or None. In torch's channels_last format they
-            are read in place, else copied.
-        images: (V, 3, H, W) in [0, 1]; no gradient.
-        mattes: (V, H, W) in [0, 1], 1 where the object covers the pixel; no gradient.
-        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is none; None for no
-            occlusion test. No gradient.
-        cameras: :func:`fourd.ops.points.validation.pack_camera` of every view, concatenated.
-        softness: (N,) depth in world units, above 0, over which the visibility of an occluded point decays
-            exponentially; the decay starts two such depths behind the surface. No gradient.
+        features: (V, C, h, w) image features, whose resolution may differ from the images', or None. They are copied
+            unless they have torch's channels_last format.
+        images: (V, 3, H, W) colours in [0, 1]. Not differentiable.
+        mattes: (V, H, W) opacity in [0, 1], 1 where the object covers the pixel. Not differentiable.
+        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. None disables
+            the occlusion test. Not differentiable.
+        cameras: concatenated results of :func:`fourd.ops.points.validation.pack_camera` for all views.
+        softness: (N,) decay lengths in world units, above 0. The visibility weight of a point decays exponentially with
+            depth, starting two decay lengths behind the surface. Not differentiable.
 
     Returns:
-        channels (V, C + 3, N), features then RGB, differentiable in ``xyz`` and ``features``; and the visibility
-        weight (V, N) in [0, 1], without gradient: the squared matte times the occlusion test. The matte is squared
-        because a pixel on the silhouette mixes in background: the weight must fall faster than coverage does.
+        channels (V, C + 3, N), features followed by RGB, differentiable in ``xyz`` and ``features``; and visibility
+        weights (V, N) in [0, 1], not differentiable. A weight is the squared matte times the occlusion test. The matte
+        is squared because the colour of a silhouette pixel contains background: its weight must be less than its
+        coverage.
 
     Raises:
-        ValueError: from the kernels, for shapes that do not match.
+        ValueError: if shapes do not match.
     """
     device = xyz.device.type
     cuda_works = device == "cuda" and not cuda_unavailable_reason() and images.shape[0] <= MAX_VIEWS_GPU
@@ -110,7 +111,7 @@ def _sample_backward(
     gradient: Tensor,
     needs_features: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of ``xyz`` and ``features``; the latter is empty unless it is needed."""
+    """Compute the gradients of ``xyz`` and ``features``. The gradient of ``features`` is empty unless it is needed."""
     grad_xyz, grad_features = _empty_gradients(xyz, features, needs_features)
     feature_rows = _channels_last(grad_features) if needs_features else None
     if uses_gpu_kernels(xyz):

@@ -20,7 +20,7 @@ def sample_sources_reference(
     cameras: Sequence[float],
     softness: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Compute what :func:`fourd.ops.sources.op.sample_sources` specifies, on any device, in float32 or float64."""
+    """Compute the result of :func:`fourd.ops.sources.op.sample_sources` on any device, in float32 or float64."""
     pixels, point_depth = project_points(xyz, cameras)
     height, width = images.shape[-2:]
     size = torch.tensor([width, height], dtype=pixels.dtype, device=pixels.device)
@@ -47,11 +47,11 @@ def project_points(xyz: Tensor, cameras: Sequence[float]) -> tuple[Tensor, Tenso
     """Project world points (N, 3) into V pinhole cameras.
 
     Args:
-        cameras: :func:`fourd.ops.points.validation.pack_camera` of every camera, concatenated.
+        cameras: concatenated results of :func:`fourd.ops.points.validation.pack_camera` for all cameras.
 
     Returns:
-        pixels (V, N, 2) as (x, y), and depth (V, N) in world units. Points closer than 1e-6 to the camera plane or
-        behind it get pixels far outside the image. Differentiable in ``xyz``.
+        pixels (V, N, 2) as (x, y), and depth (V, N) in world units. Points with a depth of at most 1e-6 get pixel
+        coordinates far outside the image. Differentiable in ``xyz``.
     """
     numbers = torch.tensor(cameras, dtype=torch.float64).reshape(-1, 21)
     rotation, translation = numbers[:, 9:18].reshape(-1, 3, 3), numbers[:, 18:, None]
