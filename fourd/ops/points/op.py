@@ -182,7 +182,7 @@ def _check_layers(xyz: Tensor, layers: int) -> None:
     """Check that the GPU's gradient kernel can store ``layers`` layers per pixel."""
     if uses_gpu_kernels(xyz) and layers > gpu.MAX_LAYERS_BACKWARD:
         expected = f"at most {gpu.MAX_LAYERS_BACKWARD} where gradients are required on a GPU"
-        raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' supports any number")
+        raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' takes any number")
 
 
 def _empty_image(features: Tensor, width: int, height: int) -> tuple[Tensor, Tensor, Tensor]:
