@@ -38,5 +38,5 @@ def test_the_examples_of_playing_a_scene_run(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.parametrize("link", re.findall(r"\]\(((?:docs|configs|tools)/[^)]*)\)", README.read_text()))
 def test_links_lead_somewhere(link: str) -> None:
-    """Catches a page or a picture that was renamed or never committed."""
+    """Catches a page or an image that was renamed or never committed."""
     assert (README.parent / link).is_file()

@@ -1,4 +1,4 @@
-"""The entry point ``fourd``: selects the command and turns errors into one line and an exit code."""
+"""The entry point ``fourd``: runs a command and reports an error as one line and an exit code."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ COMMANDS = {
     "bench": "scenes.bench",
     "info": "scenes.info",
 }
-"""Each command's module below :mod:`fourd.cli`."""
+"""The module of each command, relative to :mod:`fourd.cli`."""
 
 FILE_ERRORS = (
     errno.ENOSPC,
@@ -41,41 +41,46 @@ FILE_ERRORS = (
     errno.EISDIR,
     errno.ENAMETOOLONG,
 )
-"""Errors of files and disks that the user can fix."""
+"""File system errors that the user can fix."""
 
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch")
-"""Packages of the extra ``fourd[train]``; playing a scene needs none of them."""
+"""Packages of the extra ``fourd[train]``. They are not needed to play a scene."""
 
 HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
-  fourd make CAPTURE -o scene.4dv   run every stage from videos to a scene, cached and resumable
+  fourd make VIDEOS|CAPTURE -o scene.4dv
+                                    run every stage from videos to a scene; cached and resumable
   fourd import [FORMAT] SRC OUT     import another program's calibration and videos
   fourd synth OUT                   make a synthetic capture with ground truth
   fourd check CAPTURE               list a capture's contents and problems
   fourd matte CAPTURE               make mattes and clean plates
-  fourd carve CAPTURE               carve first points of each frame
+  fourd carve CAPTURE               carve initial points of each frame from mattes
   fourd train CAPTURE --out RUN     train a model
-  fourd eval RUN                    score held-out views
+  fourd eval RUN                    evaluate a run on held-out views
   fourd export RUN -o scene.4dv     bake a scene for real-time rendering
-  fourd render RUN|SCENE --out OUT  render pictures or a video
+  fourd render RUN|SCENE --out OUT  render images or a video
   fourd view SCENE|RUN              play a scene in a window
   fourd bench                       time kernels and stages on this machine
   fourd info FILE|DIR               describe a file or folder
 
 fourd COMMAND --help lists the command's options and their units.
-Exit codes: 0 success; 2 wrong input; 1 internal error.
+Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be read or written;
+130 interrupted by Ctrl-C (finished results are kept).
 """
 
 
 SPIN_COUNT = "20000"
-"""GOMP_SPINCOUNT, how long idle OpenMP threads of torch spin before they sleep. With the default they delay fourd's own
-threads on the same cores; with this value a training step is 6 to 12% faster."""
+"""Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
+
+With the default, spinning threads delay fourd's own threads on the same cores. With this value a training step is 6 to
+12% faster.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    # GNU OpenMP reads it when a command imports torch.
+    # GNU OpenMP reads GOMP_SPINCOUNT when a command imports torch.
     os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     if not words or words[0] in ("-h", "--help"):
         print(HELP, end="")
@@ -94,23 +99,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         package = (error.name or "").split(".")[0]
         if package not in TRAINING_PACKAGES:
             raise
-        missing = f"needs the training packages, of which {package} is missing; pip install 'fourd[train]'"
+        missing = f"expected the training packages, but {package} is missing; pip install 'fourd[train]'"
         print(f"fourd {words[0]}: {missing}", file=sys.stderr)
         return 2
     except OSError as error:
         if error.errno not in FILE_ERRORS:
             raise
         reason = (error.strerror or "").lower()
-        got = f"expected to read and write there, got '{reason}'; free space or use another folder"
+        got = f"expected a readable and writable path, got '{reason}'; free space or use another folder"
         print(f"fourd {words[0]}: {error.filename or 'the disk'}: {got}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        Console(stderr=True).print(f"fourd {words[0]}: stopped; finished work is kept")
+        Console(stderr=True).print(f"fourd {words[0]}: interrupted; finished results are kept")
         return 130
 
 
 def _run(command: str, words: list[str]) -> int:
-    """Import and run one command; others are not imported, so that ``fourd info`` does not wait for torch."""
+    """Import and run one command. Other commands are not imported, so that ``fourd info`` does not load torch."""
     import difflib
     import importlib
 
@@ -126,11 +131,20 @@ def _run(command: str, words: list[str]) -> int:
             module.Arguments,
             prog=f"fourd {command}",
             args=words,
-            description=module.__doc__,
+            description=_wrap(f"{module.__doc__} {module.Arguments.__doc__}"),
             config=(tyro.conf.OmitArgPrefixes,),
         )
     code = module.run(arguments)
     return 0 if code is None else int(code)
+
+
+def _wrap(text: str) -> str:
+    """Wrap a description to the terminal. tyro would join the lines again if they did not start with a space."""
+    import shutil
+    import textwrap
+
+    width = max(40, shutil.get_terminal_size().columns)
+    return textwrap.fill(" ".join(text.split()), width, initial_indent=" ", subsequent_indent=" ")
 
 
 if __name__ == "__main__":

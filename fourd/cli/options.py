@@ -1,4 +1,4 @@
-"""Options that several commands share: one definition each of flag, help text and meaning."""
+"""Options that several commands share, each with its help text and its check."""
 
 from __future__ import annotations
 
@@ -11,25 +11,29 @@ import tyro
 from fourd.errors import UserError
 from fourd.parallel import core_count
 
-FRAMES_HELP = "Frames A to B, B excluded, every S-th; positions in the capture, from 0."
+FRAMES_HELP = "Every S-th frame from A to B, B excluded. A and B are positions in the capture, from 0."
 VIEWS_HELP = "Names of cameras, separated by commas."
+LPIPS_DEFAULT = "VGG-16 from torch.hub's cache, LPIPS from the installed lpips or torchmetrics"
 
 
 def describe(*sentences: str) -> Any:
-    """A help text of several lines; tyro breaks lines wherever a docstring does."""
+    """A help text from several sentences. In a docstring, tyro would keep the line breaks of the source."""
     return tyro.conf.arg(help=" ".join(sentences))
 
 
 def option(metavar: str, default: str, text: str | None = None) -> Any:
-    """An option whose default is decided later; --help shows ``default``."""
+    """An option whose default is computed after parsing; --help shows the text ``default``."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
 
 
+CapturePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE")]]
+RunPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
 Views = Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)]
 Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
 Workers = Annotated[int | None, option("N", "one per core", "Number of processes.")]
 LpipsWeights = Annotated[
-    Path | None, option("PATH", "the usual caches", "File or folder with the weights of VGG-16 and LPIPS.")
+    Path | None,
+    option("PATH", LPIPS_DEFAULT, "File or folder with the weights of VGG-16 and LPIPS."),
 ]
 
 
@@ -42,7 +46,7 @@ class SelectionOptions:
 
     @property
     def names(self) -> tuple[str, ...] | None:
-        """The cameras in ``views``."""
+        """The names in ``views``; None selects all cameras."""
         return split_names(self.views)
 
 
@@ -54,7 +58,7 @@ def check_rendering(
     steps: int | None = None,
     fps: float | None = None,
 ) -> None:
-    """Raise UserError for a rendering option that is out of range; None is always in range."""
+    """Raise UserError for a rendering option that is out of range. Options that are None are not checked."""
     if layers is not None and not 1 <= layers <= 64:
         raise UserError(f"--layers: expected 1 to 64, got {layers}")
     if any(not 0 <= value <= 1 for value in background):
@@ -68,7 +72,7 @@ def check_rendering(
 
 
 def split_names(text: str | None) -> tuple[str, ...] | None:
-    """Names separated by commas; None stays None."""
+    """Split names at commas; None stays None."""
     return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 

@@ -1,4 +1,4 @@
-"""Options of training, which ``fourd make`` and ``fourd train`` share, and how they overlay the config."""
+"""Training options of ``fourd make`` and ``fourd train``, and how they override the training config."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from fourd.errors import UserError
 from fourd.training.config import TrainConfig
 
 SEEDING_METHODS = ("ngp", "sfm")
-"""Methods of background seeding that ``--background`` takes besides a PLY file."""
+"""Methods of background seeding. ``--background`` accepts one of them or a PLY file."""
 BACKGROUND_HELP = (
-    "Source of a full scene's background points. ngp: a radiance field fitted to the clean plates, guided by stereo. "
-    "sfm: stereo only. FILE.ply: your own points, in world units."
+    "Source of the background points, for --scene full. ngp: a radiance field fitted to the clean plates, guided by "
+    "stereo depth maps. "
+    "sfm: stereo depth maps only. FILE.ply: your own points, in world units."
 )
 CONFIG_KEYS = {
     "scene": "scene",
@@ -34,11 +35,11 @@ CONFIG_KEYS = {
     "max_steps": "max_steps",
     "seed": "seed",
 }
-"""Options that overlay a key of the training config."""
+"""Maps options to the dotted keys of the training config that they override."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
-    """An option that overlays a key of the config; --help shows the key's default."""
+    """An option that overrides a key of the config; --help shows the key's default."""
     value = operator.attrgetter(CONFIG_KEYS[name])(TrainConfig())
     return option(metavar, {None: "all", (): "none"}.get(value, str(value)), text)
 
@@ -48,7 +49,7 @@ class TrainingOptions:
     """Flags and --set override the config file, which overrides the defaults."""
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
-    """object: the foreground in the mattes, on black. full: everything, with a static background."""
+    """object: only the foreground in the mattes, on black. full: the foreground and a static background."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
     """YAML file with config keys; docs/configuration.md lists them."""
     assignments: Annotated[
@@ -58,35 +59,36 @@ class TrainingOptions:
     ] = ()
     """Set any config key: --set rates.planes=1e-3 --set model.planes.levels=3."""
     test_views: Annotated[str | None, _config_option("test_views", "NAME,NAME")] = None
-    """Names of held-out cameras, separated by commas. They are neither trained on nor carved from."""
+    """Names of held-out cameras, separated by commas. They are not used for carving or training."""
     views: Annotated[str | None, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
     frames: Annotated[str | None, _config_option("frames", "A:B[:S]", FRAMES_HELP)] = None
     scale: Annotated[float | None, _config_option("scale", "FLOAT")] = None
     """Scale of the images; 0.5 halves width and height."""
     points: Annotated[int | None, _config_option("points", "INT")] = None
-    """Points per frame."""
+    """Maximum number of points per frame."""
     background: Annotated[str | None, _config_option("background", "{ngp,sfm,FILE.ply}", BACKGROUND_HELP)] = None
     background_points: Annotated[int | None, _config_option("background_points", "INT")] = None
-    """Points of a full scene's background."""
+    """Maximum number of background points, for --scene full."""
     refine_cameras: bool = False
-    """Correct poses and focal lengths: by bundle adjustment before carving, then by gradients while training."""
+    """Refine poses and focal lengths by bundle adjustment before carving, then by gradient descent during training."""
     refine_colours: bool = False
     """Learn an affine colour correction for each camera."""
-    points_from: Annotated[Path | None, option("DIR", "carve")] = None
-    """Folder with your own FRAME.ply (six digits) for each frame, in world units, used instead of carving."""
-    max_seconds: Annotated[float | None, option("FLOAT", "1800 in fourd make without --max-steps, else none")] = None
-    """Stop after this many seconds of training; earlier stages are not counted."""
+    points_from: Annotated[Path | None, option("DIR", "points are carved from the mattes")] = None
+    """Folder with your own initial points: one PLY file per frame, 000000.ply and so on, in world units."""
+    max_seconds: Annotated[float | None, option("SECONDS", "1800 in fourd make without --max-steps, else none")] = None
+    """Stop after this many seconds of training. fourd train needs --max-steps or --max-seconds."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
-    """Stop after this many steps."""
+    """Stop after this many training steps. fourd train needs --max-steps or --max-seconds."""
     seed: Annotated[int | None, _config_option("seed", "INT")] = None
     """Random seed."""
     lpips_weights: LpipsWeights = None
 
     def train_config(self, max_seconds: float | None = None) -> TrainConfig:
-        """Defaults, overlaid by the config file, by --set, and by the flags given.
+        """The defaults, overridden first by the config file and then by --set and the flags.
 
         Args:
-            max_seconds: the budget where no option and no file sets one; None makes that an error.
+            max_seconds: time budget in seconds, used if neither an option nor the file sets a budget. If it is None,
+                a missing budget raises UserError.
         """
         config = self.overlay(TrainConfig())
         if config.max_steps is None and config.max_seconds is None:
@@ -96,7 +98,7 @@ class TrainingOptions:
         return config
 
     def overlay(self, config: TrainConfig) -> TrainConfig:
-        """``config`` with the values of the config file, --set and the flags given."""
+        """``config``, overridden by the config file, --set and the flags."""
         if self.config is not None:
             config = load_overlay(config, self.config)
         assigned = assigned_keys(self.assignments)
@@ -115,7 +117,7 @@ class TrainingOptions:
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
-    """The fields of the key's dataclass that an option sets."""
+    """The fields, with values, that an option sets in the dataclass of its key."""
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):
@@ -124,7 +126,7 @@ def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
 
 
 def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) -> Any:
-    """``config`` with ``values`` in the dataclass that holds the dotted ``key``."""
+    """``config`` with ``values`` set in the dataclass that contains the dotted ``key``."""
     head, _, rest = key.partition(".")
     if rest:
         return replace(config, **{head: _replace_key(getattr(config, head), rest, values, flag)})
@@ -136,7 +138,7 @@ def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) ->
 
 
 def _seeding(background: str) -> dict[str, Any]:
-    """The value of ``--background`` as fields of the background's config."""
+    """Convert the value of ``--background`` to fields of the background config."""
     if background in SEEDING_METHODS:
         return {"seeding": background, "seeds": None}
     if background.lower().endswith(".ply") or Path(background).is_file():

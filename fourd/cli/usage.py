@@ -1,4 +1,4 @@
-"""Usage errors as one line instead of the box that tyro prints."""
+"""Report a usage error as one line instead of the box that tyro prints."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ RULE = re.compile(r"^[─\-+╭╮╰╯ ]{3,}")
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")
 BAD_VALUE = re.compile(r"Error parsing \S+: .*?(from \[(?P<got>.*)\]|: (?P<literal>'.*'))$")
 BAD_CHOICE = re.compile(r"invalid choice (?P<got>.*) for argument '(?P<name>.*)'\. Expected one of \((?P<known>.*)\)")
+MISSING_VALUE = re.compile(r"Missing value for argument '(?P<name>.*)'\. Expected")
+MISSING = "Missing from"
+REQUIRED = "(required)"
 HELP = "Argument helptext:"
 
 
 @contextmanager
 def one_line_of_usage() -> Iterator[None]:
-    """Turn the box that tyro prints before it exits into a UserError of one line. --help exits as usual."""
+    """Catch tyro's exit after a usage error and raise a one-line UserError instead. --help still exits with code 0."""
     printed = io.StringIO()
     try:
         with redirect_stderr(printed):
@@ -41,7 +44,9 @@ def condense(box: str) -> str:
             sections[-1].append(text)
     filled = [section for section in sections if section] or [["the options cannot be parsed"]]
     if len(filled) > 1 and len(filled[0]) == 1 and not filled[0][0].endswith(".") and ":" not in filled[0][0]:
-        del filled[0]  # the title: a terminal without box corners draws it above the frame
+        del filled[0]  # on terminals without box-drawing characters, tyro prints the title above the box
+    if filled[0][0].startswith(MISSING):
+        return f"expected {' and '.join(_missing(filled[0][1:]))}, got none; see --help"
     message = " ".join(filled[0]).split(" Got errors:")[0].rstrip(".")
     described = next((section[1] for section in filled if section[0] == HELP and len(section) > 1), None)
     bad_value, bad_choice = BAD_VALUE.match(message), BAD_CHOICE.match(message)
@@ -51,8 +56,17 @@ def condense(box: str) -> str:
     if bad_choice is not None:
         known = ", ".join(sorted(word for word in bad_choice["known"].split(", ") if word != "'None'"))
         return f"{bad_choice['name']}: expected one of {known}, got {bad_choice['got']}; see --help"
+    missing_value = MISSING_VALUE.match(message)
+    if missing_value is not None:
+        return f"{missing_value['name']}: expected a value, got none; see --help"
     suggested = next(
         (section[1] for section in filled[1:] if section[0].startswith("Perhaps") and len(section) > 1), None
     )
     hint = f"did you mean {suggested.split()[0]}?" if suggested else "see --help"
     return f"{message}; {hint}"
+
+
+def _missing(lines: list[str]) -> list[str]:
+    """The missing options. Each is listed as a line with its names, then lines of help that end with "(required)"."""
+    names = [name for before, name in zip([REQUIRED, *lines], lines, strict=False) if before.endswith(REQUIRED)]
+    return [name.rpartition(", ")[2] for name in names]

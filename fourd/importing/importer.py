@@ -1,4 +1,4 @@
-"""Import of a source in any format: read, align in time, fit the calibration to the pictures, write the capture."""
+"""Import of a source in any format: read, align in time, fit the calibration to the images, write the capture."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ class ImportOptions:
 
     Attributes:
         copy: copy files instead of linking them.
-        unpack: write the frames of videos as pictures.
+        unpack: write the frames of videos as images.
         offsets: delay of each camera's video in frames.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply the confident ones.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
-        calibrate: calibrate from the pictures even where the source has a calibration.
+        calibrate: calibrate from the images even where the source has a calibration.
         distance: known distance between two cameras, for the unit.
         board: chessboard in the first frames, for the world's origin and axes.
     """
@@ -122,7 +122,7 @@ def import_source(
 
 
 def _check_options(imported: Imported, source: Path, options: ImportOptions) -> bool:
-    """Check the options before minutes of work; whether the cameras are to be calibrated from their pictures."""
+    """Check the options before minutes of work; whether the cameras are to be calibrated from their images."""
     if options.sync and options.apply_sync:
         raise UserError("--apply-sync: expected it without --sync, got both; choose one")
     if options.apply_sync and options.offsets:
@@ -175,7 +175,7 @@ def _calibrate(
     warn: Log,
     track: Track,
 ) -> Imported:
-    """The source with cameras that fit its pictures."""
+    """The source with cameras that fit its images."""
     names = [camera.name for camera in imported.cameras]
     with SynchronizedFrames(imported.cameras, indices, offsets) as frames:
         has_few = len(names) <= FEW_CAMERAS
@@ -187,7 +187,7 @@ def _calibrate(
             found = calibrate_from_pictures({name: [picture] for name, picture in first.items()})
         cameras = found.cameras
         log(
-            f"calibrated from the pictures: {len(cameras)} cameras, {found.points} points, "
+            f"calibrated from the images: {len(cameras)} cameras, {found.points} points, "
             f"{found.error_px:.2f} px reprojection error"
         )
         if options.distance is None and options.board is None:

@@ -28,7 +28,7 @@ class ImportRecord:
         calibration, files: digests of its content; see :func:`digests`.
         options: the command's options.
         offsets: applied delays of the videos in frames.
-        unpacked: whether frames of these videos with these offsets were written as pictures.
+        unpacked: whether frames of these videos with these offsets were written as images.
         done: whether the import finished.
         warnings: its warnings.
     """

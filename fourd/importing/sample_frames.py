@@ -21,7 +21,7 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class EncodedFrames:
-    """Encoded pictures inside another file."""
+    """Encoded images inside another file."""
 
     frames: EncodedPictures
 
@@ -79,7 +79,7 @@ class SynchronizedFrames:
         return self._sources[camera].read(frame)
 
     def pictures(self, frame: int) -> list[Picture]:
-        """The pictures of all cameras at one frame."""
+        """The images of all cameras at one frame."""
         return [source.read(frame) for source in self._sources]
 
     def _open_frames(self, frames: Frames, index: VideoIndex | None, start: int) -> tuple[CameraFrames, int]:

@@ -1,4 +1,4 @@
-"""Time offsets between a source's cameras, estimated from reduced grey pictures of all frames."""
+"""Time offsets between a source's cameras, estimated from reduced grey images of all frames."""
 
 from __future__ import annotations
 

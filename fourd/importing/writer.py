@@ -41,7 +41,7 @@ class ImportSettings:
 
     Attributes:
         copy: copy files instead of linking them.
-        unpack: write the frames of videos as pictures.
+        unpack: write the frames of videos as images.
         offsets: delay of each camera's video in frames, relative to the others.
     """
 
@@ -74,7 +74,7 @@ def write_capture(
     videos = _align_videos(imported.cameras, indices, settings.offsets)
     notes = _check_rates(videos)
     if videos and len(videos) < len(imported.cameras):
-        raise UserError(f"{out}: expected videos of all cameras or of none, got both; import the pictures alone")
+        raise UserError(f"{out}: expected videos of all cameras or of none, got both; import the images alone")
     if videos and settings.unpack:
         count = common_frames(videos)
         for name, video in videos.items():
@@ -100,7 +100,7 @@ def check_import(imported: Imported, settings: ImportSettings) -> None:
         if name not in frames:
             raise UserError(f"--offset: expected a camera among {', '.join(frames)}, got '{name}'; name one of them")
         if not isinstance(frames[name], VideoFile):
-            raise UserError(f"--offset: expected a video of '{name}', got pictures; rename them so that frames agree")
+            raise UserError(f"--offset: expected a video of '{name}', got images; rename them so that frames agree")
 
 
 def _check_names(cameras: Sequence[ImportedCamera]) -> None:

@@ -91,7 +91,7 @@ def test_checkpoints_of_another_model_are_refused(
 def test_damaged_captures_are_refused(
     kind: str, ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches training on a truncated picture. The reader's own tests cover its other errors."""
+    """Catches training on a truncated image. The reader's own tests cover its other errors."""
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     picture = capture / "images" / "05" / "000001.png"
     if kind == "missing":
@@ -159,7 +159,7 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
 ) -> None:
     """Catches a flag that is silently ignored."""
     line = error_line(capsys, "eval", trained.folder, "--refine-test-colours")
-    assert "--refine-test-colours: expected --refine-test beside it, got it alone; add --refine-test" in line
+    assert "--refine-test-colours: expected --refine-test too, got it alone; add --refine-test" in line
     line = error_line(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
     assert "--refine-test-colours: expected the run's own rendering, got --scene; leave one of them out" in line
 
@@ -167,7 +167,7 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
 def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches scores of fitted cameras reported as scores of the given cameras."""
     assert main(["eval", str(trained.folder), "--refine-test", "--json", str(tmp_path / "fitted.json")]) == 0
-    assert "03: fitted to its own pictures before evaluation" in capsys.readouterr().out
+    assert "03: fitted to its own images before evaluation" in capsys.readouterr().out
     content = json.loads((tmp_path / "fitted.json").read_text())
     assert list(content["fitted_to_own_pictures"]) == ["03"]
     assert content["fitted_to_own_pictures"]["03"]["colours"] is None

@@ -125,7 +125,7 @@ def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) 
 
 
 def test_render_writes_views_paths_and_videos(made: Path, tmp_path: Path) -> None:
-    """Catches pictures of the wrong size, in the wrong folder, or empty."""
+    """Catches images of the wrong size, in the wrong folder, or empty."""
     run = made.with_suffix(".work") / "run"
     assert main(["render", str(run), "--out", str(tmp_path / "run"), "--views", "02", "--frames", "1:2"]) == 0
     assert main(["render", str(made), "--out", str(tmp_path / "scene"), "--views", "02", "--frames", "1:2"]) == 0
@@ -177,7 +177,9 @@ def test_help_of_every_command(capsys: pytest.CaptureFixture[str]) -> None:
             "Unrecognized options: --layer, 3; did you mean --layers?",
         ),
         (["train", "capture", "--out", "run", "--max-steps", "many"], "--max-steps"),
-        (["eval"], "PATH"),
+        (["eval"], "expected RUN, got none"),
+        (["train"], "expected CAPTURE and --out PATH, got none"),
+        (["train", "capture", "--out"], "-o/--out: expected a value, got none"),
     ],
 )
 def test_mistyped_options_are_one_line(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

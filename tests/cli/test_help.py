@@ -17,7 +17,7 @@ def test_help_shows_real_defaults(command: str, capsys: pytest.CaptureFixture[st
     assert "default: None" not in text
     assert "{None}" not in text
     if "--frames" in text and command != "synth":
-        assert "--frames A:B[:S] Frames A to B, B excluded, every S-th" in text
+        assert "--frames A:B[:S] Every S-th frame from A to B, B excluded" in text
 
 
 @pytest.mark.parametrize(

@@ -44,7 +44,7 @@ def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytes
     out = tmp_path / "out"
     assert "got 'easymocab'; did you mean 'easymocap'?" in refused_line(capsys, "easymocab", ball_capture, out)
     assert "got nothing there; check the path" in refused_line(capsys, tmp_path / "gone", out)
-    assert "expected [FORMAT] SRC OUT, got 1 words" in refused_line(capsys, ball_capture)
+    assert "expected [FORMAT] SRC OUT, got 1 arguments" in refused_line(capsys, ball_capture)
     (tmp_path / "empty").mkdir()
     line = refused_line(capsys, tmp_path / "empty", out)
     assert "got none of these" in line
@@ -80,7 +80,7 @@ def test_offsets_of_pictures_are_refused(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Catches an offset that is silently ignored."""
-    assert "got pictures" in refused_line(capsys, ball_capture, tmp_path / "out", "--offset", "02=1")
+    assert "got images" in refused_line(capsys, ball_capture, tmp_path / "out", "--offset", "02=1")
 
 
 def test_other_captures_are_not_overwritten(
@@ -115,7 +115,7 @@ def write_room(folder: Path, names: list[str], true: list, calibration: list) ->
 
 
 def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a guess of how pictures were resized."""
+    """Catches a guess of how images were resized."""
     source = write_source(tmp_path / "source")
     cameras = [replace(of.camera(32, 48), width=36) for of in read_calibration(source).values()]
     write_calibration(source, ["a", "b", "c"], cameras)
@@ -190,7 +190,7 @@ def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: py
 
 @pytest.mark.slow
 def test_real_recording_is_corrected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a wrong choice on the real capture: letterboxed pictures, mirrored principal points."""
+    """Catches a wrong choice on the real capture: letterboxed images, mirrored principal points."""
     if not BALANCE.is_dir():
         pytest.skip(f"no real capture at {BALANCE}")
     output = imported_log(capsys, BALANCE, tmp_path / "out")
@@ -206,7 +206,7 @@ def test_real_recording_is_corrected(tmp_path: Path, capsys: pytest.CaptureFixtu
     "when", [".fourd/import.json", ".fourd/videos.json", "images/a/000003.jpg", "images/c/000020.jpg"]
 )
 def test_killed_import_resumes_to_the_same_capture(when: str, tmp_path: Path) -> None:
-    """Catches truncated or rewritten pictures, and a folder that later imports refuse."""
+    """Catches truncated or rewritten images, and a folder that later imports refuse."""
     source = write_source(tmp_path / "source")
     command = [sys.executable, "-m", "fourd.cli.main", "import", "--unpack", str(source)]
     whole, stopped = tmp_path / "whole", tmp_path / "stopped"

@@ -49,7 +49,7 @@ def test_masks_of_the_capture_are_used(ball_capture: Path, tmp_path: Path, capsy
     capture = tmp_path / "capture"
     shutil.copytree(ball_capture, capture)
     assert main(["matte", str(capture), "--workers", "1"]) == 0
-    assert "the capture has masks; no mattes made" in capsys.readouterr().out
+    assert "the capture has masks, so no mattes were made" in capsys.readouterr().out
     assert not (capture / ".fourd" / "mattes").exists()
     assert len(list((capture / ".fourd" / "plates").glob("*.png"))) == 8
 

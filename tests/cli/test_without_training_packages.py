@@ -34,7 +34,7 @@ def run_without_training_packages(*words: str) -> subprocess.CompletedProcess[st
 
 
 def test_scenes_play(tmp_path: Path) -> None:
-    """Catches an import of torch, or of another training package, on the way from a .4dv file to pictures."""
+    """Catches an import of torch, or of another training package, on the way from a .4dv file to images."""
     scene = tmp_path / "scene.4dv"
     write_scene(scene)
     size = ["--size", "64", "48"]
@@ -55,9 +55,7 @@ def test_training_names_the_extra_in_one_line(words: list[str]) -> None:
     """Catches a traceback where a package of the extra is not installed."""
     done = run_without_training_packages(*words)
     assert done.returncode == 2
-    expected = (
-        rf"fourd {words[0]}: needs the training packages, of which \w+ is missing; pip install 'fourd\[train\]'\n"
-    )
+    expected = rf"fourd {words[0]}: expected the training packages, but \w+ is missing; pip install 'fourd\[train\]'\n"
     assert re.fullmatch(expected, done.stderr), done.stderr
 
 

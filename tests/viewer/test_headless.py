@@ -189,7 +189,7 @@ def test_arguments_out_of_range_raise(scene: Path, tmp_path: Path, capsys: pytes
     (tmp_path / "other.json").write_text("{}")
     message = error_line(capsys, scene, "--headless", video, "--path", tmp_path / "other.json")
     assert "other.json: expected a camera path recorded by the viewer" in message
-    assert "SOURCE: expected" in error_line(capsys, "--screenshot", out)
+    assert "SCENE|RUN: expected" in error_line(capsys, "--screenshot", out)
     assert "--steps: expected at least 1" in error_line(capsys, scene, "--headless", video, "--steps", 0)
     assert not out.exists()
     assert not video.exists()

@@ -1,4 +1,4 @@
-"""Carve a capture's mattes into first points of each frame, with colours, and the scene's bounds."""
+"""Carve coloured initial points for each frame from a capture's mattes, and compute the scene's bounds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.carving import read_bounds
-from fourd.cli.options import SelectionOptions, Workers, describe, option, worker_count
+from fourd.cli.options import CapturePath, SelectionOptions, Workers, describe, option, worker_count
 from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
@@ -22,28 +22,34 @@ FOLDER = Path(".fourd") / "hulls"
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes FRAME.ply and bounds.json; an interrupted command resumes."""
+    """Writes FRAME.ply and bounds.json. Run an interrupted command again to resume it."""
 
-    capture: tyro.conf.Positional[Path]
-    """Folder with images/ or videos/, masks/ or mattes, intri.yml and extri.yml."""
+    capture: CapturePath
+    """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""
     selection: SelectionOptions
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"]), option("DIR", "CAPTURE/.fourd/hulls")] = None
-    """Folder for the points."""
+    """Folder to write the points to."""
     points: int = 65536
-    """Points per frame."""
-    agreement: float = 0.95
-    """Share in (0, 1] of the views seeing a point whose mattes must contain it. Lower it where mattes have holes."""
+    """Maximum number of points per frame."""
+    agreement: Annotated[
+        float,
+        describe(
+            "Minimum share in (0, 1] of mattes that contain a point, among the views that see it.",
+            "Lower it if mattes have holes.",
+        ),
+    ] = 0.95
     least_views: Annotated[
         float,
         describe(
-            "Share in (0, 1] of all views that must see a point. Lower it where cameras see parts of the scene.",
-            "At least three views must see a point, or all where there are fewer: two alone give false points.",
+            "Minimum share in (0, 1] of all views that must see a point. Lower it if each camera sees only a part",
+            "of the scene. At least three views are always needed (or all, if there are fewer), since two views give",
+            "false points.",
         ),
     ] = 0.5
     scale: float = 1.0
-    """Scale of the images; 0.5 halves width and height."""
+    """Scale factor of the images; 0.5 halves width and height."""
     seed: int = 0
-    """Seed of the order of the points."""
+    """Random seed of the order of the points."""
     workers: Workers = None
 
 

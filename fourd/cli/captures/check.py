@@ -1,4 +1,4 @@
-"""Print what a capture contains and every problem with it, on one screen."""
+"""List the contents of a capture and all problems with it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import tyro
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from fourd.calibration.agreement import Agreement, check_agreement
 from fourd.capture.check import Report, check_capture, first_lines
+from fourd.cli.options import CapturePath
 from fourd.errors import UserError
 from fourd.progress import Tracker
 
@@ -21,18 +21,19 @@ MOST_LINES = 20
 
 @dataclass(frozen=True)
 class Arguments:
-    """Exit code 0 when fourd can use the capture, else 2."""
+    """The exit code is 0 if fourd can use the capture, else 2."""
 
-    capture: tyro.conf.Positional[Path]
-    """The capture's folder."""
+    capture: CapturePath
+    """Capture folder."""
     deep: bool = False
-    """Decode every picture to find damaged files."""
+    """Decode all images to find damaged files."""
     quick: bool = False
-    """Skip the epipolar residuals, which match pictures of all cameras (seconds for 20 cameras of 512 x 512)."""
+    """Skip the epipolar residuals. They need feature matching between all cameras, which takes seconds for 20 cameras
+    of 512 x 512 pixels."""
 
 
 def run(arguments: Arguments) -> None:
-    """Check and print. Raises UserError with the first problem."""
+    """Check the capture and print the report. Raises UserError with the first problem."""
     console = Console()
     report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Console(stderr=True)).track)
     agreement = None
@@ -40,7 +41,7 @@ def run(arguments: Arguments) -> None:
         try:
             agreement = _agreement(arguments.capture)
         except UserError as error:
-            # Matching decodes pictures that only --deep checks otherwise.
+            # Matching decodes images, so it can find damage that the check without --deep does not.
             report = replace(report, problems=(str(error),))
     console.print(_facts(arguments.capture, report, agreement))
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()))
@@ -65,12 +66,12 @@ def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:
     table.add_column(overflow="fold")
     table.add_row("cameras", f"{len(report.cameras)}: {', '.join(report.cameras)}")
     table.add_row("frames", str(report.frames))
-    table.add_row("pictures", ", ".join(f"{size} ({count})" for size, count in sizes.items()) or "none")
+    table.add_row("images", ", ".join(f"{size} ({count})" for size, count in sizes.items()) or "none")
     table.add_row("distortion", f"in {report.distorted} cameras" if report.distorted else "none")
     table.add_row("distance", f"{report.ring_radius:.3g} world units from the cameras to the point they face")
     if agreement is not None:
         table.add_row("residuals", _residuals(agreement))
-    coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pictures is foreground"
+    coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pixels are foreground"
     table.add_row("mattes", ("yes" if report.has_masks else "none") + coverage)
     table.add_row("size", f"{report.nbytes / 1e6:.1f} MB")
     return table

@@ -1,4 +1,4 @@
-"""Import another program's calibration and videos, or videos alone, as a capture."""
+"""Import videos or images, with another program's calibration or without one, as a capture."""
 
 from __future__ import annotations
 
@@ -22,13 +22,20 @@ from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import Tracker
 
 WORDS_HELP = (
-    f"Format ({', '.join(each.name for each in FORMATS)}; detected when omitted), the source, and the capture's folder."
+    f"FORMAT: {', '.join(each.name for each in FORMATS)}; detected if omitted. "
+    "SRC: input folder or file. OUT: capture folder to create."
+)
+
+OFFSET_HELP = "Number of frames by which the video of CAM is late. Several at once: cam02=3,cam05=-1."
+BOARD_HELP = (
+    "Chessboard in the first frames: inner corners and square size in metres. It sets the world's origin and axes, and "
+    "the unit if two cameras see it."
 )
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Files are linked unless --copy is given; an interrupted command resumes."""
+    """Links files unless --copy is given. Run an interrupted command again to resume it."""
 
     words: tyro.conf.Positional[
         Annotated[
@@ -39,34 +46,41 @@ class Arguments:
     copy: bool = False
     """Copy files instead of linking them."""
     unpack: bool = False
-    """Write the frames of videos as JPEG pictures, for faster random access."""
-    offset: tyro.conf.UseAppendAction[tuple[str, ...]] = field(default=())
-    """CAM=FRAMES that a camera's video lags behind; repeat it or separate by commas."""
+    """Write the frames of videos as JPEG images, which makes random access faster."""
+    offset: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
+    ] = field(default=())
     sync: bool = False
-    """Estimate offsets from motion and print them without applying them; writes OUT/.fourd/sync.png."""
+    """Estimate offsets from motion and print them, but do not apply them. Writes a plot to OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate offsets and apply those of more than 3 frames with a confidence of at least 0.5."""
+    """Estimate offsets and apply those that exceed 3 frames and have a confidence of at least 0.5."""
     resize: Annotated[
         str,
-        describe(
-            "How pictures were resized after calibration: auto, scaled, stretched, letterboxed, filled,",
-            'or "cropped left" (right, top, bottom, centre).',
+        tyro.conf.arg(
+            metavar="MODE",
+            help="How images were resized after calibration: auto (detect it), scaled, stretched, letterboxed, filled, "
+            'or "cropped SIDE" with SIDE left, right, top, bottom or centre.',
         ),
     ] = "auto"
-    centres: PrincipalPointMode = "auto"
-    """Principal points: auto warns where they look mirrored; mirrored corrects them."""
+    centres: Annotated[
+        PrincipalPointMode,
+        describe(
+            "Principal points. auto: warn if they seem to be mirrored by a rotated calibration. as-given: do not check",
+            "them. mirrored: fix principal points that a rotated calibration mirrors.",
+        ),
+    ] = "auto"
     calibrate: bool = False
-    """Calibrate the cameras from the pictures, even where the source has a calibration."""
+    """Calibrate the cameras from the images and ignore the calibration of the source."""
     scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
-    """Distance between the centres of two cameras, which sets the unit to metres."""
-    board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none")] = None
-    """Inner corners and square size in metres of a chessboard in the first frames, which sets origin and axes."""
+    """Distance in metres between the optical centres of two cameras. It scales the world to metres."""
+    board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
 
 
 def run(arguments: Arguments) -> None:
-    """Import and print what was found."""
+    """Import the source and print notes and warnings."""
     if len(arguments.words) not in (2, 3):
-        raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} words; see fourd import --help")
+        raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} arguments; see fourd import --help")
     *name, source, out = arguments.words
     console = Console(stderr=True)
 

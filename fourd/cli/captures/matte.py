@@ -1,4 +1,4 @@
-"""Make mattes and clean plates of a capture without masks, and a contact sheet to judge them by."""
+"""Make mattes and clean plates for a capture without masks, and a contact sheet to check them."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
 from rich.console import Console
 
 from fourd.capture.layout import MATTES
-from fourd.cli.options import SelectionOptions, Workers, describe, option, worker_count
+from fourd.cli.options import CapturePath, SelectionOptions, Workers, describe, option, worker_count
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.sequence import SHEET, MatteSettings
 from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
@@ -21,19 +20,19 @@ from fourd.pipeline.stages.mattes import MatteStageSettings
 
 @dataclass(frozen=True)
 class MatteOptions:
-    """How mattes are made of a capture without masks."""
+    """How mattes are made for a capture without masks/."""
 
     method: Annotated[
         Literal["motion", "chroma", "rvm"],
         describe(
-            "motion: from motion and the agreement of views, needs no weights. chroma: from a screen of one colour.",
-            "rvm: by the network Robust Video Matting, whose file --rvm names.",
+            "motion: motion and multi-view consistency, no pretrained network. chroma: chroma key (green screen).",
+            "rvm: Robust Video Matting, a pretrained network, needs --rvm.",
         ),
     ] = "motion"
     screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
-    """Colour of the screen, 0 to 255 each, for --method chroma."""
+    """Colour of the screen for --method chroma, 0 to 255 per channel."""
     rvm: Annotated[Path | None, option("FILE", "none")] = None
-    """TorchScript file of Robust Video Matting, for --method rvm. It executes code: use only files that you trust."""
+    """TorchScript file of Robust Video Matting, for --method rvm. TorchScript executes code: use only trusted files."""
 
     def settings(self, seed: int) -> MatteSettings:
         """Settings of the matting stage."""
@@ -42,32 +41,33 @@ class MatteOptions:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes mattes/, plates/ and mattes.png in CAPTURE/.fourd; an interrupted command resumes."""
+    """Writes CAPTURE/.fourd/mattes/, CAPTURE/.fourd/plates/ and the contact sheet CAPTURE/.fourd/mattes.png. Run an
+    interrupted command again to resume it."""
 
-    capture: tyro.conf.Positional[Path]
-    """Folder with images/ or videos/, intri.yml and extri.yml."""
+    capture: CapturePath
+    """Capture folder: images/ or videos/, intri.yml and extri.yml."""
     selection: SelectionOptions
     mattes: MatteOptions
     workers: Workers = None
     seed: int = 0
     """Random seed."""
     plates: bool = True
-    """Make clean plates too."""
+    """Also make clean plates: images of the background without the subject."""
 
 
 def run(arguments: Arguments) -> None:
-    """Make what is missing and print where it is."""
+    """Make missing mattes and plates, and print their paths."""
     capture, selection = arguments.capture, arguments.selection
     settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
     context = Context(Console(stderr=True), worker_count(arguments.workers))
     masks = has_masks(capture)
     Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
     lines = [
-        f"{capture / MASKS}: the capture has masks; no mattes made"
+        f"{capture / MASKS}: the capture has masks, so no mattes were made"
         if masks
-        else f"{capture / MATTES}: mattes; {capture / SHEET} shows samples of them"
+        else f"{capture / MATTES}: mattes; {capture / SHEET} shows examples"
     ]
     if arguments.plates:
-        lines.append(f"{capture / PLATES}: clean plates, transparent where no frame shows the background")
+        lines.append(f"{capture / PLATES}: clean plates, transparent at pixels where no frame shows the background")
     for line in lines:
         Console().print(line, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Make a synthetic capture with ground truth: a textured figure that runs and leaps inside a ring of cameras."""
+"""Make a synthetic capture with ground truth: a textured figure runs and leaps inside a ring of cameras."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from fourd.synth import SynthSettings, is_finished, make_synthetic
 
 @dataclass(frozen=True)
 class Arguments:
-    """The same settings give the same bytes."""
+    """The same options give the same bytes."""
 
-    out: tyro.conf.Positional[Path]
-    """The capture's folder: new, empty, or a synthetic capture to replace."""
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    """Capture folder to write: new, empty, or a synthetic capture to replace."""
     frames: Annotated[str, tyro.conf.arg(metavar="0:N|N")] = "0:24"
-    """Frames 0 to N, N excluded; the motion loops."""
+    """Frames 0 to N, N excluded. The motion loops."""
     cameras: int = 12
     """Number of cameras on the ring, 3 to 100."""
     size: int = 256
-    """Width and height of the pictures in pixels, 32 to 4096."""
+    """Width and height of the images in pixels, 32 to 4096."""
     seed: int = 0
-    """Random seed, at least 0, of the clothes, the proportions and the phase of the gait."""
+    """Random seed of the figure's clothes, proportions and gait phase, at least 0."""
     gloss: float = 0.3
-    """Strength of the highlights, 0 to 1."""
+    """Strength of the specular highlights, 0 to 1."""
 
 
 def run(arguments: Arguments) -> None:
-    """Make the capture unless it is there already."""
+    """Make the capture unless a finished one with the same options exists."""
     settings = SynthSettings(
         _frame_count(arguments.frames), arguments.cameras, arguments.size, arguments.seed, arguments.gloss
     )
@@ -52,8 +52,8 @@ def run(arguments: Arguments) -> None:
 
 
 def _frame_count(frames: str) -> int:
-    """N of ``0:N`` or ``N``."""
+    """Parse N from ``0:N`` or ``N``."""
     first, _, last = frames.rpartition(":")
     if first.strip() not in ("", "0") or not last.strip().isdecimal():
-        raise UserError(f"--frames: expected 0:N, the frames from 0 to N with N excluded, got '{frames}'; write 0:24")
+        raise UserError(f"--frames: expected 0:N or N, the number of frames, got '{frames}'; write for example 0:24")
     return int(last)

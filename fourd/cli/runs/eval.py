@@ -1,4 +1,4 @@
-"""Evaluate a run on its held-out views: PSNR, SSIM and LPIPS, of whole images and in the matte's box."""
+"""Evaluate a run on its held-out views."""
 
 from __future__ import annotations
 
@@ -9,14 +9,13 @@ from typing import Annotated
 
 import numpy as np
 import torch
-import tyro
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
 from fourd.capture.decoding import decode_rgb
-from fourd.cli.options import LpipsWeights, option, split_names
+from fourd.cli.options import LpipsWeights, RunPath, option, split_names
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.training.evaluation.camera_fitting import FittedView, fit_test_camera
@@ -26,36 +25,40 @@ from fourd.training.evaluation.scores import Evaluation, ViewScores, score_view,
 from fourd.training.losses.lpips import load_lpips
 from fourd.training.run import TrainedRun, load_run
 
+PLATES_HELP = (
+    "Also evaluate the background of a full scene, against the images DIR/CAM.png of the empty scene without the "
+    "subject."
+)
+
 
 @dataclass(frozen=True)
 class Arguments:
-    """Prints PSNR, SSIM and LPIPS of whole images and of the mattes' boxes."""
+    """Prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box."""
 
-    run: tyro.conf.Positional[Path]
-    """The run's folder."""
+    run: RunPath
+    """Run folder."""
     json: Annotated[Path | None, option("FILE", "none")] = None
-    """Write all scores to this file."""
+    """Write the scores of all images to this file."""
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
     scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
     """Evaluate this exported scene of the run instead of the run's own rendering."""
-    plates: Annotated[Path | None, option("DIR", "none")] = None
-    """Folder of pictures CAM.png of the empty stage; also evaluate a full scene's background against them."""
+    plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
-    """First fit the pose of each evaluated camera to its own pictures, with the scene fixed (as in BARF)."""
+    """Before evaluation, fit the pose of each evaluated camera to its own images, with the scene fixed (as in BARF)."""
     refine_test_colours: bool = False
-    """Fit its colour correction too; needs --refine-test."""
+    """Also fit an affine colour correction of each evaluated camera to its own images. Needs --refine-test."""
     lpips_weights: LpipsWeights = None
 
 
 def run(arguments: Arguments) -> None:
-    """Render every held-out picture, compare, and print the means."""
+    """Render every held-out image, compare it with the captured image, and print the mean scores."""
     console = Console(stderr=True)
     trained = load_run(arguments.run)
     indices = _evaluated_views(trained, arguments.views)
     lpips = load_lpips(arguments.lpips_weights)
     if lpips is None:
-        console.print("LPIPS: no weights found; lpips is null (--lpips-weights names them)")
+        console.print("LPIPS: no weights found, so lpips is null; name them with --lpips-weights")
     pictures = []
     capture = trained.run.capture
     fitted = _fit_cameras(trained, indices, arguments, console)
@@ -83,9 +86,9 @@ def run(arguments: Arguments) -> None:
     backgrounds = {} if arguments.plates is None else _backgrounds(trained, indices, arguments.plates, fitted)
     _print(evaluation, trained, backgrounds)
     for index, view in fitted.items():
-        note = f"turned by {view.degrees:.3f} degrees, moved by {view.distance:.4f}"
+        note = f"rotated by {view.degrees:.3f} degrees, moved by {view.distance:.4f} world units"
         colours = ", colours fitted" if view.colours is not None else ""
-        line = f"{capture.names[index]}: fitted to its own pictures before evaluation: {note}{colours}"
+        line = f"{capture.names[index]}: fitted to its own images before evaluation: {note}{colours}"
         Console().print(line, soft_wrap=True)
     if arguments.json is not None:
         content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
@@ -106,9 +109,9 @@ def run(arguments: Arguments) -> None:
 def _fit_cameras(
     trained: TrainedRun, indices: list[int], arguments: Arguments, console: Console
 ) -> dict[int, FittedView]:
-    """Evaluated cameras fitted to their own pictures, by index; empty without --refine-test."""
+    """Fit the evaluated cameras to their own images. Returns them by index; empty without --refine-test."""
     if arguments.refine_test_colours and not arguments.refine_test:
-        raise UserError("--refine-test-colours: expected --refine-test beside it, got it alone; add --refine-test")
+        raise UserError("--refine-test-colours: expected --refine-test too, got it alone; add --refine-test")
     if arguments.refine_test_colours and arguments.scene is not None:
         raise UserError("--refine-test-colours: expected the run's own rendering, got --scene; leave one of them out")
     if not arguments.refine_test:
@@ -123,7 +126,7 @@ def _fit_cameras(
 def _display_colours(
     trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
 ) -> NDArray[np.float32]:
-    """A rendered picture (H, W, 3) with the colour correction of camera ``index``, where one is known."""
+    """A rendered image (H, W, 3) with the colour correction of camera ``index``, if there is one."""
     if index in fitted and fitted[index].colours is not None:
         return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
@@ -131,7 +134,7 @@ def _display_colours(
 
 
 def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-    """A picture (H, W, 3) in [0, 1]; with a matte (H, W), its foreground on black."""
+    """Convert an image (H, W, 3) to [0, 1]. With a matte (H, W), black replaces the background."""
     share = 1.0 if matte is None else matte[..., None] / 255
     return (picture * (share / 255)).astype(np.float32)
 
@@ -139,9 +142,9 @@ def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArr
 def _backgrounds(
     trained: TrainedRun, indices: list[int], folder: Path, fitted: dict[int, FittedView]
 ) -> dict[str, float]:
-    """PSNR in dB of the background alone, by camera."""
+    """PSNR in dB of the rendered background against the images in ``folder``, by camera name."""
     if trained.renderer.background is None:
-        raise UserError(f"--plates: expected a run of a full scene, got an object; leave {folder} out")
+        raise UserError("--plates: expected a run with --scene full, got one with --scene object; leave --plates out")
     layers = trained.run.config.train.layers
     scores = {}
     for index in indices:
@@ -150,7 +153,7 @@ def _backgrounds(
         if truth.shape[:2] != (camera.height, camera.width):
             raise UserError(
                 f"{folder / f'{name}.png'}: expected {camera.width} x {camera.height} pixels, "
-                f"got {truth.shape[1]} x {truth.shape[0]}; scale it"
+                f"got {truth.shape[1]} x {truth.shape[0]}; resize it"
             )
         if index in fitted:
             camera = fitted[index].camera
@@ -165,7 +168,7 @@ def _evaluated_views(trained: TrainedRun, views: str | None) -> list[int]:
     if views is None:
         if not trained.run.test:
             raise UserError(
-                f"{trained.run.folder}: expected held-out views, got a run trained on all of them; "
+                f"{trained.run.folder}: expected held-out views, got a run that was trained on all views; "
                 f"train with --test-views, or name training views with --views"
             )
         return trained.run.test
@@ -177,10 +180,10 @@ def _evaluated_views(trained: TrainedRun, views: str | None) -> list[int]:
 
 
 def _print(evaluation: Evaluation, trained: TrainedRun, backgrounds: dict[str, float]) -> None:
-    table = Table(title=f"{trained.run.folder} at step {trained.step}: {len(evaluation.pictures)} pictures")
+    table = Table(title=f"{trained.run.folder} at step {trained.step}: {len(evaluation.pictures)} images")
     for column in ("", "PSNR dB", "SSIM", "LPIPS"):
         table.add_column(column, justify="right" if column else "left")
-    for label, scores in (("whole image", evaluation.image), ("matte's box", evaluation.box)):
+    for label, scores in (("whole image", evaluation.image), ("inside the matte's box", evaluation.box)):
         if scores is not None:
             table.add_row(label, f"{scores.psnr:.2f}", _shown(scores.ssim), _shown(scores.lpips))
     if backgrounds:

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.baking.bake import BAKED_LAYERS
-from fourd.cli.options import check_rendering
+from fourd.cli.options import RunPath, check_rendering
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
@@ -20,14 +20,14 @@ from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 class Arguments:
     """Bakes the newest checkpoint."""
 
-    run: tyro.conf.Positional[Path]
-    """The run's folder."""
+    run: RunPath
+    """Run folder."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The .4dv file to write."""
     layers: int = BAKED_LAYERS
-    """Points composited per pixel (K), 1 to 64."""
+    """Number of points composited per pixel (K), 1 to 64."""
     fps: float = 30.0
-    """Frames per second on playback."""
+    """Playback rate in frames per second."""
 
 
 def run(arguments: Arguments) -> None:

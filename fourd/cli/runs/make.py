@@ -1,4 +1,4 @@
-"""From videos or a capture to a 4D scene: import, check, mattes, plates, carving, training and baking."""
+"""Make a 4D scene from videos or a capture: import, check, mattes, plates, carving, training and baking."""
 
 from __future__ import annotations
 
@@ -17,27 +17,30 @@ from fourd.pipeline.stage import Context
 from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
+SOURCE_HELP = (
+    "A capture, or any input of fourd import, such as a folder of videos. To set offsets, scale or calibration, run "
+    "fourd import first."
+)
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Every stage is cached: the same command resumes after an interruption."""
+    """The result of every stage is cached. Run an interrupted command again to resume it."""
 
-    capture: tyro.conf.Positional[Path]
-    """A capture, or anything that fourd import reads, such as a folder of videos and their calibration."""
+    capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]]
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The .4dv file to write. Results of the stages are kept beside it, in OUT.work/."""
+    """The .4dv file to write. Intermediate results are kept beside it: -o scene.4dv keeps them in scene.work/."""
     training: TrainingOptions
     mattes: MatteOptions
     workers: Workers = None
 
 
 def run(arguments: Arguments) -> None:
-    """Run every stage that is not up to date."""
-    console = Console()  # stderr is reserved for the one line that reports wrong input
+    """Run all stages that are not up to date."""
+    console = Console()  # stderr is reserved for the one-line error message
     options = arguments.training
     config = options.train_config(DEFAULT_SECONDS)
-    load_lpips(options.lpips_weights)  # report wrong weights before any work
+    load_lpips(options.lpips_weights)  # report invalid weights before any stage runs
     make_scene(
         arguments.capture,
         arguments.out,

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from fourd.cli.options import Workers, worker_count
+from fourd.cli.options import CapturePath, Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
 from fourd.errors import UserError
@@ -25,12 +25,13 @@ from fourd.training.run import open_run
 
 @dataclass(frozen=True)
 class Arguments:
-    """Camera adjustment, carving and background seeding run first; an interrupted command resumes."""
+    """Before training, adjusts the cameras, carves the initial points and seeds the background, as the options require.
+    Interrupted training continues with --resume."""
 
-    capture: tyro.conf.Positional[Path]
-    """Folder with images/ or videos/, masks/ or mattes, intri.yml and extri.yml."""
+    capture: CapturePath
+    """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The run's folder: new, or a run to continue with --resume."""
+    """Run folder: new, or a run to continue with --resume."""
     training: TrainingOptions
     resume: bool = False
     """Continue from the newest checkpoint. Only the budget (--max-steps, --max-seconds) may change."""
@@ -38,11 +39,11 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Run every stage that leads to the run, and train it."""
-    console = Console()  # stderr is reserved for the one line that reports wrong input
+    """Run the stages before training, then train."""
+    console = Console()  # stderr is reserved for the one-line error message
     options = arguments.training
     context = Context(console, worker_count(arguments.workers))
-    load_lpips(options.lpips_weights)  # report wrong weights before any work
+    load_lpips(options.lpips_weights)  # report invalid weights before any stage runs
     stages: tuple[AnyStage, ...]
     if arguments.resume:
         config = _resumed_config(options, open_run(arguments.out).config.train)
@@ -57,7 +58,7 @@ def run(arguments: Arguments) -> None:
 
 
 def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfig:
-    """The run's config with the budget of the options; a budget that no option sets stays."""
+    """The run's config with the budget from the options. Without a budget option, the run's budget is kept."""
     overlaid = options.overlay(config)
     if options.max_steps is not None or options.max_seconds is not None:
         overlaid = replace(overlaid, max_steps=options.max_steps, max_seconds=options.max_seconds)

@@ -1,4 +1,4 @@
-"""Time kernels and stages on this machine, against the reference and against other packages that are installed."""
+"""Time kernels and stages on this machine, and compare them with reference code and other installed packages."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from fourd.files import write_text_atomically
 
 @dataclass(frozen=True)
 class Arguments:
-    """One unit is the time of one product of two 2048 x 2048 float32 matrices in torch, measured beside every run.
-    Units vary less than milliseconds when other programs use the machine. CUDA kernels are timed where they are built
-    and a device exists. FOURD_THREADS and FOURD_SIMD apply."""
+    """Times are in milliseconds and in units. One unit is the time of one matrix product of two 2048 x 2048 float32
+    matrices in torch, measured before every run. Times in units vary less when other programs use the machine. CUDA
+    kernels are timed if they are built and a device exists. FOURD_THREADS and FOURD_SIMD apply."""
 
     json: Annotated[Path | None, option("FILE", "none")] = None
     """Write all measurements to this file."""
     markdown: Annotated[Path | None, option("FILE", "none")] = None
     """Write the table to this file as Markdown."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Take less than a minute: fewer runs, no whole training steps, no slow references."""
+    """Finish in less than a minute: fewer repetitions, no whole training steps, no slow references."""
 
 
 def run(arguments: Arguments) -> None:
-    """Time and print each row."""
+    """Time all cases and print the table."""
     console = Console()
     machine = this_machine()
     console.print(str(machine), soft_wrap=True)

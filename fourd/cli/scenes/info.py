@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import tyro
@@ -30,17 +30,17 @@ _MOST_HEADER = 100 << 20
 
 @dataclass(frozen=True)
 class Arguments:
-    """Detects the type from the content and changes nothing."""
+    """Detects the type from the content. Reads only; writes no file."""
 
-    path: tyro.conf.Positional[Path]
-    """A .4dv, a capture's folder, a run's folder, a .ply, a .safetensors or a video."""
+    path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE|DIR")]]
+    """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder."""
 
 
 def run(arguments: Arguments) -> None:
-    """Detect the type, read headers, and print one screen."""
+    """Detect the type, read the headers and print a table."""
     path = arguments.path
     if not path.exists():
-        raise UserError(f"{path}: expected a file or a folder, got nothing there; check the name")
+        raise UserError(f"{path}: expected a file or a folder, but it does not exist; check the name")
     title, rows = _describe_folder(path) if path.is_dir() else _describe_file(path)
     table = Table(title=Text(f"{path}: {title}"), title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
@@ -55,8 +55,8 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
         with path.open("rb") as stream:
             head = stream.read(16)
     except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    # A truncated scene keeps its beginning, so damaged scenes are recognised too.
+        raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
+    # A truncated scene file still starts with PK, so damaged scenes are recognised too.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if head.startswith((b"ply\n", b"ply\r")):
@@ -162,7 +162,7 @@ def _video(path: Path) -> Rows:
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
-                raise UserError(f"{path}: expected a video, got a file without pictures; name another")
+                raise UserError(f"{path}: expected a video, got a file without video frames; name another")
             stream = container.streams.video[0]
             rate = float(stream.average_rate or 0)
             seconds = float(container.duration or 0) / av.time_base
@@ -178,7 +178,7 @@ def _video(path: Path) -> Rows:
 
 
 def _run(path: Path) -> Rows:
-    bad = UserError(f"{path / 'config.yaml'}: expected the YAML that fourd train wrote, got something else; restore it")
+    bad = UserError(f"{path / 'config.yaml'}: expected the config.yaml of a run, got other content; restore the file")
     config = _parsed((path / "config.yaml").read_bytes(), yaml.safe_load, bad)
     train = config.get("train")
     train = train if isinstance(train, dict) else {}

@@ -1,4 +1,4 @@
-"""Render a run or a scene: capture views as PNG files, or a camera path as PNG files or an MP4."""
+"""Render a run or a scene from capture cameras or along a camera path, as PNG files or an MP4."""
 
 from __future__ import annotations
 
@@ -24,34 +24,34 @@ from fourd.viewer.output.video import write_video
 
 @dataclass(frozen=True)
 class Arguments:
-    """--views writes OUT/CAM/FRAME.png; --path writes OUT/STEP.png. OUT.mp4 writes a video instead."""
+    """With --views, writes OUT/CAM/FRAME.png; with --path, OUT/STEP.png. If OUT ends in .mp4, writes a video."""
 
-    source: tyro.conf.Positional[Path]
-    """A run's folder or a .4dv file."""
+    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
+    """Run folder or .4dv file."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """A folder, or a file that ends in .mp4."""
+    """Folder for PNG files, or an .mp4 file."""
     views: Annotated[str | None, option("NAME,NAME", "none; this or --path is required")] = None
-    """Names of capture cameras to render from, separated by commas."""
+    """Names of the capture cameras to render from, separated by commas."""
     path: Annotated[
         Literal["orbit", "spiral", "cameras"] | None,
         option("{orbit,spiral,cameras}", "none; this or --views is required"),
     ] = None
-    """orbit: once around the scene. spiral: an orbit with changing height. cameras: through the capture's cameras."""
+    """orbit: once around the scene. spiral: two orbits with changing height. cameras: through all capture cameras."""
     frames: Frames = None
     steps: Annotated[int | None, option("INT", "120, or the number of frames if larger")] = None
-    """Number of pictures along the path. Each advances the scene by a frame; the scene loops."""
+    """Number of images along the path. Each image shows the next frame of the scene; the scene loops."""
     size: Annotated[tuple[int, int] | None, option("W H", "the capture's")] = None
     """Width and height in pixels."""
     layers: Annotated[int | None, option("INT", "the source's")] = None
-    """Points composited per pixel (K)."""
+    """Number of points composited per pixel (K), 1 to 64."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Red, green and blue of the backdrop, 0 to 1 each."""
+    """Background colour: red, green and blue, 0 to 1 each."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
     """Frames per second of the video."""
 
 
 def run(arguments: Arguments) -> None:
-    """Open the source, choose cameras, render and write."""
+    """Open the source, choose the cameras, render and write the images."""
     console = Console(stderr=True)
     if (arguments.views is None) == (arguments.path is None):
         raise UserError("--views, --path: expected exactly one of them; write --views 05,11 or --path orbit")
@@ -64,7 +64,7 @@ def run(arguments: Arguments) -> None:
         written = _write_views(arguments, playable, frames, console)
     else:
         written = _write_path(arguments, playable, frames, console)
-    console.print(f"{arguments.out}: {written} pictures", soft_wrap=True)
+    console.print(f"{arguments.out}: {written} images", soft_wrap=True)
 
 
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], console: Console) -> int:

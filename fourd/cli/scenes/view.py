@@ -1,4 +1,4 @@
-"""Play a scene or a run in a window, or write a video or a picture of it without one."""
+"""Play a scene or a run in a window, or render a video or an image without opening a window."""
 
 from __future__ import annotations
 
@@ -17,41 +17,42 @@ from fourd.viewer.rendering.renderers import RendererName
 
 @dataclass(frozen=True)
 class Arguments:
-    """Opens a window, whose panel lists the controls, unless --headless or --screenshot is given."""
+    """Opens a window unless --headless or --screenshot is given. A panel in the window lists the controls."""
 
-    source: tyro.conf.Positional[Annotated[Path | None, option("[SOURCE]", "none")]] = None
-    """A .4dv file, or a run's folder, which is reloaded while it trains. Files dropped on the window open too."""
+    source: tyro.conf.Positional[Annotated[Path | None, option("[SCENE|RUN]", "none")]] = None
+    """A .4dv file or a run folder. A run is reloaded while it trains. You can also drop a file on the window."""
     renderer: Annotated[
         Literal["auto"] | RendererName,
         describe(
-            "sorted: one pass over points sorted by depth, for GPUs. peel, dual: depth peeling, exact and slow.",
-            "cpu: exact, needs no GPU. auto: sorted on a GPU, else cpu; the choice and its reason are printed.",
+            "sorted: one pass over points sorted by depth, for GPUs. peel: depth peeling, exact and slow.",
+            "dual: dual depth peeling, exact and slow. cpu: exact, needs no GPU.",
+            "auto: sorted on a GPU, else cpu; prints the choice and the reason.",
         ),
     ] = "auto"
     size: Annotated[tuple[int, int] | None, option("W H", "1280 720; for --screenshot the camera's")] = None
-    """Width and height in pixels, of the window or the pictures."""
+    """Width and height of the window, the video or the image in pixels."""
     layers: Annotated[int | None, option("INT", "the scene's")] = None
-    """Points composited per pixel (K), 1 to 64. The renderer sorted composites all points."""
+    """Number of points composited per pixel (K), 1 to 64. Ignored by --renderer sorted, which composites all points."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Red, green and blue of the backdrop, 0 to 1 each."""
+    """Background colour: red, green and blue, 0 to 1 each."""
     headless: Annotated[Path | None, option("FILE.mp4", "none")] = None
-    """Write this video without a window."""
-    path: str = "orbit"
-    """Camera path of --headless: orbit, spiral, cameras, or a JSON file that the window recorded."""
+    """Render this video without opening a window."""
+    path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
+    """Camera path of --headless. FILE.json is a path that was recorded in the window."""
     steps: Annotated[int | None, option("INT", "120, or the number of frames if larger")] = None
-    """Number of pictures of --headless. Each advances the scene by a frame; the scene loops."""
+    """Number of images of --headless. Each image shows the next frame of the scene; the scene loops."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
-    """Frames per second of --headless."""
+    """Frames per second of the video of --headless."""
     screenshot: Annotated[Path | None, option("FILE.png", "none")] = None
-    """Write this picture without a window."""
+    """Render this image without opening a window."""
     camera: Annotated[str | None, option("NAME", "the first")] = None
-    """Capture camera of --screenshot."""
+    """Name of the capture camera of --screenshot."""
     frame: int = 0
-    """Frame of --screenshot, from 0."""
+    """Position of the frame of --screenshot in the scene, from 0."""
 
 
 def run(arguments: Arguments) -> None:
-    """Open a window, or write a video or a picture."""
+    """Open a window, or write a video or an image."""
     console = Console(stderr=True)
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
@@ -65,11 +66,11 @@ def run(arguments: Arguments) -> None:
     from fourd.viewer.headless import Headless
 
     if arguments.source is None:
-        raise UserError("SOURCE: expected a .4dv file or a run's folder, got none; give one")
+        raise UserError("SCENE|RUN: expected a .4dv file or a run folder, got none; name one")
     headless = Headless(arguments.source, arguments.renderer, arguments.size, settings)
     if arguments.screenshot is not None:
         headless.screenshot(arguments.screenshot, arguments.camera, arguments.frame, console)
         console.print(f"{arguments.screenshot}: written", soft_wrap=True)
     if arguments.headless is not None:
         count = headless.video(arguments.headless, arguments.path, arguments.steps, arguments.fps, console)
-        console.print(f"{arguments.headless}: {count} pictures", soft_wrap=True)
+        console.print(f"{arguments.headless}: {count} images", soft_wrap=True)

@@ -1,7 +1,7 @@
 """ActorsHQ: calibration.csv beside rgbs/CAM/CAM_rgb000000.jpg and masks/CAM/CAM_mask000000.png.
 
 A row holds the camera-to-world pose (OpenCV axes) as a rotation vector and a position in metres. Focal lengths and
-principal points are in units of the picture's width and height, so that the origin is the first pixel's corner, as in
+principal points are in units of the image's width and height, so that the origin is the first pixel's corner, as in
 fourd.
 """
 

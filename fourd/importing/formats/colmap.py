@@ -1,4 +1,4 @@
-"""COLMAP: a sparse model of static cameras, text or binary, beside each camera's video or pictures.
+"""COLMAP: a sparse model of static cameras, text or binary, beside each camera's video or images.
 
 The model's images are named CAM/FRAME.jpg or CAM.jpg. COLMAP's origin is the first pixel's corner, as in fourd.
 """
@@ -39,7 +39,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, a folder with the model and the videos or pictures, in the model's unit of length.
+    """Cameras of ``source``, a folder with the model and the videos or images, in the model's unit of length.
 
     Raises:
         UserError: when the model is damaged, a lens model is not OpenCV's, a camera moves or changes its intrinsics, or
@@ -100,7 +100,7 @@ def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarr
     if kind not in LENS_MODELS:
         raise UserError(
             f"{where}: expected a lens model among {', '.join(LENS_MODELS)}, got {kind}; "
-            "undistort the pictures with COLMAP, or reconstruct with OPENCV"
+            "undistort the images with COLMAP, or reconstruct with OPENCV"
         )
     focals, coefficients = LENS_MODELS[kind]
     values = np.asarray(camera.params, np.float64)

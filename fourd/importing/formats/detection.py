@@ -45,10 +45,10 @@ FORMATS = (
     Format("neural3dv", "poses_bounds.npy and camNN.mp4", neural3dv.looks_like, neural3dv.read),
     Format("actorshq", "calibration.csv, rgbs/ and masks/", actorshq.looks_like, actorshq.read),
     Format("dna-rendering", "NAME.smc and NAME_annots.smc", dna_rendering.looks_like, dna_rendering.read),
-    Format("transforms", "transforms.json and pictures", transforms_json.looks_like, transforms_json.read),
-    Format("colmap", "a sparse model and each camera's video or pictures", colmap.looks_like, colmap.read),
+    Format("transforms", "transforms.json and images", transforms_json.looks_like, transforms_json.read),
+    Format("colmap", "a sparse model and each camera's video or images", colmap.looks_like, colmap.read),
     Format("easymocap", "intri.yml, extri.yml, images/CAM/ or videos/", easymocap.looks_like, easymocap.read),
-    Format("videos", "videos or folders of pictures, no calibration", videos.looks_like, videos.read),
+    Format("videos", "videos or folders of images, no calibration", videos.looks_like, videos.read),
 )
 """In the order of detection: the most specific first."""
 

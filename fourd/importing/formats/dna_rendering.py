@@ -1,4 +1,4 @@
-"""DNA-Rendering: NAME.smc (HDF5) with encoded pictures, NAME_annots.smc with calibration and mattes.
+"""DNA-Rendering: NAME.smc (HDF5) with encoded images, NAME_annots.smc with calibration and mattes.
 
 Later parts of the data set hold the calibration in NAME.smc. RT is camera-to-world, in metres. The origin of pixels is
 the first one's centre, as in OpenCV, which the data set's tools use: half a pixel is added to the principal points.
@@ -28,7 +28,7 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 GROUPS = ("Camera_5mp", "Camera_12mp")
 MAX_SOFT_LINKS = 16
 HEADER_BYTES = 1 << 16
-"""Bytes of an encoded picture that contain its size."""
+"""Bytes of an encoded image that contain its size."""
 
 
 def looks_like(source: Path) -> bool:
@@ -37,11 +37,11 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, in metres, named by their two-digit numbers; pictures are read one at a time.
+    """Cameras of ``source``, in metres, named by their two-digit numbers; images are read one at a time.
 
     Raises:
         UserError: when there is no NAME.smc or several, it is no HDF5, refers to other files, lacks a group or a value,
-            or has another number of mattes than pictures.
+            or has another number of mattes than images.
     """
     files = _find_files(source)
     if len(files) != 1:
@@ -74,7 +74,7 @@ def read(source: Path) -> Imported:
         mattes = masks.get(number)
         if mattes is not None and mattes.count != frames.count:
             raise UserError(
-                f"{annotations}: Mask/{number}: expected {frames.count} mattes, one for each picture, "
+                f"{annotations}: Mask/{number}: expected {frames.count} mattes, one for each image, "
                 f"got {mattes.count}; download it again"
             )
         cameras.append(ImportedCamera(f"{number:02d}", calibrations.get(number), frames, mattes))
@@ -128,10 +128,10 @@ class _Smc:
         return {int(member): f"{name}/{member}" for member in sorted(members, key=int)}
 
     def encoded(self, name: str) -> tuple[EncodedPictures, tuple[int, int]]:
-        """A group's pictures ordered by number, and (width, height) of the first."""
+        """A group's images ordered by number, and (width, height) of the first."""
         paths = list(self.numbered(name).values())
         if not paths:
-            raise UserError(f"{self.path}: {name}: expected pictures, got none; download it again")
+            raise UserError(f"{self.path}: {name}: expected images, got none; download it again")
         head = self.content(paths[0], HEADER_BYTES)
         try:
             with Image.open(io.BytesIO(head), formats=PICTURE_FORMATS) as image:
@@ -149,12 +149,12 @@ class _Smc:
         return parse_numbers(f"{self.path}: {name}", np.ravel(value) if shape == (-1,) else value, shape)
 
     def content(self, name: str, max_bytes: int | None = None) -> bytes:
-        """The bytes of an encoded picture, or the first ``max_bytes`` of them."""
+        """The bytes of an encoded image, or the first ``max_bytes`` of them."""
         with self._report_errors(name):
             dataset = self._dataset(name)
             if dataset.dtype != np.uint8 or dataset.ndim != 1:
                 raise UserError(
-                    f"{self.path}: {name}: expected the bytes of a picture, got {dataset.dtype}; download it again"
+                    f"{self.path}: {name}: expected the bytes of an image, got {dataset.dtype}; download it again"
                 )
             return bytes(dataset[:max_bytes].tobytes())
 
@@ -217,7 +217,7 @@ def _read_picture(path: Path, datasets: tuple[str, ...], index: int) -> bytes:
 
 
 def _read_cameras(smc: _Smc, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
-    """The cameras of Camera_Parameter that have pictures, by number; sizes are those of the pictures."""
+    """The cameras of Camera_Parameter that have images, by number; sizes are those of the images."""
     cameras = {}
     for number, group_path in smc.numbered("Camera_Parameter").items():
         if number not in pictures:

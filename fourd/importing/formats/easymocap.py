@@ -29,7 +29,7 @@ def read(source: Path) -> Imported:
     """Cameras of ``source``, in the calibration's own unit of length.
 
     Raises:
-        UserError: as read_calibration, when cameras and calibrations do not match, or a picture has no matte.
+        UserError: as read_calibration, when cameras and calibrations do not match, or an image has no matte.
     """
     path = source / INTRINSICS_NAME
     calibrations = read_calibration(source)
@@ -43,7 +43,7 @@ def read(source: Path) -> Imported:
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
-    """The camera; a missing size is that of its first picture, or 1 x 1 without pictures."""
+    """The camera; a missing size is that of its first image, or 1 x 1 without images."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = (1, 1) if frames is None else _size(frames)

@@ -49,7 +49,7 @@ def read_file(path: Path) -> bytes:
 
 
 def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[str, Frames]:
-    """Each camera's frames by its name: the videos or folders of pictures in the first of ``folders`` that has any.
+    """Each camera's frames by its name: the videos or folders of images in the first of ``folders`` that has any.
 
     Raises:
         UserError: when two cameras have one name, or no folder has any.
@@ -67,13 +67,13 @@ def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[st
         if found and (folder_name != "." or not set(found) & set(FRAME_FOLDERS)):
             return found
     raise UserError(
-        f"{source}: expected a video or a folder of pictures for each camera, there or in "
+        f"{source}: expected a video or a folder of images for each camera, there or in "
         f"{' or '.join(f'{name}/' for name in folders if name != '.')}, got none; put them there"
     )
 
 
 def picture_files(folder: Path) -> PictureFiles | None:
-    """A folder's pictures, ordered by number; None where it has none."""
+    """A folder's images, ordered by number; None where it has none."""
     by_stem = find_pictures(folder)
     if not by_stem:
         return None
@@ -81,12 +81,12 @@ def picture_files(folder: Path) -> PictureFiles | None:
 
 
 def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
-    """A camera's mattes, matched to its pictures by number; None where the folder has none.
+    """A camera's mattes, matched to its images by number; None where the folder has none.
 
     For a video all mattes of the folder, since its number of frames is unknown here.
 
     Raises:
-        UserError: when a picture has no matte.
+        UserError: when an image has no matte.
     """
     found = picture_files(folder)
     if found is None or not isinstance(frames, PictureFiles):
@@ -97,13 +97,13 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
         for number, path in zip(wanted, frames.paths, strict=True):
             if number not in by_number:
                 raise UserError(
-                    f"{folder}: expected a matte for each picture, got none for {path.name}; "
+                    f"{folder}: expected a matte for each image, got none for {path.name}; "
                     "restore it, or move the mattes away"
                 )
         return PictureFiles(tuple(by_number[number] for number in wanted))
     if len(found.paths) != len(frames.paths):
         raise UserError(
-            f"{folder}: expected a matte for each of {len(frames.paths)} pictures, got {len(found.paths)}; "
+            f"{folder}: expected a matte for each of {len(frames.paths)} images, got {len(found.paths)}; "
             "restore them, or move the mattes away"
         )
     return found
@@ -156,7 +156,7 @@ def join_calibrations(
     notes = []
     unused = sorted(set(calibrations) - set(pairs.values()))
     if unused:
-        notes.append(f"cameras without pictures, not imported: {', '.join(unused)}")
+        notes.append(f"cameras without images, not imported: {', '.join(unused)}")
     uncalibrated = [name for name in frames if name not in pairs]
     if uncalibrated:
         notes.append(f"without calibration: {', '.join(uncalibrated)}")

@@ -25,7 +25,7 @@ class VideoFile:
 
 @dataclass(frozen=True)
 class EncodedPictures:
-    """Encoded pictures inside another file.
+    """Encoded images inside another file.
 
     Attributes:
         count: number of frames.
@@ -49,7 +49,7 @@ class ImportedCamera:
         name: unique within the source; letters, digits, ``_``, ``-`` and ``.``.
         calibration: pose and intrinsics with distortion, OpenCV axes, in metres where the source is metric; width and
             height are those that the calibration was made for. None where the source has no calibration.
-        frames: the pictures.
+        frames: the images.
         masks: mattes, 255 = object, one per frame; None where the source has none.
     """
 
@@ -61,7 +61,7 @@ class ImportedCamera:
 
 @dataclass(frozen=True)
 class Imported:
-    """The content of a source; no picture is decoded.
+    """The content of a source; no image is decoded.
 
     Attributes:
         cameras: in the source's order; at least one.

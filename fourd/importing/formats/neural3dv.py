@@ -1,7 +1,7 @@
 """Neural 3D Video: poses_bounds.npy (LLFF) beside camNN.mp4.
 
 A row holds a 3 x 5 matrix and two depth bounds. The matrix's columns are the camera's axes down, right and backwards
-in the world, its position, and height, width and focal length. The principal point is the picture's centre.
+in the world, its position, and height, width and focal length. The principal point is the image's centre.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ MAX_PIXELS = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """One picture: its path in the JSON, its files, its camera, and its time or None."""
+    """One image: its path in the JSON, its files, its camera, and its time or None."""
 
     path: PurePosixPath
     picture: Path
@@ -65,7 +65,7 @@ def read(source: Path) -> Imported:
 
     Raises:
         UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leaves the
-            folder or has no picture, or cameras do not have the same times.
+            folder or has no image, or cameras do not have the same times.
     """
     path = _json_path(source)
     try:
@@ -115,7 +115,7 @@ def _make_camera(where: str, values: Mapping[str, object], picture: Path) -> Cam
     if model not in LENS_MODELS or fisheye:
         raise UserError(
             f"{where}: camera_model: expected {', '.join(LENS_MODELS[:3])}, got {'a fisheye' if fisheye else model}; "
-            "undistort the pictures first"
+            "undistort the images first"
         )
 
     def value(key: str, default: float | None = None) -> float:
@@ -152,9 +152,9 @@ def _focal(angle: float, pixels: float) -> float:
 
 
 def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath, Path]:
-    """A path from the JSON, which must stay within the JSON's folder, and the picture file there."""
+    """A path from the JSON, which must stay within the JSON's folder, and the image file there."""
     if not isinstance(value, str) or not value or "\0" in value:
-        raise UserError(f"{where}: expected a picture's path, got '{value!r}'; export it again")
+        raise UserError(f"{where}: expected an image's path, got '{value!r}'; export it again")
     relative = PurePosixPath(value.replace("\\", "/"))
     if relative.is_absolute() or ".." in relative.parts or ":" in relative.parts[0]:
         raise UserError(f"{where}: expected a path within {path.parent}, got '{value}'; write it relative to that")
@@ -175,7 +175,7 @@ def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
         clean = [_clean(name) for name in names]
         if "" not in clean and len(set(clean)) == len(clean):
             return {name: [entry] for name, entry in zip(clean, entries, strict=True)}
-    raise UserError(f"{path}: expected each picture once, got one in two entries; remove the duplicate, or add times")
+    raise UserError(f"{path}: expected each image once, got one in two entries; remove the duplicate, or add times")
 
 
 def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
@@ -198,7 +198,7 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
         if len(set(times)) != len(times) or times != [entry.time for entry in cameras[first]]:
             raise UserError(
                 f"{path}: expected static cameras with the same times, each once, got {len(set(times))} "
-                f"times in {len(times)} pictures of '{name}' and {len(cameras[first])} pictures of '{first}'; "
+                f"times in {len(times)} images of '{name}' and {len(cameras[first])} images of '{first}'; "
                 "remove the entries that other cameras lack"
             )
     return cameras

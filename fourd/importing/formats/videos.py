@@ -1,4 +1,4 @@
-"""A folder of videos or of folders of pictures, without calibration."""
+"""A folder of videos or of folders of images, without calibration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fourd.importing.formats.imported import Imported, ImportedCamera
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` has a video or a folder of pictures."""
+    """Whether ``source`` has a video or a folder of images."""
     try:
         return bool(find_frames(source))
     except (UserError, OSError):
@@ -24,4 +24,4 @@ def read(source: Path) -> Imported:
         UserError: when there are none, or two of one name.
     """
     cameras = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
-    return Imported(cameras, ("no calibration found: cameras are calibrated from their pictures",))
+    return Imported(cameras, ("no calibration found: cameras are calibrated from their images",))

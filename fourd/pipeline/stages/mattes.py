@@ -1,4 +1,4 @@
-"""Mattes: foreground masks of every picture, and a contact sheet to judge them by."""
+"""Mattes: foreground masks of every image, and a contact sheet to judge them by."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plates: a clean picture of the background for each camera, from pictures and mattes."""
+"""Plates: a clean image of the background for each camera, from images and mattes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Helpers of the importers' tests: asymmetric cameras, small pictures and videos, and checks of errors."""
+"""Helpers of the importers' tests: asymmetric cameras, small images and videos, and checks of errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def assert_same_view(lens: Camera | None, original: Camera, rng: np.random.Gener
 
 
 def picture_bytes(suffix: str = ".jpg", grey: int = 90) -> bytes:
-    """A small encoded picture."""
+    """A small encoded image."""
     done, content = cv2.imencode(suffix, np.full((HEIGHT, WIDTH, 3), grey, np.uint8))
     assert done
     return content.tobytes()

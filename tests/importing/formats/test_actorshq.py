@@ -1,4 +1,4 @@
-"""ActorsHQ: a CSV of camera-to-world rotation vectors, and intrinsics relative to the picture's size."""
+"""ActorsHQ: a CSV of camera-to-world rotation vectors, and intrinsics relative to the image's size."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_invalid_values_are_reported(source: Path, old: str, new: str, message: 
 
 def test_missing_mattes_are_reported(source: Path) -> None:
     (source / "masks" / "Cam002" / "Cam002_mask000009.png").unlink()
-    assert_refused(read, source, r"masks/Cam002: expected a matte for each picture, got none for Cam002_rgb000009.jpg")
+    assert_refused(read, source, r"masks/Cam002: expected a matte for each image, got none for Cam002_rgb000009.jpg")
 
 
 def test_empty_files_are_reported(source: Path) -> None:

@@ -1,4 +1,4 @@
-"""COLMAP: handwritten models, text and binary, of cameras with a folder of pictures each."""
+"""COLMAP: handwritten models, text and binary, of cameras with a folder of images each."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ def test_invalid_values_are_reported(source: Path) -> None:
     write_text(source, images())
     whole = (source / "cameras.txt").read_text()
     edit(source / "cameras.txt", "OPENCV", "OPENCV_FISHEYE")
-    assert_refused(read, source, r"camera 'c0': expected a lens model among .*, got OPENCV_FISHEYE; undistort the pict")
+    assert_refused(read, source, r"camera 'c0': expected a lens model among .*, got OPENCV_FISHEYE; undistort the")
     (source / "cameras.txt").write_text("nonsense here\n")
     assert_refused(read, source, r"expected a COLMAP model, got '.*'; copy or reconstruct it again")
     (source / "cameras.txt").write_text(whole.replace("31.0", "-31.0"))

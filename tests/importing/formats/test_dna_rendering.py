@@ -117,10 +117,10 @@ def _replace(name: str, value: object) -> object:
         (_replace("Camera_5mp/2/color", None), r"0012_11.smc: expected the group Camera_5mp/2/color, got none"),
         (
             _replace("Camera_5mp/2/color/0", "text"),
-            r"Camera_5mp/2/color/0: expected the bytes of a picture, got object",
+            r"Camera_5mp/2/color/0: expected the bytes of an image, got object",
         ),
         (_replace("Camera_5mp/2/color/0", as_bytes(b"GIF")), r"Camera_5mp/2/color/0: expected a JPEG or PNG, got some"),
-        (_replace("Mask/2/mask/5", None), r"_annots.smc: Mask/2: expected 12 mattes, one for each picture, got 11"),
+        (_replace("Mask/2/mask/5", None), r"_annots.smc: Mask/2: expected 12 mattes, one for each image, got 11"),
     ],
 )
 def test_invalid_values_are_reported(source: Path, damage: object, message: str) -> None:

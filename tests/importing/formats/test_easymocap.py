@@ -1,4 +1,4 @@
-"""EasyMocap: handwritten YAML in the style of its own tools, pictures or videos, optional mattes."""
+"""EasyMocap: handwritten YAML in the style of its own tools, images or videos, optional mattes."""
 
 from __future__ import annotations
 
@@ -93,14 +93,14 @@ def test_missing_parts_are_noted(source: Path) -> None:
     shutil.rmtree(source / "images" / "10")
     shutil.copytree(source / "images" / "01", source / "images" / "77")
     notes = read(source).notes
-    assert "cameras without pictures, not imported: 10" in notes
+    assert "cameras without images, not imported: 10" in notes
     assert "without calibration: 77" in notes
     assert "without mattes, unlike other cameras: 02, 77" in notes
 
 
 def test_invalid_values_are_reported(source: Path) -> None:
     (source / "masks" / "02" / "000002.png").unlink()
-    assert_refused(read, source, r"masks/02: expected a matte for each picture, got none for 2.jpg; restore it")
+    assert_refused(read, source, r"masks/02: expected a matte for each image, got none for 2.jpg; restore it")
     edit(source / "intri.yml", '"02"', '"01"')
     assert_refused(read, source, r"intri.yml: names: expected each camera once")
     edit(source / "intri.yml", "%YAML:1.0", "[")
@@ -137,4 +137,4 @@ def test_truncated_calibrations_are_reported(source: Path) -> None:
 
 def test_missing_pictures_are_reported(source: Path) -> None:
     shutil.rmtree(source / "images")
-    assert_refused(read, source, r"expected a video or a folder of pictures for each camera")
+    assert_refused(read, source, r"expected a video or a folder of images for each camera")

@@ -28,7 +28,7 @@ NAMES = ("11", "12", "13")
 
 
 def camera_xml(serial: str, camera: Camera) -> str:
-    """A camera as Qualisys writes it: its axes as vectors, the picture as a part of the sensor."""
+    """A camera as Qualisys writes it: its axes as vectors, the image as a part of the sensor."""
     right, down, forward = camera.rotation
     axes = {"1": right, "2": -down, "3": -forward}
     rotation = " ".join(f'r{i}{j}="{axis[j - 1]!r}"' for i, axis in axes.items() for j in (1, 2, 3))

@@ -108,7 +108,7 @@ def test_equal_file_names_use_the_folders_names(tmp_path: Path) -> None:
     frames = [make_entry(camera, f"images/c{index}/000.jpg") for index, camera in enumerate(uneven_cameras(2))]
     assert [camera.name for camera in read(write(tmp_path, frames)).cameras] == ["c0", "c1"]
     frames[1]["file_path"] = frames[0]["file_path"]
-    assert_refused(read, write(tmp_path, frames), r"transforms.json: expected each picture once, got one in two")
+    assert_refused(read, write(tmp_path, frames), r"transforms.json: expected each image once, got one in two")
 
 
 INVALID_VALUES: list[tuple[dict[str, object], str]] = [
@@ -125,7 +125,7 @@ INVALID_VALUES: list[tuple[dict[str, object], str]] = [
         r"entry 1: file_path: expected a JPEG or PNG at .*images/none, got none; restore",
     ),
     ({"file_path": "x" * 300}, r"entry 1: file_path: expected a JPEG or PNG at .*, got none; restore"),
-    ({"file_path": 7}, r"entry 1: file_path: expected a picture's path, got '7'"),
+    ({"file_path": 7}, r"entry 1: file_path: expected an image's path, got '7'"),
     ({"fl_x": float("nan")}, r"entry 1: fl_x: expected finite numbers, got \[nan\]"),
     ({"fl_x": "wide"}, r"entry 1: fl_x: expected 1 numbers, got something else"),
     ({"fl_x": None}, r"entry 1: expected fl_x or camera_angle_x, got neither"),
@@ -161,7 +161,7 @@ def test_other_json_is_refused(static: Path, text: str) -> None:
 def test_missing_and_moving_frames_are_refused(tmp_path: Path) -> None:
     data = json.loads((write_moving(tmp_path, "cam{camera}/{frame:02d}.jpg") / "transforms.json").read_text())
     write(tmp_path, data["frames"][:-1])
-    assert_refused(read, tmp_path, r"got 2 times in 2 pictures of 'cam1' and 3 pictures of 'cam0'; remove the")
+    assert_refused(read, tmp_path, r"got 2 times in 2 images of 'cam1' and 3 images of 'cam0'; remove the")
     data["frames"][1]["transform_matrix"][0][3] += 0.1
     write(tmp_path, data["frames"])
     assert_refused(read, tmp_path, r"expected static cameras with the same times, each once")

@@ -1,4 +1,4 @@
-"""Videos, or folders of pictures, without calibration."""
+"""Videos, or folders of images, without calibration."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_folders_of_pictures(tmp_path: Path, folder: str) -> None:
 
 
 def test_other_folders_are_refused(tmp_path: Path) -> None:
-    assert_refused(read, tmp_path, r"expected a video or a folder of pictures for each camera")
+    assert_refused(read, tmp_path, r"expected a video or a folder of images for each camera")
     file = tmp_path / "notes.txt"
     file.write_text("none")
     for path in (tmp_path, tmp_path / "none", file):
