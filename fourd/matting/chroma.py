@@ -1,7 +1,7 @@
-"""Chroma keying: mattes in front of a screen of one colour, with tolerance for uneven light and shadows.
+"""Chroma keying: mattes in front of a screen of one colour, robust to uneven light and shadows.
 
-Colours are split into luma Y and chroma (Cb, Cr). Illumination scales both equally, so a pixel's chroma is compared
-with the screen's chroma scaled to the pixel's luma. Pixels that differ are the subject.
+Colours are split into luma Y and chroma (Cb, Cr). Illumination scales both by the same factor. The screen's chroma is
+therefore scaled to each pixel's luma and compared with the pixel's chroma. Pixels with another chroma are the subject.
 """
 
 from __future__ import annotations
@@ -21,23 +21,29 @@ Picture = NDArray[np.uint8]
 
 DARKEST = 0.4
 BRIGHTEST = 1.4
-"""Range of the screen's illumination relative to its median in which chroma scales with luma."""
+"""Upper limit of a pixel's illumination relative to the screen's median; DARKEST is the lower limit."""
 MIN_CHROMA = 28.0
-"""Minimum chroma magnitude, of 128; weaker colours cannot be separated from noise and reflections on the subject."""
+"""Minimum chroma magnitude of a screen; the maximum is 128.
+
+Weaker colours cannot be separated from noise and reflections on the subject.
+"""
 MIN_BORDER_SHARE = 0.5
-"""Minimum share of the pictures' border pixels with the screen's hue."""
+"""Minimum share of the images' border pixels that have the screen's hue."""
 BORDER = 0.08
-"""Width of the border relative to the shorter side."""
+"""Width of the border as a share of the image's shorter side."""
 HUE_BINS = 72
 HUE_TOLERANCE_DEG = 15.0
 MAX_SPREAD = 0.3
 DEFAULT_SPREAD = 0.15
 SUBJECT_DISTANCE = 0.4
-"""Minimum distance of subject pixels (0 = screen, 1 = grey): edge pixels with slightly less than half subject."""
+"""Minimum :func:`screen_distance` of subject pixels (0 = screen, 1 = grey).
+
+The value is below 0.5 so that edge pixels with slightly less than half subject are included.
+"""
 SPREAD_FACTOR = 1.6
-"""Minimum distance of subject pixels in multiples of the screen's spread."""
+"""Minimum :func:`screen_distance` of subject pixels in multiples of the screen's spread."""
 MAX_SAMPLES = 20_000
-"""Border pixels sampled per picture."""
+"""Approximate number of border pixels sampled per image."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +52,7 @@ class ScreenColour:
 
     Attributes:
         rgb: median colour, 0 to 255.
-        spread: 99th percentile of its pixels' :func:`screen_distance`.
+        spread: 99th percentile of the :func:`screen_distance` of the screen's pixels.
     """
 
     rgb: tuple[float, float, float]
@@ -54,13 +60,13 @@ class ScreenColour:
 
 
 def find_screen(pictures: Sequence[Picture]) -> ScreenColour:
-    """Estimate the screen's colour from the borders of pictures.
+    """Estimate the screen's colour from the border pixels of images.
 
     Args:
-        pictures: (H, W, 3) uint8, at least one; several cameras or frames of the same screen.
+        pictures: at least one image (H, W, 3) uint8; all show the same screen.
 
     Raises:
-        UserError: if no hue with enough chroma covers half of the borders.
+        UserError: if no single saturated hue covers half of the border pixels, or if its shades vary too much.
     """
     border = np.concatenate([_border(picture) for picture in pictures])
     _, chroma = _luma_chroma(border)
@@ -72,7 +78,7 @@ def find_screen(pictures: Sequence[Picture]) -> ScreenColour:
     is_screen = coloured & (np.abs((hue - dominant + 180) % 360 - 180) < HUE_TOLERANCE_DEG)
     share = float(is_screen.mean())
     if share < MIN_BORDER_SHARE:
-        raise _screen_error(f"borders of which at most {100 * share:.0f} % have the same hue")
+        raise _screen_error(f"borders in which at most {100 * share:.0f} % of the pixels have the same hue")
     rgb = np.median(border[is_screen], axis=0)
     screen = ScreenColour((float(rgb[0]), float(rgb[1]), float(rgb[2])))
     if _chroma_of(screen) < MIN_CHROMA:
@@ -84,7 +90,7 @@ def find_screen(pictures: Sequence[Picture]) -> ScreenColour:
 
 
 def parse_screen(text: str) -> ScreenColour:
-    """Parse a screen colour ``R,G,B``, three integers of 0 to 255.
+    """Parse a screen colour ``R,G,B``: three integers from 0 to 255.
 
     Raises:
         UserError: if the text has another format or the colour is nearly grey.
@@ -103,9 +109,9 @@ def parse_screen(text: str) -> ScreenColour:
 
 
 def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
-    """Matte (H, W) uint8, 255 = subject, of a picture (H, W, 3) uint8 in front of the screen.
+    """Compute the matte (H, W) uint8, 255 = subject, of an image (H, W, 3) uint8 in front of the screen.
 
-    Small parts and holes are removed; the edge is soft and aligned with the picture's edges.
+    Small regions and small holes are removed. The matte's edge is soft and follows the image's edges.
     """
     from_screen = cv2.GaussianBlur(screen_distance(rgb, screen), (3, 3), 0.7)
     threshold = max(SUBJECT_DISTANCE, SPREAD_FACTOR * screen.spread)
@@ -116,9 +122,9 @@ def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
 
 
 def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:
-    """Chroma distance (...) float32 of colours (..., 3) from the screen under any illumination.
+    """Chroma distance (...) float32 between colours (..., 3) and the screen, independent of illumination.
 
-    0 for the screen's colour, 1 for grey, more for opposite hues.
+    The distance is 0 for the screen's colour, 1 for grey, and above 1 for opposite hues.
     """
     luma, chroma = _luma_chroma(rgb)
     screen_luma, screen_chroma = _luma_chroma(np.array(screen.rgb, np.float32))
@@ -128,14 +134,14 @@ def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:
 
 
 def _luma_chroma(rgb: NDArray[np.generic]) -> tuple[Floats, Floats]:
-    """Luma Y (...) in 0 to 255 and chroma (Cb, Cr) (..., 2) centred on 0, of colours (..., 3) (ITU-R BT.601)."""
+    """Convert colours (..., 3) to luma Y (...) in 0 to 255 and chroma (Cb, Cr) (..., 2) around 0 (ITU-R BT.601)."""
     red, green, blue = np.moveaxis(rgb.astype(np.float32), -1, 0)
     luma = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
     return luma, np.stack([np.float32(0.564) * (blue - luma), np.float32(0.713) * (red - luma)], axis=-1)
 
 
 def _border(picture: Picture) -> Picture:
-    """Colours (N, 3) of the picture's border, evenly subsampled to about MAX_SAMPLES."""
+    """Colours (N, 3) of the image's border pixels, evenly subsampled to about MAX_SAMPLES."""
     height, width = picture.shape[:2]
     inner = np.zeros((height, width), bool)
     margin = max(1, round(BORDER * min(height, width)))
@@ -154,5 +160,6 @@ def _format_rgb(screen: ScreenColour) -> str:
 
 def _screen_error(got: str) -> UserError:
     return UserError(
-        f"the pictures: expected a screen of one colour, got {got}; set it with --screen R,G,B or use another --method"
+        f"the images: expected a screen of one colour, got {got}; "
+        "set the colour with --screen R,G,B or use another --method"
     )

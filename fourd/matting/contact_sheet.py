@@ -1,4 +1,4 @@
-"""Contact sheet of mattes for visual inspection: pictures and cut-outs of several cameras and frames."""
+"""Contact sheet for visual inspection of mattes: images and cut-outs of several cameras and frames."""
 
 from __future__ import annotations
 
@@ -20,19 +20,22 @@ Box = tuple[slice, slice]
 MAX_CAMERAS = 8
 CELL_HEIGHT = 240
 CELL_WIDTH = 240
-"""Maximum size of a picture and of a cut-out, pixels."""
+"""Maximum width of an image or a cut-out on the sheet, in pixels; CELL_HEIGHT is the maximum height."""
 MARGIN = 0.12
-"""Margin around the mattes' common box, relative to its longer side; missed limbs stay visible."""
+"""Margin around the bounding box of the mattes, as a share of its longer side.
+
+Limbs that a matte misses remain visible in the margin.
+"""
 MIN_ALPHA = 8
-"""Pixels from this value on extend that box, so that faint remnants are visible."""
+"""Minimum matte value, of 255, of pixels inside the bounding box; the low value makes faint errors visible."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120
-"""Minimum width of the sheet, for the captions."""
+"""Minimum width of the sheet, so that captions fit."""
 SHEET_COLOUR = (32, 32, 32)
 CAPTION_COLOUR = (235, 235, 235)
 FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))
-"""Candidate colours behind cut-outs, all different from black, white and skin."""
+"""RGB colours to choose from for the area behind cut-outs; all differ from black, white and skin."""
 NEAREST_QUANTILE = 0.1
 
 
@@ -43,21 +46,22 @@ def write_contact_sheet(
     columns: int = 10,
     track: Track = untracked,
 ) -> None:
-    """Write a PNG with a row per camera and a column per frame; a cell is the picture above its cut-out.
+    """Write a PNG with one row per camera and one column per frame.
 
-    All cells of a row show the common box of its mattes with a margin, or the full picture if the mattes are empty.
-    Cut-outs lie on the flat colour that differs most from the subject. Captions are camera names and frame numbers
-    in the capture. One picture is in memory at a time, beside the sheet.
+    Each tile shows an image above its cut-out. All tiles of a row are cropped to the bounding box of the row's mattes
+    plus a margin; if all mattes are empty, they show the full image. Cut-outs are composited over the colour that
+    differs most from the subject. Captions show camera names and the capture's frame numbers. Only the sheet and one
+    image are in memory at a time.
 
     Args:
         capture: capture with mattes.
-        path: file to write, atomically, as PNG for any suffix.
-        cameras: indices into ``capture.names``; None selects at most 8, evenly spaced.
-        columns: number of frames, at least 1, evenly spaced; fewer if the capture has fewer frames.
+        path: PNG file to write atomically; its suffix is ignored.
+        cameras: indices into ``capture.names``; None selects at most 8 evenly spaced cameras.
+        columns: number of evenly spaced frames, at least 1; all frames if the capture has fewer.
         track: progress callback.
 
     Raises:
-        UserError: if there are no mattes or a picture is damaged.
+        UserError: if there are no mattes or an image is damaged.
     """
     if columns < 1:
         raise ValueError(f"columns: expected at least 1, got {columns}")
@@ -82,7 +86,7 @@ def _row(capture: Capture, camera: int, frames: Sequence[int], flat: Picture) ->
 
 
 def _cell(capture: Capture, camera: int, frame: int, box: Box, flat: Picture) -> Picture:
-    """Caption, picture and cut-out, stacked vertically."""
+    """One tile of the sheet: caption, image and cut-out, stacked vertically."""
     picture = _fit_cell(capture.image(camera, frame)[box])
     alpha = _fit_cell(capture.mask(camera, frame)[box])[..., None] / np.float32(255)
     cutout = np.asarray(alpha * picture + (1 - alpha) * flat + 0.5, np.uint8)
@@ -97,7 +101,7 @@ def _caption(text: str, width: int) -> Picture:
 
 
 def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
-    """Rows and columns of the bounding box of all mattes of a camera; the full picture if they are empty."""
+    """Bounding box of a camera's mattes plus a margin, as slices; the full image if all mattes are empty."""
     view = capture.cameras[camera]
     filled = np.zeros((view.height, view.width), bool)
     for frame in frames:
@@ -111,7 +115,10 @@ def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
 
 
 def _flat_colour(capture: Capture, cameras: Sequence[int], frames: Sequence[int]) -> Picture:
-    """(3,) uint8: the colour of FLAT_COLOURS with the largest 10% quantile of distances to the subject's colours."""
+    """Choose the colour (3,) uint8 of FLAT_COLOURS that differs most from the subject.
+
+    The criterion is the 10% quantile of the colour's distances to the subject's pixels.
+    """
     frame = frames[len(frames) // 2]
     colours = []
     for camera in cameras:
@@ -139,7 +146,7 @@ def _pad(picture: Picture, width: int) -> Picture:
 
 
 def _stack(pictures: Sequence[Picture], axis: int) -> Picture:
-    """Concatenate pictures along an axis with gaps; their sizes match along the other axis."""
+    """Concatenate images along ``axis`` with gaps between them; their sizes along the other axis must be equal."""
     parts = []
     for picture in pictures:
         shape = list(picture.shape)

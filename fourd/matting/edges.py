@@ -1,4 +1,4 @@
-"""Full-resolution mattes with soft edges from reduced log-odds."""
+"""Full-resolution mattes with soft edges from low-resolution log-odds."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ Picture = NDArray[np.uint8]
 SMOOTHING = 2.0
 COLOUR_EDGE = 10.0
 BAND = 1 / 400
-"""Half the width of the soft edge, relative to the picture's longest side."""
+"""Half the width of the soft edge, as a share of the image's longest side."""
 EDGE_VARIANCE = 40.0
-"""Regularisation of the guided filter in squared 8-bit values: lower contrast is not an edge."""
+"""Regularisation of the guided filter in squared 8-bit values; areas with a lower variance are smoothed."""
 MIN_REGION_SHARE = 1 / 300
-"""Connected parts and holes smaller than this share of the matte's area are removed."""
+"""Minimum area of a connected region or hole, as a share of the subject's area; smaller ones are removed."""
 MARGIN_PX = 16
 MIN_CONTRAST = 30.0
-"""Minimum colour difference of subject and background, in 8-bit values, for estimating alpha from the colours."""
+"""Minimum RGB distance between subject and background for estimating alpha from colours, in 8-bit values."""
 MIN_NEARBY = 0.01
 MIN_CONFIDENCE = 0.9
-"""Confidence from which the background behind an edge is known."""
+"""Minimum confidence of a background colour that is used to estimate alpha."""
 
 
 def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = None) -> Picture:
     """Compute a full-resolution matte (H, W) uint8, 255 = subject.
 
-    The log-odds are upsampled along the picture's edges (fast global smoother, Min et al. 2014). The soft edge is
-    aligned with the picture (guided filter, He et al. 2013), and its alpha is estimated from the colours on both sides.
+    The log-odds are upsampled with an edge-preserving filter guided by the image (fast global smoother, Min et al.
+    2014). A guided filter (He et al. 2013) aligns the soft edge with the image. The alpha of edge pixels is then
+    estimated from the colours on both sides of the edge.
 
     Args:
-        log_odds: (h, w) of any size; positive = subject.
-        rgb: (H, W, 3) uint8.
-        background: (H, W, 4) colours of the background and their confidence in [0, 1].
+        log_odds: (h, w) log-odds at any resolution; positive values are the subject.
+        rgb: (H, W, 3) uint8 image.
+        background: (H, W, 4) background colours, 0 to 255, and their confidence in [0, 1]; None if unknown.
     """
     height, width = rgb.shape[:2]
     result = np.zeros((height, width), np.uint8)
@@ -56,24 +57,25 @@ def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = Non
 
 
 def soften_edge(subject: Picture, rgb: Picture, radius: int) -> Floats:
-    """Alpha (H, W) in [0, 1] from a binary mask (H, W) uint8 of ones.
+    """Compute soft alpha (H, W) in [0, 1] from a binary mask (H, W) uint8, 1 = subject.
 
-    The edge, ``radius`` pixels to either side, is aligned with the picture by a guided filter (He et al. 2013).
+    A guided filter (He et al. 2013) aligns the edge with the image. Only pixels within ``radius`` of the mask's edge
+    change.
     """
     soft = cv2.ximgproc.guidedFilter(rgb, subject.astype(np.float32), 2 * radius, EDGE_VARIANCE)
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     edge = cv2.dilate(subject, square) != cv2.erode(subject, square)
-    # The filter's output does not quite reach 0 and 1.
+    # The filter's output does not reach 0 and 1 exactly.
     return np.where(edge, np.clip(1.15 * soft - 0.075, 0, 1), subject)
 
 
 def estimate_edge_alpha(
     rgb: Picture, subject: Picture, alpha: Floats, radius: int, background: Floats | None = None
 ) -> Floats:
-    """Alpha (H, W) in [0, 1] with edge pixels estimated as a mixture of the colours on both sides.
+    """Estimate alpha (H, W) in [0, 1] of edge pixels as mixtures of the subject's and the background's colour.
 
-    The local mean colours inside and outside the subject define the mixture; a confident ``background`` (H, W, 4)
-    replaces the outside colour. Where the contrast is too low, ``alpha`` is kept.
+    The two colours are local means inside and outside the subject. Where ``background`` (H, W, 4) is confident, its
+    colour replaces the outside mean. Where the contrast is too low, ``alpha`` is kept.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     inside = np.asarray(cv2.erode(subject, disc), np.float32)
@@ -94,14 +96,14 @@ def estimate_edge_alpha(
 
 
 def _local_mean(value: Floats, mask: Floats, radius: int) -> tuple[Floats, Floats]:
-    """Local mean colour (H, W, 3) of the pixels where ``mask`` (H, W) is 1, and their local share (H, W)."""
+    """Gaussian-weighted mean colour (H, W, 3) of nearby pixels in ``mask`` (H, W), and their total weight (H, W)."""
     near = np.asarray(cv2.GaussianBlur(mask, (0, 0), 1.5 * radius), np.float32)
     total = np.asarray(cv2.GaussianBlur(value * mask[..., None], (0, 0), 1.5 * radius), np.float32)
     return (total / np.maximum(near, 1e-6)[..., None]).astype(np.float32), near
 
 
 def remove_small_regions(subject: Picture) -> Picture:
-    """A binary mask (H, W) without small connected parts and small holes."""
+    """Remove small connected regions from a binary mask (H, W), and fill small holes."""
     min_area = MIN_REGION_SHARE * np.count_nonzero(subject)
     return 1 - _remove_small_components(1 - _remove_small_components(subject, min_area), min_area)
 
@@ -114,7 +116,7 @@ def _remove_small_components(picture: Picture, min_area: float) -> Picture:
 
 
 def _subject_window(log_odds: Floats, height: int, width: int) -> tuple[slice, slice] | None:
-    """The subject's box in the full picture with a margin; None without a subject."""
+    """Bounding box of the subject plus a margin, in full-resolution pixels; None if no pixel is the subject."""
     left, top, box_width, box_height = cv2.boundingRect((log_odds > 0).astype(np.uint8))
     if box_width == 0:
         return None

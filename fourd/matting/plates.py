@@ -1,8 +1,8 @@
-"""Clean plates: each camera's background without the subject, as the mean over time weighted by the mattes.
+"""Clean plates: each camera's background without the subject.
 
-This is the background of 4K4D, sec. 4.1, with three changes: a running mean needs constant memory, each frame is
-matched to the first frame's exposure, and a second pass excludes outliers from the first mean, where mattes missed
-the subject.
+A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. There are three
+changes. A running mean needs constant memory. Each frame is matched to the first frame's exposure. A second pass
+excludes outliers from the first pass's mean: pixels where a matte missed the subject.
 """
 
 from __future__ import annotations
@@ -30,13 +30,16 @@ Picture = NDArray[np.uint8]
 FOLDER = Path(".fourd") / "plates"
 STATE = "plates.json"
 MAX_FRAMES = 64
-"""Maximum number of averaged frames; 64 reduce noise to an eighth."""
+"""Maximum number of averaged frames; the mean of 64 frames has an eighth of one frame's noise."""
 MARGIN = 1 / 150
-"""Distance kept from the matte, relative to the picture's longest side: its edge is soft and has a shadow."""
+"""Width of the excluded band around the matte, as a share of the image's longest side.
+
+The band covers the matte's soft edge and shadows next to the subject.
+"""
 OUTLIER_STDS = 3.0
 MIN_OUTLIER_DISTANCE = 6.0
 MIN_WEIGHT = 1.0
-"""Total weight of frames below which a pixel is a hole."""
+"""Minimum total weight of the frames of a pixel; pixels with less are holes."""
 INPAINT_PX = 5
 
 
@@ -45,8 +48,8 @@ class Plate:
     """A camera's background.
 
     Attributes:
-        rgb: (H, W, 3) uint8; holes are inpainted, for display.
-        seen: (H, W) bool; False in holes, where the subject covers the background in all frames.
+        rgb: (H, W, 3) uint8; holes are inpainted for display.
+        seen: (H, W) bool; False in holes, which the subject covers in all frames.
     """
 
     rgb: Picture
@@ -68,7 +71,7 @@ class _RunningStatistics:
         self.squares = np.zeros((*self.shape, 3), np.float32)
 
     def add(self, value: Floats, weight: Floats) -> None:
-        """Add a frame (H, W, 3) with weights (H, W); West's update (1979)."""
+        """Add a frame (H, W, 3) with weights (H, W), using West's incremental update (1979)."""
         self.weight += weight
         share = np.divide(weight, self.weight, out=np.zeros_like(weight), where=self.weight > 0)[..., None]
         delta = value - self.mean
@@ -77,24 +80,24 @@ class _RunningStatistics:
 
     @property
     def std(self) -> Floats:
-        """(H, W) standard deviation over channels and frames."""
+        """(H, W) standard deviation of each pixel over frames, pooled over the colour channels."""
         return np.sqrt(self.squares.mean(axis=-1) / np.maximum(self.weight, 1e-6))
 
 
 def make_plates(selection: Selection, key: str, workers: int, track: Track, folder: Path | None = None) -> int:
-    """Make the plate of each camera as ``folder/CAM.png``: RGBA with alpha 0 in holes, undistorted.
+    """Write the plate of each camera as ``folder/CAM.png``: undistorted RGBA with alpha 0 in holes.
 
-    Plates that an earlier call made with the same ``key`` and the same mattes are kept.
+    Plates from an earlier call with the same ``key`` and the same mattes are kept.
 
     Args:
         selection: the capture.
         key: hash of the inputs of the mattes.
         workers: number of processes; each job is one camera.
         track: progress callback.
-        folder: output folder; None is the capture's ``.fourd/plates``.
+        folder: output folder; None means ``.fourd/plates`` in the capture's folder.
 
     Returns:
-        the number of plates made by this call.
+        The number of plates that this call wrote.
 
     Raises:
         UserError: if the capture has no mattes.
@@ -118,7 +121,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
 
 
 def _camera_key(capture: Capture, name: str, key: str) -> str:
-    """Hash of ``key`` and of the mattes used for the camera's plate, which users may edit."""
+    """Hash of ``key`` and the contents of the mattes for the camera's plate; users may edit these files."""
     digest = hashlib.sha256(key.encode())
     for frame in sample_indices(capture.frame_count, MAX_FRAMES):
         for folder in (Path("masks"), MATTES):
@@ -130,7 +133,7 @@ def _camera_key(capture: Capture, name: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class _Job:
-    """One camera, for a worker process."""
+    """One camera's plate for a worker process."""
 
     selection: Selection
     name: str
@@ -138,14 +141,18 @@ class _Job:
 
 
 def _make_plate(job: _Job) -> Iterator[str]:
-    """Make one camera's plate; yields the camera's name once the file is written."""
+    """Write one camera's plate, then yield the camera's name."""
     capture = replace(job.selection, views=(job.name,)).open()
     write_plate(job.folder / f"{job.name}.png", clean_plate(capture, 0))
     yield job.name
 
 
 def clean_plate(capture: Capture, index: int) -> Plate:
-    """Compute the plate of one camera from its pictures and mattes; raises UserError without mattes."""
+    """Compute the plate of one camera from its images and mattes.
+
+    Raises:
+        UserError: if the capture has no mattes.
+    """
     camera = capture.cameras[index]
     shape = (camera.height, camera.width)
     first = _RunningStatistics(shape)
@@ -162,7 +169,7 @@ def clean_plate(capture: Capture, index: int) -> Plate:
 
 
 def write_plate(path: Path, plate: Plate) -> None:
-    """Write a plate as RGBA PNG, atomically."""
+    """Write a plate atomically as an RGBA PNG."""
     alpha = np.where(plate.seen, 255, 0).astype(np.uint8)
     with atomic_path(path) as temporary:
         if not cv2.imwrite(str(temporary), np.dstack([plate.rgb[..., ::-1], alpha])):
@@ -170,7 +177,7 @@ def write_plate(path: Path, plate: Plate) -> None:
 
 
 def _weighted_frames(capture: Capture, index: int) -> Iterator[tuple[Floats, Floats]]:
-    """Frames (H, W, 3) at the first frame's exposure, and the weights (H, W) of their background pixels."""
+    """Yield frames (H, W, 3) scaled to the first frame's exposure, with per-pixel background weights (H, W)."""
     camera = capture.cameras[index]
     margin = max(1, round(MARGIN * max(camera.width, camera.height)))
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * margin + 1, 2 * margin + 1))
@@ -183,7 +190,7 @@ def _weighted_frames(capture: Capture, index: int) -> Iterator[tuple[Floats, Flo
 
 
 def _exposure_gain(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
-    """(3,) gains that match a frame's background pixels to the reference's brightness."""
+    """Per-channel gains (3,) that match the brightness of a frame's background pixels to ``reference``."""
     step = max(1, max(rgb.shape) // 256)
     part, other, free = rgb[::step, ::step], reference[::step, ::step], weight[::step, ::step] > 0.99
     free &= (part.min(axis=-1) > 16) & (other.max(axis=-1) < 250) & (part.max(axis=-1) < 250)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]
 
 REDUCED_SIDE = 512
-"""Longest side, pixels, of the network's coarse stage, unless a ratio is given."""
+"""Longest side in pixels of the image in the network's coarse stage, unless a ratio is given."""
 SCRIPTED = (".torchscript", ".pt")
 STATES = 4
 PROBE_SIDE = 64
@@ -43,18 +43,18 @@ class RVM:
         self._dtype = dtype
 
     def mattes(self, pictures: Iterable[Picture], ratio: float | None = None) -> Iterator[Picture]:
-        """Generate mattes (H, W) uint8, 255 = person, of one camera's consecutive pictures (H, W, 3) uint8.
+        """Yield the mattes (H, W) uint8, 255 = person, of one camera's consecutive images.
 
-        The recurrent state passes from picture to picture and is reset at each call.
+        The recurrent state is passed from image to image and is reset at each call.
 
         Args:
-            pictures: pictures of one size.
-            ratio: in (0, 1], scale of the coarse stage; None reduces the longest side to 512 pixels. For a full
-                person in a large picture a larger ratio is more accurate.
+            pictures: images (H, W, 3) uint8, all of one size.
+            ratio: scale of the coarse stage in (0, 1]; None reduces the longest side to 512 pixels. A larger ratio is
+                more accurate for a full person in a large image.
 
         Raises:
-            UserError: if the ratio is out of range, sizes differ, or the network does not have the interface of
-                Robust Video Matting.
+            UserError: if the ratio is out of range, the images' sizes differ, or the network does not have the
+                interface of Robust Video Matting.
         """
         if ratio is not None and not 0 < ratio <= 1:
             raise UserError(f"--downsample: expected a ratio above 0 and at most 1, got {ratio:g}")
@@ -66,8 +66,8 @@ class RVM:
         for number, rgb in enumerate(pictures):
             if size is not None and rgb.shape[:2] != size:
                 raise UserError(
-                    f"picture {number}: expected {size[1]} x {size[0]} pixels, as the first has, got "
-                    f"{rgb.shape[1]} x {rgb.shape[0]}; export it again at that size"
+                    f"image {number}: expected {size[1]} x {size[0]} pixels like the first image, got "
+                    f"{rgb.shape[1]} x {rgb.shape[0]}; export the image again at the expected size"
                 )
             size = rgb.shape[:2]
             matte, states = self._step(rgb, states, automatic_ratio(*size) if ratio is None else ratio)
@@ -76,18 +76,18 @@ class RVM:
     def _step(
         self, rgb: Picture, states: list[torch.Tensor | None], ratio: float
     ) -> tuple[Picture, list[torch.Tensor | None]]:
-        """The matte of one picture, and the recurrent state for the next."""
+        """Compute the matte of one image, and the recurrent state for the next image."""
         import torch
 
-        # Not around the loop above: in a generator the mode would stay enabled in the caller.
+        # The mode is enabled here and not in the generator _mattes, where it would stay enabled in the caller.
         with torch.inference_mode():
             values = torch.from_numpy(np.array(rgb)).to(self.device).permute(2, 0, 1)[None]
             try:
                 found = self._network(values.to(self._dtype) / 255, *states, float(ratio))
             except torch.cuda.OutOfMemoryError as error:
                 raise UserError(
-                    f"{self.path}: expected memory for pictures of {rgb.shape[1]} x {rgb.shape[0]}, got too little on "
-                    "the GPU; reduce the pictures or set CUDA_VISIBLE_DEVICES= to use the CPU"
+                    f"{self.path}: expected enough GPU memory for images of {rgb.shape[1]} x {rgb.shape[0]} pixels, "
+                    "got too little; reduce the images or set CUDA_VISIBLE_DEVICES= to use the CPU"
                 ) from error
             except (RuntimeError, TypeError, ValueError) as error:
                 raise self._interface_error(f"'{_reason(error)}'") from error
@@ -98,45 +98,45 @@ class RVM:
                 raise self._interface_error("outputs that are not tensors")
             alpha = found[1]
             if tuple(alpha.shape) != (1, 1, *rgb.shape[:2]):
-                raise self._interface_error(f"a matte of shape {tuple(alpha.shape)} of a picture {rgb.shape}")
+                raise self._interface_error(f"a matte of shape {tuple(alpha.shape)} for an image of shape {rgb.shape}")
             if not bool(torch.isfinite(alpha).all()):
                 raise UserError(
-                    f"{self.path}: expected a matte in [0, 1], got NaN or infinite values; "
-                    "use the file with 32-bit weights (fp32)"
+                    f"{self.path}: expected matte values in [0, 1], got NaN or infinite values; "
+                    "use the network file with 32-bit weights (fp32)"
                 )
             matte = (alpha[0, 0].float().clamp(0, 1) * 255 + 0.5).to(torch.uint8).cpu().numpy()
         return matte, list(found[2:])
 
     def _interface_error(self, got: str) -> UserError:
-        return UserError(f"{self.path}: expected the network of Robust Video Matting, got {got}; use {RELEASE}")
+        return UserError(f"{self.path}: expected the Robust Video Matting network, got {got}; use {RELEASE}")
 
 
 def load_rvm(path: Path | str, device: str | None = None) -> RVM:
-    """Load the network from a file and run it on a small picture. Nothing is downloaded.
+    """Load the network from a local file and run it on a small image as a test.
 
-    A TorchScript file (.torchscript, .pt) is a program that gets executed: load only trusted files. The authors'
-    checkpoints (.pth) need the source of their network, which has an incompatible licence, and are refused.
+    Loading a TorchScript file (.torchscript, .pt) executes code from it, so load only trusted files. Checkpoints
+    (.pth) are refused: they contain weights only, and the licence of the network's source code is incompatible.
 
     Args:
-        path: the file.
+        path: TorchScript file.
         device: "cpu" or "cuda"; None selects the GPU if there is one.
 
     Raises:
-        UserError: if the file is missing, damaged or of another network, or the device is not available.
+        UserError: if the file is missing or damaged, contains another network, or the device is not available.
     """
     import torch
 
     path = Path(path)
     if not path.is_file():
         got = "a folder" if path.is_dir() else "no such file"
-        raise UserError(f"{path}: expected the file of Robust Video Matting, got {got}; fetch {RELEASE}")
+        raise UserError(f"{path}: expected the Robust Video Matting network file, got {got}; download {RELEASE}")
     if path.suffix not in SCRIPTED:
         raise UserError(
             f"{path}: expected a TorchScript file (.torchscript or .pt), got '{path.name}'; a checkpoint (.pth) "
-            f"contains weights without the network: fetch {RELEASE}"
+            f"contains weights without the network; download {RELEASE}"
         )
     if device == "cuda" and not torch.cuda.is_available():
-        raise UserError("--device: expected a GPU that torch supports, got none; use cpu")
+        raise UserError("--device: expected a GPU that torch supports, found no such GPU; use --device cpu")
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     network = _script(path, device).to(device).eval()
     # A frozen TorchScript network stores its weights as constants, so parameters() is empty.
@@ -149,7 +149,7 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
 
 
 def automatic_ratio(height: int, width: int) -> float:
-    """Scale that reduces a picture's longest side to 512 pixels; 1 for smaller pictures."""
+    """Scale that reduces an image's longest side to 512 pixels; 1 for smaller images."""
     return min(1.0, REDUCED_SIDE / max(height, width))
 
 
@@ -159,10 +159,12 @@ def _script(path: Path, device: str) -> torch.nn.Module:
     try:
         return torch.jit.load(str(path), map_location=device)
     except (OSError, RuntimeError, ValueError) as error:
-        raise UserError(f"{path}: expected a TorchScript network, got '{_reason(error)}'; fetch {RELEASE}") from error
+        raise UserError(
+            f"{path}: expected a TorchScript network, got '{_reason(error)}'; download {RELEASE}"
+        ) from error
 
 
 def _reason(error: Exception) -> str:
-    """The last line of an exception's message, which has TorchScript's cause without its traceback."""
+    """The last line of an exception's message: for TorchScript errors, the cause without the traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return re.sub(r"\s+", " ", lines[-1] if lines else type(error).__name__)[:160]

@@ -1,4 +1,4 @@
-"""A picklable description of the selected part of a capture, for worker processes."""
+"""A picklable selection of a capture's views and frames, for worker processes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from fourd.capture import Capture, open_capture
 
 CACHE_MB = 64
 CACHE_FRAMES = 8
-"""Decoded frames of all cameras to cache: a frame and those up to its neighbour for optical flow."""
+"""Number of decoded frames to cache for all cameras.
+
+The cache must hold all frames between the two frames of an optical flow.
+"""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """A capture with selected views and frames; see :func:`fourd.capture.open_capture`."""
+    """Arguments of :func:`fourd.capture.open_capture` that select views and frames of a capture."""
 
     path: Path
     views: tuple[str, ...] | None = None
     frames: str | None = None
 
     def open(self, *, mattes: bool = True) -> Capture:
-        """Open the capture, with a cache for the frames between which optical flow is computed."""
+        """Open the capture with a frame cache that is large enough for computing optical flow."""
         return open_capture(
             self.path,
             views=self.views,

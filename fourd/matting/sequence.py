@@ -1,4 +1,7 @@
-"""Mattes of a whole capture: one learning step, then frames in parallel; resumable."""
+"""Mattes of a whole capture.
+
+The models are learned once, then frames are processed in parallel. An interrupted run can be resumed.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +47,10 @@ class MatteSettings:
     """Settings of matting.
 
     Attributes:
-        method: "motion" needs no network; "chroma" needs a screen of one colour; "rvm" needs a network file.
-        seed: random seed of colour subsampling.
-        screen: "R,G,B" of 0 to 255; None estimates it for each camera.
-        rvm: TorchScript file of Robust Video Matting.
+        method: "motion" needs no network, "chroma" needs a screen of one colour, "rvm" needs a network file.
+        seed: random seed for subsampling colours.
+        screen: screen colour "R,G,B", each 0 to 255; None estimates it for each camera.
+        rvm: TorchScript file of the Robust Video Matting network.
     """
 
     method: Literal["motion", "chroma", "rvm"] = "motion"
@@ -57,22 +60,23 @@ class MatteSettings:
 
 
 def make_mattes(selection: Selection, settings: MatteSettings, workers: int, track: Track) -> int:
-    """Make the mattes of a capture's undistorted pictures as ``.fourd/mattes/CAM/FRAME.png``.
+    """Write the mattes of a capture's undistorted images as ``.fourd/mattes/CAM/FRAME.png``.
 
-    Files that an earlier call made with the same input and settings are kept; otherwise all are made again.
+    Mattes from an earlier call with the same inputs and settings are kept. If the inputs or settings differ, all
+    mattes are computed again.
 
     Args:
-        selection: the capture; evidence is combined over all of its cameras.
-        settings: method and its parameters.
+        selection: the capture; evidence is combined over all selected cameras.
+        settings: the matting method and its parameters.
         workers: number of processes.
         track: progress callback.
 
     Returns:
-        the number of frames made by this call.
+        The number of frames that this call processed.
 
     Raises:
-        UserError: if nothing moves, the views do not agree on where, there is no screen, or the network file is
-            invalid.
+        UserError: if no subject moves, the moving regions of the views do not intersect in space, no screen colour is
+            found, or the network file is invalid.
     """
     capture = selection.open(mattes=False)
     folder = capture.path / MATTES
@@ -98,7 +102,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
 
 
 def matte_key(capture: Capture, settings: MatteSettings) -> str:
-    """Hash of all inputs of the mattes: settings, selection, and sizes and times of the input files."""
+    """Hash of everything that determines the mattes: settings, selection, and input files' sizes and times."""
     digest = hashlib.sha256(
         json.dumps([VERSION, asdict(settings), capture.names, capture.frame_names], default=str).encode()
     )
@@ -110,7 +114,7 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def _prepare_folder(folder: Path, key: str) -> None:
-    """Delete the results of other inputs or settings, and the unfinished files of killed processes."""
+    """Delete results that have another key, and unfinished files of killed processes."""
     state = folder.parent / STATE
     try:
         known = json.loads(state.read_text(encoding="utf-8")).get("key")
@@ -143,7 +147,7 @@ def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, 
 
 
 def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> tuple[ScreenColour, ...]:
-    """The screen of each camera: the given colour, or an estimate from a few pictures."""
+    """The screen of each camera: the colour from the settings, or an estimate from a few images."""
     numbers = range(len(capture.names))
     if settings.screen is not None:
         return tuple(parse_screen(settings.screen) for _ in numbers)
@@ -157,9 +161,12 @@ def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> 
 def _make_network_mattes(
     capture: Capture, settings: MatteSettings, folder: Path, missing: Sequence[int], track: Track
 ) -> None:
-    """Run the network on each camera's frames in order, from the first: its recurrent state must be reproducible."""
+    """Run the network on each camera's frames in order.
+
+    It starts at the first frame even if mattes exist, because the recurrent state depends on all earlier frames.
+    """
     if settings.rvm is None:
-        raise UserError("--rvm: expected the network file for --method rvm, got none; pass --rvm FILE")
+        raise UserError("--rvm: expected a network file for --method rvm, got none; pass --rvm FILE")
     network = load_rvm(settings.rvm)
     for index, name in enumerate(capture.names):
         remaining = [frame for frame in missing if not (folder / name / f"{capture.frame_names[frame]}.png").exists()]
@@ -174,13 +181,13 @@ def _make_network_mattes(
 
 @dataclass(frozen=True)
 class _Job:
-    """Frames for one worker process.
+    """Frames to be processed by one worker process.
 
     Attributes:
         selection: the capture.
         model: file of the learned model, or the screen colour of each camera.
-        folder: folder of the mattes.
-        frames: indices of the frames.
+        folder: output folder.
+        frames: frame indices.
     """
 
     selection: Selection
@@ -190,7 +197,7 @@ class _Job:
 
 
 def _make_frames(job: _Job) -> Iterator[int]:
-    """Make the mattes of a job's frames; yields each frame once its files are written."""
+    """Compute the mattes of a job's frames; yield each frame index after its files are written."""
     cv2.setNumThreads(1)
     capture = job.selection.open(mattes=False)
     maker = load_matte_maker(job.model, matting_cameras(capture)) if isinstance(job.model, Path) else None
@@ -201,13 +208,13 @@ def _make_frames(job: _Job) -> Iterator[int]:
             mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.model)]
         for name, matte in zip(capture.names, mattes, strict=True):
             path = job.folder / name / f"{capture.frame_names[frame]}.png"
-            if not path.exists():  # existing mattes of an incomplete frame may have been edited
+            if not path.exists():  # the user may have edited existing mattes of an incomplete frame
                 write_matte(path, matte)
         yield frame
 
 
 def write_matte(path: Path, matte: Picture) -> None:
-    """Write a matte (H, W) uint8 as PNG, atomically."""
+    """Write a matte (H, W) uint8 atomically as PNG."""
     with atomic_path(path) as temporary:
         if not cv2.imwrite(str(temporary), matte, FASTEST_PNG):
             raise OSError(f"{path}: cannot be written")

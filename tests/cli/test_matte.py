@@ -28,7 +28,7 @@ def contents(capture: Path) -> dict[str, bytes]:
     [
         (("--method", "chroma", "--screen", "green"), "--screen: expected R,G,B"),
         (("--method", "chroma"), "expected a screen of one colour"),
-        (("--method", "rvm"), "--rvm: expected the network file for --method rvm, got none; pass --rvm FILE"),
+        (("--method", "rvm"), "--rvm: expected a network file for --method rvm, got none; pass --rvm FILE"),
         (("--workers", "0"), "--workers: expected at least 1, got 0"),
         (("--views", "nobody"), "--views: expected camera names among"),
     ],

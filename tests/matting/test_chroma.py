@@ -109,7 +109,7 @@ def test_pictures_without_a_screen_are_refused(rng: np.random.Generator, kind: s
         picture = (130 + picture // 32).astype(np.uint8)
     elif kind == "stripes":
         picture = np.array([GREEN, BLUE, (190, 60, 40)], np.uint8)[np.arange(160) // 3 % 3][None].repeat(120, 0)
-    with pytest.raises(UserError, match=r"^the pictures: expected a screen of one colour, got .*--screen R,G,B"):
+    with pytest.raises(UserError, match=r"^the images: expected a screen of one colour, got .*--screen R,G,B"):
         find_screen([picture])
 
 

@@ -87,7 +87,7 @@ def test_bad_ratios_and_sizes_are_refused(tmp_path: Path, rng: np.random.Generat
     for ratio in (0.0, 1.5, float("nan")):
         with pytest.raises(UserError, match=r"^--downsample: expected a ratio"):
             rvm.mattes([], ratio)
-    with pytest.raises(UserError, match=r"^picture 1: expected 30 x 20 pixels.*got 12 x 10"):
+    with pytest.raises(UserError, match=r"^image 1: expected 30 x 20 pixels.*got 12 x 10"):
         list(rvm.mattes([*pictures(rng, 1), *pictures(rng, 1, (10, 12))]))
 
 
@@ -111,7 +111,7 @@ def test_other_networks_are_refused_when_loaded(tmp_path: Path, result: str, mes
 def test_network_with_other_inputs_is_refused(tmp_path: Path) -> None:
     """Catches a segmentation network with one input."""
     path = script(tmp_path / "one.pt", program="def forward(self, src):\n    return src\n")
-    with pytest.raises(UserError, match=r"one\.pt: expected the network of Robust Video Matting, got '") as caught:
+    with pytest.raises(UserError, match=r"one\.pt: expected the Robust Video Matting network, got '") as caught:
         load_rvm(path, "cpu")
     assert "\n" not in str(caught.value)
 
@@ -124,7 +124,7 @@ def test_broken_files_are_one_line(tmp_path: Path, rng: np.random.Generator, nam
     whole = path.read_bytes()
     for content in (b"", rng.bytes(500), whole[: len(whole) // 2]):
         path.write_bytes(content)
-        with pytest.raises(UserError, match=rf"{name}: expected .*; fetch ") as caught:
+        with pytest.raises(UserError, match=rf"{name}: expected .*; download ") as caught:
             load_rvm(path, "cpu")
         assert "\n" not in str(caught.value)
 

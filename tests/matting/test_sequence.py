@@ -114,7 +114,7 @@ def test_a_capture_without_motion_is_an_error(tmp_path: Path) -> None:
         first = (folder / "000000.png").read_bytes()
         for path in folder.iterdir():
             path.write_bytes(first)
-    with pytest.raises(UserError, match=r"expected a subject that moves, got nothing that changes.*chroma"):
+    with pytest.raises(UserError, match=r"expected a moving subject, got no change in any camera.*chroma"):
         make_mattes(Selection(capture), MatteSettings(), 1, untracked)
 
 
@@ -127,5 +127,5 @@ def test_inconsistent_views_are_an_error(tmp_path: Path, rng: np.random.Generato
             corner = (index % 2) * 44
             picture[corner : corner + 16, corner : corner + 16] = rng.integers(0, 255, (16, 16, 3))
             assert cv2.imwrite(str(path), picture)
-    with pytest.raises(UserError, match=r"expected views that agree on where something moves, got no common region"):
+    with pytest.raises(UserError, match=r"expected moving regions that intersect in space, got no intersection"):
         make_mattes(Selection(capture), MatteSettings(), 1, untracked)

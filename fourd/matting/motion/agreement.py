@@ -1,7 +1,7 @@
-"""Multi-view consistency: a soft visual hull, carved for each view from the evidence of all other views.
+"""Multi-view consistency: a soft visual hull for each view, computed from the evidence of all other views.
 
-The score of a cell is the smallest log-odds among the views that see it, or a higher order statistic with many views,
-so that a few of them may be wrong.
+A voxel's score is the smallest log-odds among the views in which it is visible. With many views it is a higher order
+statistic, such as the second smallest value, so that a few views may be wrong.
 """
 
 from __future__ import annotations
@@ -18,28 +18,29 @@ from fourd.cameras import Array, Camera
 Floats = NDArray[np.float32]
 
 MAX_CELLS = 112
-"""Maximum number of cells along the box's longest side; 1.4 million in a cube."""
+"""Maximum number of voxels along the box's longest side; a cubic box then has 1.4 million voxels."""
 CELLS_PER_PIXEL = 1.0
 OUTLIER_SHARE = 0.05
-"""Share of the views that may be wrong about a cell."""
+"""Share of the views that may be wrong about a voxel."""
 MIN_SEEING_SHARE = 0.75
-"""Minimum share of the views that must see a cell."""
+"""Minimum share of the views in which a voxel must be visible."""
 REJECT_LOG_ODDS = np.float32(-2.0)
-"""Log-odds below which a view rejects a cell; most cells are dropped by it before sorting."""
+"""Log-odds below which a view rejects a voxel; this drops most voxels before sorting."""
 NO_CELL_LOG_ODDS = np.float32(-9.0)
-"""Log-odds of pixels without any cell."""
+"""Log-odds of pixels onto which no voxel projects."""
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """A grid of cells with their projections into each camera.
+    """A grid of voxels with their projections into each camera.
 
     Attributes:
-        xyz: (N, 3) centres, world units.
-        size: side of a cell, world units.
-        cameras: cameras of the evidence.
-        pixels: (C, N) int32, row * width + column of the centre in each camera; -1 where it is not seen.
-        width_px: (C,) odd width of a cell's projection in each camera, pixels.
+        xyz: (N, 3) voxel centres in world units.
+        size: side of a voxel in world units.
+        cameras: the C cameras that provide the evidence.
+        pixels: (C, N) int32 flat pixel index, row * width + column, of each centre in each camera; -1 if the centre is
+            outside the image.
+        width_px: (C,) width of a voxel's projection in each camera, rounded to an odd number of pixels.
     """
 
     xyz: Array
@@ -50,7 +51,14 @@ class VoxelGrid:
 
     @staticmethod
     def covering(lower: Array, upper: Array, cameras: Sequence[Camera], count: int | None = None) -> VoxelGrid:
-        """A grid over a box with ``count`` cells along its longest side; None matches the pictures' resolution."""
+        """Create a grid over a box.
+
+        Args:
+            lower: (3,) minimum corner of the box in world units.
+            upper: (3,) maximum corner of the box in world units.
+            cameras: cameras that provide the evidence.
+            count: number of voxels along the box's longest side; None matches the images' resolution.
+        """
         side = float((upper - lower).max())
         if count is None:
             middle = (lower + upper) / 2
@@ -65,7 +73,7 @@ class VoxelGrid:
 
     @staticmethod
     def from_centres(xyz: Array, size: float, cameras: Sequence[Camera]) -> VoxelGrid:
-        """Project cells with centres (N, 3) into the cameras."""
+        """Create a grid by projecting voxels with centres (N, 3) into the cameras."""
         pixels = np.full((len(cameras), len(xyz)), -1, np.int32)
         widths = []
         for index, camera in enumerate(cameras):
@@ -79,7 +87,7 @@ class VoxelGrid:
         return VoxelGrid(xyz, size, tuple(cameras), pixels, tuple(widths))
 
     def scores(self, evidence: Sequence[Floats]) -> Scores:
-        """Score the cells from each camera's log-odds (h, w); positive = subject."""
+        """Score the voxels from each camera's log-odds image (h, w), in which positive values are the subject."""
         seen = (self.pixels >= 0).sum(axis=0)
         needed = max(2, int(np.ceil(MIN_SEEING_SHARE * len(self.cameras) - 1e-9)))
         outliers = min(int(OUTLIER_SHARE * len(self.cameras) + 1e-9), max(0, len(self.cameras) - 2))
@@ -101,7 +109,10 @@ class VoxelGrid:
         return Scores.from_evidence(self, alive[keep], stacked, outliers)
 
     def max_projection(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
-        """(h, w) largest value of the chosen cells (n,) per pixel of a camera; NO_CELL_LOG_ODDS without cells."""
+        """Project the ``chosen`` voxels into camera ``index`` and keep the largest of their ``values`` per pixel.
+
+        Pixels onto which no voxel projects are NO_CELL_LOG_ODDS. The result has shape (h, w).
+        """
         camera = self.cameras[index]
         flat = np.full(camera.width * camera.height, NO_CELL_LOG_ODDS, np.float32)
         pixels = self.pixels[index, chosen]
@@ -113,13 +124,13 @@ class VoxelGrid:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Scores of the cells that are not rejected.
+    """Scores of the voxels that are not rejected.
 
     Attributes:
-        grid: the grid.
-        alive: (n,) indices of these cells.
-        total: (n,) score from all views.
-        leave_one_out: (C, n) score from all views except one.
+        grid: the voxel grid.
+        alive: (n,) indices of the voxels that are not rejected.
+        total: (n,) scores from all views.
+        leave_one_out: (C, n) scores from all views except camera c, in row c.
     """
 
     grid: VoxelGrid
@@ -129,7 +140,10 @@ class Scores:
 
     @staticmethod
     def from_evidence(grid: VoxelGrid, alive: NDArray[np.intp], values: Floats, outliers: int) -> Scores:
-        """Order statistics over the views of log-odds ``values`` (C, n), of which ``outliers`` may be wrong."""
+        """Compute scores as order statistics of the log-odds ``values`` (C, n) over the C views.
+
+        The scores stay valid if up to ``outliers`` views are wrong.
+        """
         if len(values) == 1:
             return Scores(grid, alive, values[0], np.full_like(values, -NO_CELL_LOG_ODDS))
         lowest = np.sort(np.partition(values, outliers + 1, axis=0)[: outliers + 2], axis=0)
@@ -138,11 +152,11 @@ class Scores:
         return Scores(grid, alive, total, leave_one_out)
 
     def prior(self, index: int) -> Floats:
-        """(h, w) log-odds of camera ``index``'s pixels from the other views; NO_CELL_LOG_ODDS off their hull."""
+        """Log-odds (h, w) of camera ``index``'s pixels from the other views; NO_CELL_LOG_ODDS outside their hull."""
         return self.grid.max_projection(self.alive, self.leave_one_out[index], index)
 
     def box(self) -> tuple[Array, Array] | None:
-        """Corners of the bounding box of the cells with positive scores; None without such cells."""
+        """Corners of the bounding box of all voxels with positive scores; None if there are no such voxels."""
         centres = self.grid.xyz[self.alive[self.total > 0]]
         if not len(centres):
             return None
@@ -151,7 +165,10 @@ class Scores:
 
 
 def dilate(picture: Floats, width: int) -> Floats:
-    """Maximum filter over a square of ``width`` pixels: a cell may show the subject anywhere in its projection."""
+    """Apply a maximum filter over squares of ``width`` pixels, the size of a voxel's projection.
+
+    A voxel is occupied if the subject is anywhere in its projection.
+    """
     return picture if width <= 1 else np.asarray(cv2.dilate(picture, _square(width)), np.float32)
 
 

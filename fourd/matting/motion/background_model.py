@@ -1,4 +1,4 @@
-"""Background model of one camera: a Gaussian colour distribution per pixel with a confidence."""
+"""Background model of one camera: a Gaussian colour distribution and a confidence per pixel."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ Picture = NDArray[np.uint8]
 SHADOW_DARKEST = 0.55
 SHADOW_BRIGHTEST = 1.1
 SHADOW_LOG_ODDS = np.float32(-2.5)
-"""Log-odds of the background in shadow over the background in plain light."""
+"""Prior log-odds of background in shadow versus background without shadow."""
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
-"""Weight of frames with the same colour from which a pixel's background is known."""
+"""Total weight of frames with matching colour at which the confidence of a pixel's background reaches 1."""
 LOG_TWO_PI = float(np.log(2 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
 class BackgroundModel:
-    """A Gaussian distribution of colour per pixel.
+    """A Gaussian colour distribution per pixel.
 
     Attributes:
         mean: (h, w, 3) float32 colours, 0 to 255.
-        variance: (h, w, 3) float32.
-        frames: (h, w) float32 weight of the frames with this colour; 0 where there are none.
+        variance: (h, w, 3) float32 variances of the colours.
+        frames: (h, w) float32 total weight of the frames whose colour matches the mean.
     """
 
     mean: Floats
@@ -39,11 +39,11 @@ class BackgroundModel:
 
     @property
     def confidence(self) -> Floats:
-        """(h, w) in [0, 1]; 1 where enough frames agree."""
+        """Confidence (h, w) in [0, 1]; it is 1 where enough frames have the same colour."""
         return np.clip(self.frames / CONFIDENT_FRAMES, 0, 1)
 
     def log_likelihood(self, rgb: Picture) -> Floats:
-        """(h, w) log density of colours (h, w, 3), in plain light or in shadow, per cubed unit of 8-bit colour."""
+        """Log density (h, w) at colours (h, w, 3) over 8-bit RGB space; the background may be in shadow."""
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
         value: Floats = rgb.astype(np.float32)
@@ -55,18 +55,18 @@ class BackgroundModel:
         return np.maximum(np.maximum(plain, shaded) + scale, MIN_LOG_LIKELIHOOD)
 
     def similarity(self, rgb: Picture) -> Floats:
-        """(h, w) similarity in [0, 1] of colours (h, w, 3) to the mean."""
+        """Similarity (h, w) in [0, 1] between colours (h, w, 3) and the mean."""
         return np.exp(-0.5 * channel_sum(np.square(rgb - self.mean) / (2 * self.variance)))
 
     def matching_weight(self, rgb: Picture, weights: Floats, noise: float) -> Floats:
-        """(h, w) sum of the weights (T, h, w) of frames (T, h, w, 3) whose colour matches the mean."""
+        """Sum (h, w) of the ``weights`` (T, h, w) of those frames ``rgb`` (T, h, w, 3) whose colour matches the mean."""
         total = np.zeros(rgb.shape[1:3], np.float32)
         for value, weight in zip(rgb, weights, strict=True):
             total += weight * _match(value.astype(np.float32) - self.mean, noise)
         return total
 
     def resize(self, width: int, height: int) -> BackgroundModel:
-        """The same model at another picture size."""
+        """Resize the model to another image size."""
         mean, variance, frames = (
             np.asarray(cv2.resize(plane, (width, height), interpolation=cv2.INTER_LINEAR), np.float32)
             for plane in (self.mean, self.variance, self.frames)
@@ -75,12 +75,12 @@ class BackgroundModel:
 
 
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
-    """Fit a background model: the colour of each pixel with the largest weight of similar frames.
+    """Fit a background model: each pixel's colour with the largest total weight of frames of similar colour.
 
     Args:
-        rgb: (T, h, w, 3) uint8.
-        weights: (T, h, w) probabilities that a frame shows the background.
-        noise: standard deviation of a static pixel's values.
+        rgb: (T, h, w, 3) uint8 frames.
+        weights: (T, h, w) probabilities that a frame's pixel shows the background.
+        noise: standard deviation of a static pixel's values, in 8-bit values.
     """
     values = rgb.astype(np.float32)
     largest = np.zeros(rgb.shape[1:3], np.float32)
@@ -102,6 +102,6 @@ def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundMod
 
 
 def _match(difference: Floats, noise: float) -> Floats:
-    """(...,) in [0, 1]: 1 where the colour difference (..., 3) is within the noise."""
+    """Similarity (...,) in [0, 1] from colour differences (..., 3): about 1 if the difference is within the noise."""
     spread = 2.5 * noise + 3
     return np.asarray(np.exp(-channel_sum(np.square(difference)) / np.float32(6 * spread**2)), np.float32)

@@ -1,4 +1,7 @@
-"""Reductions over the three channels of a picture, many times faster than NumPy's over a last axis of size three."""
+"""Reductions over the three channels of an image.
+
+They are many times faster than NumPy's reductions over a last axis of size three.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,15 @@ Scalar = TypeVar("Scalar", np.uint8, np.float32)
 
 
 def channel_sum(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Sum (...,) over the channels of (..., 3)."""
+    """Sum (...,) of the three channels of an array (..., 3)."""
     return np.asarray(picture[..., 0] + picture[..., 1] + picture[..., 2], np.float32)
 
 
 def channel_max(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Maximum (...,) over the channels of (..., 3)."""
+    """Maximum (...,) of the three channels of an array (..., 3)."""
     return np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
 
 
 def channel_min(picture: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Minimum (...,) over the channels of (..., 3)."""
+    """Minimum (...,) of the three channels of an array (..., 3)."""
     return np.minimum(np.minimum(picture[..., 0], picture[..., 1]), picture[..., 2])

@@ -15,25 +15,25 @@ Picture = NDArray[np.uint8]
 BINS = 24
 SPREAD_BINS = 0.8
 UNIFORM = 0.02
-"""Weight of a uniform distribution, which keeps unseen colours possible."""
+"""Weight of a uniform distribution that is mixed in so that unobserved colours have a positive density."""
 
 
 @dataclass(frozen=True, eq=False)
 class ColourHistogram:
-    """Log densities (BINS, BINS, BINS) float32 over RGB, per cubed unit of 8-bit colour."""
+    """Colour distribution: log densities (BINS, BINS, BINS) float32 over 8-bit RGB space."""
 
     log_density: Floats
 
     @staticmethod
     def from_colours(rgb: Picture, weights: NDArray[np.floating] | None = None) -> ColourHistogram:
-        """The distribution of colours (N, 3) uint8 with optional weights (N,)."""
+        """Estimate the distribution of colours (N, 3) uint8 with optional weights (N,)."""
         counts = np.bincount(bin_indices(rgb, BINS), weights=weights, minlength=BINS**3).reshape(BINS, BINS, BINS)
         smooth = gaussian_filter(counts.astype(np.float64), SPREAD_BINS)
         return ColourHistogram(log_density(smooth / max(float(smooth.sum()), 1e-9), BINS))
 
     @staticmethod
     def mixture(distributions: Sequence[ColourHistogram], shares: Sequence[float] | None = None) -> ColourHistogram:
-        """The mixture of distributions with weights ``shares``, which sum to 1; equal weights by default."""
+        """Mix distributions with weights ``shares`` that sum to 1; None means equal weights."""
         weights = np.full(len(distributions), 1 / len(distributions)) if shares is None else np.asarray(shares)
         density = sum(
             weight * np.exp(colours.log_density) for weight, colours in zip(weights, distributions, strict=True)
@@ -41,16 +41,19 @@ class ColourHistogram:
         return ColourHistogram(np.log(density).astype(np.float32))
 
     def log_likelihood(self, rgb: Picture) -> Floats:
-        """Log densities (...,) of colours (..., 3) uint8."""
+        """Log densities (...,) at colours (..., 3) uint8."""
         return self.log_density.ravel()[bin_indices(rgb, BINS)]
 
 
 def log_density(shares: NDArray[np.floating], bins: int) -> Floats:
-    """Log density per cubed unit of 8-bit colour from bin shares (...), with ``bins`` bins along each axis."""
+    """Convert the bin shares (...) of an RGB histogram to log densities over 8-bit RGB space.
+
+    The histogram has ``bins`` bins along each colour axis.
+    """
     return np.log((1 - UNIFORM) * shares * (bins / 256) ** 3 + UNIFORM / 256**3).astype(np.float32)
 
 
 def bin_indices(rgb: Picture, bins: int) -> NDArray[np.int32]:
-    """(...,) indices of colours (..., 3) into a flat histogram of ``bins`` ** 3 entries."""
+    """Indices (...,) of colours (..., 3) into a flattened RGB histogram of ``bins`` ** 3 bins."""
     bin_rgb = (rgb.astype(np.int32) * bins) >> 8
     return np.asarray((bin_rgb[..., 0] * bins + bin_rgb[..., 1]) * bins + bin_rgb[..., 2], np.int32)

@@ -1,4 +1,4 @@
-"""Log-odds that a pixel shows the subject, from its own camera and the hull of the other views."""
+"""Log-odds that a pixel shows the subject, from its own camera and the visual hull of the other views."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)
-"""Score from which a cell is part of the other views' hull; below 0, since their evidence is incomplete."""
+"""Minimum score of the voxels of the other views' hull; it is below 0 because their evidence is incomplete."""
 HULL_RANGE = np.float32(4.0)
-"""Score above the threshold at which the hull's evidence saturates."""
+"""Difference between HULL_THRESHOLD and the score at which the hull's evidence saturates."""
 CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
 """Upper limit of :func:`_inside_hull_log_odds`."""
@@ -39,11 +39,11 @@ class Appearance:
     """Colour models of the subject and the background in one camera.
 
     Attributes:
-        background: background model of each pixel.
+        background: per-pixel background model.
         subject: colours of the subject.
-        surround: colours of the background around the subject.
-        region: (h, w) bool; the subject is never outside.
-        still_px: length of the optical flow of static pixels.
+        surround: colours of the background near the subject.
+        region: (h, w) bool mask that contains the subject in all frames.
+        still_px: length in pixels of the optical flow of static pixels.
     """
 
     background: BackgroundModel
@@ -53,7 +53,10 @@ class Appearance:
     still_px: float
 
     def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
-        """(h, w) log-odds of a picture (h, w, 3) from this camera alone; ``motion`` (h, w) is the flow in pixels."""
+        """Log-odds (h, w) of an image (h, w, 3) from this camera alone.
+
+        ``motion`` (h, w) is the length of the optical flow in pixels; None for a capture of one frame.
+        """
         confidence = self.background.confidence
         surround = self.surround.log_likelihood(rgb)
         at_pixel = self.background.log_likelihood(rgb)
@@ -68,14 +71,17 @@ class Appearance:
         return np.asarray(cv2.GaussianBlur(odds.astype(np.float32), (3, 3), 0.6), np.float32)
 
     def with_background(self, background: BackgroundModel) -> Appearance:
-        """The same appearance at the size of ``background``, which replaces this one's background."""
+        """Resize the appearance to the size of ``background`` and replace its background model."""
         height, width = background.frames.shape
         region = cv2.resize(self.region.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.25
         zoom = width / self.region.shape[1]
         return Appearance(background, self.subject, self.surround, region, self.still_px * zoom)
 
     def match_exposure(self, rgb: Picture) -> Picture:
-        """Scale each channel of a picture to the background's exposure, estimated outside the subject's region."""
+        """Scale each channel of an image to the exposure of the background model.
+
+        The gains are estimated from pixels outside the subject's region.
+        """
         still = ~self.region & (channel_min(self.background.mean) > 16) & (channel_max(rgb) < 250)
         if np.count_nonzero(still) < 100:
             return rgb
@@ -90,8 +96,8 @@ class ViewEvidence:
     """Combined log-odds of one frame in all cameras.
 
     Attributes:
-        log_odds: per camera (h, w), smoothed with respect to edges of the picture.
-        off_hull: per camera (h, w) bool, outside the other views' hull.
+        log_odds: one array (h, w) per camera, smoothed within areas of similar colour.
+        off_hull: one bool array (h, w) per camera; True outside the other views' visual hull.
     """
 
     log_odds: tuple[Floats, ...]
@@ -104,9 +110,9 @@ def combine_views(
     motions: Sequence[Floats | None],
     grid: VoxelGrid | None,
 ) -> ViewEvidence:
-    """Combine each camera's log-odds with the hull of the other views.
+    """Combine each camera's log-odds with the visual hull of the other views.
 
-    With ``grid`` None, for a single or uncalibrated cameras, each camera is processed independently.
+    If ``grid`` is None, for a single camera or parallel cameras, each camera is processed independently.
     """
     own = [
         appearance.log_odds(rgb, motion) for appearance, rgb, motion in zip(appearances, pictures, motions, strict=True)
@@ -128,9 +134,10 @@ def combine_views(
 
 
 def _inside_hull_log_odds(own: Floats) -> np.float32:
-    """Log-odds of pixels inside the other views' hull, estimated from the camera's own confident pixels (N,) there.
+    """Log-odds that a pixel inside the other views' visual hull shows the subject.
 
-    The hull of many views is tight and is strong evidence; that of a few views is wide and is weak evidence.
+    They are estimated from the camera's own log-odds (N,) inside the hull. The hull of many views is tight and gives
+    strong evidence. The hull of a few views is wide and gives weak evidence.
     """
     subject, other = np.count_nonzero(own > CONFIDENT_LOG_ODDS), np.count_nonzero(own < -CONFIDENT_LOG_ODDS)
     return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, MAX_INSIDE_HULL_LOG_ODDS))

@@ -1,4 +1,4 @@
-"""The M-step of one camera: models of subject and background from sampled frames and pixel probabilities."""
+"""The M-step of one camera: fits subject and background models to sampled frames and subject probabilities."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Picture = NDArray[np.uint8]
 
 MAX_COLOURS = 200_000
 SURROUND_PX = 20
-"""Width of the area around the subject whose colours represent the background, in sampled pixels."""
+"""Width in pixels of the area around the subject whose colours represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
-"""Magnitude of log-odds from which a colour is clearly the subject's or the background's."""
+"""Magnitude of the colour log-odds at which the weight functions below are halfway between their limits."""
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
 CONFIRMED_FRAMES = 1.5
-"""Weight of frames with a colour, off the other views' hull, that confirms it as background."""
+"""Minimum total weight of frames, outside the other views' hull, that confirms a pixel's colour as background."""
 MIN_CONFIRMATION = np.float32(0.03)
 
 
@@ -39,8 +39,8 @@ class Learner:
 
     Attributes:
         sample: sampled frames of the camera.
-        extent: extent of motion in them.
-        appearance: current models, with pooled subject colours.
+        extent: extent of motion in the sampled frames.
+        appearance: current models; the subject colours are pooled over cameras.
         subject: subject colours from this camera alone.
     """
 
@@ -61,7 +61,7 @@ class Learner:
 
     @staticmethod
     def from_motion(sample: CameraSample, extent: MotionExtent, region: Flags, rng: np.random.Generator) -> Learner:
-        """Initialise from motion; the subject is inside ``region`` (h, w)."""
+        """Initialise the models from motion; the mask ``region`` (h, w) contains the subject in all frames."""
         near_subject = _dilate(region, SURROUND_PX)
         ring = near_subject & ~region
         ring_rgb = sample.rgb[:, ring if ring.any() else near_subject].reshape(-1, 3)
@@ -80,16 +80,16 @@ class Learner:
         return learner
 
     def set_subject(self, colours: ColourHistogram) -> None:
-        """Set the subject colours of the appearance."""
+        """Replace the subject colours of ``appearance``."""
         self.appearance = replace(self.appearance, subject=colours)
 
     def update(self, alpha: Floats, off_hull: Flags, rng: np.random.Generator) -> None:
         """Update all models.
 
         Args:
-            alpha: (T, h, w) probabilities of the subject.
-            off_hull: (T, h, w) bool, outside the other views' hull.
-            rng: generator for colour subsampling.
+            alpha: (T, h, w) probabilities that a pixel shows the subject.
+            off_hull: (T, h, w) bool, True outside the other views' visual hull.
+            rng: random generator for subsampling colours.
         """
         rgb = self.sample.rgb
         dilated = np.stack([cv2.dilate(frame, np.ones((3, 3), np.uint8)) for frame in alpha])
@@ -107,12 +107,19 @@ class Learner:
             self.appearance = replace(self.appearance, surround=surround)
 
     def _confirmed_background(self, weights: Floats) -> Flags:
-        """(h, w) bool: pixels near the subject with a known background, from ``weights`` (T, h, w) or no motion."""
+        """Mask (h, w) of the pixels near the subject whose background colour is known.
+
+        The colour is known outside the moving region, and where the ``weights`` (T, h, w) of the frames that match
+        the background model sum to more than CONFIRMED_FRAMES.
+        """
         frames = self.appearance.background.matching_weight(self.sample.rgb, weights, self.extent.noise)
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))
 
     def _colour_log_odds(self, known: Flags) -> Floats:
-        """(T, h, w) log-odds of the subject's colours over those of the ``known`` (h, w) background nearby."""
+        """Log-odds (T, h, w) of the subject's colours versus nearby background colours.
+
+        The background colours come from the pixels in the mask ``known`` (h, w).
+        """
         plate = np.clip(self.appearance.background.mean, 0, 255).astype(np.uint8)
         local = LocalColours.from_picture(plate, known)
         odds = np.empty(self.sample.rgb.shape[:3], np.float32)
@@ -122,9 +129,10 @@ class Learner:
         return odds
 
     def _set_background(self, weights: Floats, confirmation: Floats) -> None:
-        """Fit the background with ``weights`` (T, h, w) inside the subject's region; it is the median elsewhere.
+        """Fit the background model.
 
-        The model's confidence inside the region comes from the weights ``confirmation`` (T, h, w).
+        Inside the subject's region it is fitted with ``weights`` (T, h, w), and its confidence is computed from the
+        weights ``confirmation`` (T, h, w). Outside the region it is the median over time.
         """
         rgb = self.sample.rgb
         rows, columns = _bounding_window(self.appearance.region)
@@ -141,15 +149,15 @@ class Learner:
 
 
 def _background_weight(odds: Floats) -> Floats:
-    """In (0, 1]; low where a colour is clearly the subject's."""
+    """Background weight in (0, 1] from the subject's colour log-odds; low for typical subject colours."""
     return np.maximum(probability(COLOUR_SLOPE * (COLOUR_MARGIN - odds)), MIN_BACKGROUND_WEIGHT)
 
 
 def _background_confirmation(odds: Floats) -> Floats:
-    """In (0, 1]; high where a colour is clearly the background's.
+    """Background confirmation in (0, 1] from the subject's colour log-odds; high for typical background colours.
 
-    A resting part of the subject keeps its colour for as many frames as a background. Pixels that are always inside
-    the other views' hull are therefore confirmed as background only by their colour.
+    A static part of the subject keeps its colour over as many frames as the background does. Pixels that are inside
+    the other views' hull in all frames are therefore confirmed as background only by their colour.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 
@@ -164,5 +172,5 @@ def _bounding_window(region: Flags) -> tuple[slice, slice]:
 
 
 def _subsample(rgb: Picture, rng: np.random.Generator) -> Picture:
-    """At most MAX_COLOURS random colours of (N, 3)."""
+    """Choose at most MAX_COLOURS of the colours (N, 3) at random."""
     return rgb if len(rgb) <= MAX_COLOURS else rgb[rng.integers(0, len(rgb), MAX_COLOURS)]

@@ -1,4 +1,4 @@
-"""Local colour histograms on a coarse grid, smoothed over the picture."""
+"""Local colour histograms at the points of a coarse grid, smoothed spatially."""
 
 from __future__ import annotations
 
@@ -16,22 +16,25 @@ Picture = NDArray[np.uint8]
 BINS = 16
 SPREAD_BINS = 0.6
 REACH_PX = 20.0
-"""Standard deviation of the spatial smoothing."""
+"""Standard deviation of the spatial smoothing in pixels."""
 STEP_PX = 10
-"""Grid spacing; half the reach, so that interpolation artefacts are negligible."""
+"""Grid spacing in pixels: half of REACH_PX, so that interpolation artefacts are negligible."""
 GLOBAL_WEIGHT = 4.0
-"""Weight of the whole picture's histogram, in pixels; it dominates where no pixels are near."""
+"""Weight of the whole image's histogram in each local one, as a number of pixels.
+
+The whole image's histogram dominates where no selected pixel is near.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class LocalColours:
-    """Log densities (rows, columns, BINS ** 3) float32 over RGB on a grid, per cubed unit of 8-bit colour."""
+    """Local colour distributions: log densities (rows, columns, BINS ** 3) float32 over 8-bit RGB space."""
 
     log_density: Floats
 
     @staticmethod
     def from_picture(rgb: Picture, counted: NDArray[np.bool_]) -> LocalColours:
-        """Local histograms of the pixels of a picture (h, w, 3) selected by ``counted`` (h, w)."""
+        """Compute local histograms from the pixels of an image (h, w, 3) where ``counted`` (h, w) is True."""
         height, width = counted.shape
         rows, columns = height // STEP_PX + 2, width // STEP_PX + 2
         y, x = np.nonzero(counted)
@@ -47,7 +50,7 @@ class LocalColours:
         return LocalColours(log_density(share, BINS).reshape(rows, columns, -1))
 
     def log_likelihood(self, rgb: Picture) -> Floats:
-        """(h, w) log densities of a picture's colours (h, w, 3), interpolated bilinearly between grid points."""
+        """Log densities (h, w) at an image's colours (h, w, 3), interpolated bilinearly between grid points."""
         height, width = rgb.shape[:2]
         rows, columns = self.log_density.shape[:2]
         bins = bin_indices(rgb, BINS)
@@ -63,7 +66,11 @@ class LocalColours:
 
 
 def _interpolation(size: int, points: int) -> tuple[NDArray[np.intp], Floats]:
-    """Per pixel of an axis of ``size`` pixels: the grid point before it, and the weight in [0, 1] of the next one."""
+    """Linear interpolation along one image axis of ``size`` pixels with ``points`` grid points.
+
+    Returns:
+        For each pixel, the index of the grid point before it, and the weight in [0, 1] of the grid point after it.
+    """
     position = (np.arange(size) + 0.5) / STEP_PX - 0.5
     before = np.clip(np.floor(position), 0, points - 2).astype(np.intp)
     return before, np.clip(position - before, 0, 1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Mattes of all frames from the learned models, at a finer scale."""
+"""Mattes of all frames from the learned models, at a higher resolution than that of learning."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 MAX_SIDE_PX = 640
-"""Size of the pictures for the log-odds; finer detail of larger pictures comes from edge refinement."""
+"""Maximum longest side in pixels of the images for the log-odds; edge refinement adds the detail of larger images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class MatteMaker:
     """Makes mattes frame by frame.
 
     Attributes:
-        appearances: per camera, at the size of ``cameras``.
-        cameras: reduced cameras.
-        grid: voxel grid for multi-view consistency; None if views cannot be combined.
+        appearances: one per camera, at the size of ``cameras``.
+        cameras: cameras of the images for the log-odds.
+        grid: voxel grid for multi-view consistency; None if the views cannot be combined.
     """
 
     appearances: tuple[Appearance, ...]
@@ -41,7 +41,7 @@ class MatteMaker:
 
     @staticmethod
     def from_subject(subject: Subject, backgrounds: Sequence[BackgroundModel], cameras: Sequence[Camera]) -> MatteMaker:
-        """Combine a learned subject with finer backgrounds at the size of ``cameras``."""
+        """Create a matte maker from a learned subject and higher-resolution backgrounds of the size of ``cameras``."""
         appearances = tuple(
             appearance.with_background(fine) for appearance, fine in zip(subject.appearances, backgrounds, strict=True)
         )
@@ -49,7 +49,7 @@ class MatteMaker:
         return MatteMaker(appearances, tuple(cameras), grid)
 
     def mattes(self, capture: Capture, frame: int) -> list[Picture]:
-        """The matte (H, W) uint8 of each camera for a frame."""
+        """Compute the matte (H, W) uint8 of each camera for one frame."""
         other = flow_frame(frame, capture.frame_count)
         pictures: list[Picture] = []
         small: list[Picture] = []
@@ -59,7 +59,7 @@ class MatteMaker:
             small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
             if other is not None:
-                # Read frames in order: a step back in a video decodes again from the previous keyframe.
+                # Frames are read in order: after a backward seek a video is decoded from the previous keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))
@@ -74,7 +74,7 @@ class MatteMaker:
 
 
 def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None:
-    """The background's colours and confidence (H, W, 4) if it has the size of the picture; None otherwise."""
+    """The background's colours and confidence (H, W, 4); None if the background is smaller than the image."""
     background = appearance.background
     if background.frames.shape != picture.shape[:2]:
         return None
@@ -82,13 +82,16 @@ def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None
 
 
 def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
-    """The capture's cameras at the size used for the log-odds."""
+    """The capture's cameras, rescaled to the image size for the log-odds."""
     longest = max(max(camera.width, camera.height) for camera in capture.cameras)
     return tuple(camera.rescale(min(1.0, MAX_SIDE_PX / longest)) for camera in capture.cameras)
 
 
 def refine_background(capture: Capture, index: int, coarse: BackgroundModel, camera: Camera) -> BackgroundModel:
-    """Refine a camera's background to ``camera``'s size: the mean of frames, weighted by similarity to ``coarse``."""
+    """Recompute a camera's background at ``camera``'s size.
+
+    The result is the mean of frames, weighted by each pixel's similarity to the ``coarse`` background.
+    """
     height, width = coarse.frames.shape
     large = coarse.resize(camera.width, camera.height)
     total = np.zeros((camera.height, camera.width), np.float32)

@@ -1,4 +1,4 @@
-"""Extent of motion in a camera's pictures over time."""
+"""Extent of motion: the region of a camera's images that changes over time."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 MIN_CHANGE = 12.0
-"""Minimum change of a pixel's values, of 255, that is not noise."""
+"""Minimum change of a pixel's value, of 255, that counts as motion even if the noise is lower."""
 NOISE_FACTOR = 6.0
 MIN_MOTION_PX = 0.15
 MOVING_FACTOR = 2.5
-"""Flow of moving pixels in multiples of the flow of static ones."""
+"""Minimum optical flow of moving pixels in multiples of the flow of static pixels."""
 
 
 @dataclass(frozen=True, eq=False)
 class MotionExtent:
-    """Noise levels of a camera's pictures, and the region that changes.
+    """Noise levels of a camera's images, and the region that changes.
 
     Attributes:
-        noise: standard deviation of a static pixel's values, of 255.
-        still_px: length of the optical flow of static pixels, pixels.
-        threshold: change of a pixel's values that exceeds the noise.
-        region: (h, w) bool; pixels that change at some time, with holes filled.
+        noise: standard deviation of a static pixel's values, in 8-bit values.
+        still_px: length in pixels of the optical flow of static pixels.
+        threshold: minimum change of a pixel's value that counts as motion, in 8-bit values.
+        region: (h, w) bool mask of the pixels that change in some frame, with holes filled.
     """
 
     noise: float
@@ -46,8 +46,8 @@ class MotionExtent:
         noise = 1.48 * float(np.median(change)) + 1
         threshold = max(MIN_CHANGE, NOISE_FACTOR * noise)
         still = float(np.median(sample.motion_px)) + MIN_MOTION_PX
-        # The second largest change rejects flashes of one frame; for moving pixels, as of a swinging foot, one
-        # frame is enough.
+        # The second largest change rejects flashes that last one frame. Where the optical flow is large, such as at a
+        # swinging foot, a change in one frame is enough.
         largest = np.partition(change, -2, axis=0)[-2] if len(change) > 2 else change.max(axis=0)
         largest = np.maximum(largest, np.where(sample.motion_px > MOVING_FACTOR * still, change, 0).max(axis=0))
         region = (largest > threshold).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Sampling of a few reduced frames of all cameras for learning."""
+"""Sampling of a few frames of all cameras, at reduced size, for learning."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ Picture = NDArray[np.uint8]
 
 MAX_FRAMES = 24
 MAX_PIXELS = 32 << 20
-"""Total over all cameras and frames: 100 MB of pictures and twice as much of derived data."""
+"""Maximum number of sampled pixels of all cameras and frames: 100 MB of images and 200 MB of derived data."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4
-"""Maximum frame distance for optical flow: 67 ms at 60 frames per second."""
+"""Maximum distance in frames between the two frames of an optical flow; 67 ms at 60 frames per second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,10 @@ class CameraSample:
     """One camera's sampled frames.
 
     Attributes:
-        camera: camera of the reduced pictures.
-        rgb: (T, h, w, 3) uint8.
-        motion_px: (T, h, w) float16 length of the optical flow to a neighbouring frame, reduced pixels.
+        camera: camera of the reduced images.
+        rgb: (T, h, w, 3) uint8 reduced images.
+        motion_px: (T, h, w) float16 length of the optical flow to a neighbouring frame, in pixels of the reduced
+            images.
     """
 
     camera: Camera
@@ -41,7 +42,7 @@ class CameraSample:
 
 
 def sample_capture(capture: Capture, track: Track) -> list[CameraSample]:
-    """Sample evenly spaced frames of all cameras at one scale."""
+    """Sample evenly spaced frames of all cameras and reduce them all by the same factor."""
     frames = learning_frames(capture.frame_count)
     scale = _scale(capture.cameras, len(frames))
     samples = []
@@ -59,26 +60,29 @@ def sample_capture(capture: Capture, track: Track) -> list[CameraSample]:
 
 
 def flow_frame(frame: int, count: int) -> int | None:
-    """The second frame of the optical flow at ``frame`` of ``count``; None for a single frame."""
+    """Index of the frame to which the optical flow of ``frame`` is computed; None if ``count`` is 1.
+
+    ``count`` is the capture's number of frames.
+    """
     step = min(MAX_STEP, max(1, count // MAX_FRAMES))
     other = frame + step if frame + step < count else frame - step
     return other if other >= 0 else None
 
 
 def learning_frames(count: int) -> list[int]:
-    """The frames, of ``count``, from which the subject is learned."""
+    """Indices of the frames from which the subject is learned, in a capture of ``count`` frames."""
     return sample_indices(count, MAX_FRAMES)
 
 
 def reduce_picture(picture: Picture, camera: Camera) -> Picture:
-    """Reduce a picture (H, W[, C]) to ``camera``'s size by area averaging."""
+    """Reduce an image (H, W[, C]) to ``camera``'s size by area averaging."""
     if picture.shape[:2] == (camera.height, camera.width):
         return picture
     return np.asarray(cv2.resize(picture, (camera.width, camera.height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def flow_length_px(before: Picture, after: Picture) -> Floats:
-    """(H, W) length of the optical flow between two pictures (H, W, 3), pixels (DIS, Kroeger et al. 2016)."""
+    """Length (H, W) in pixels of the optical flow between two images (H, W, 3) (DIS, Kroeger et al. 2016)."""
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     grey = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (before, after)]
     if min(grey[0].shape) < 32:

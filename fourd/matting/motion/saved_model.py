@@ -1,4 +1,4 @@
-"""File format of learned models: plain arrays, so that loading runs no code."""
+"""File format of learned models. Files contain plain arrays only, so that loading a file executes no code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fourd.matting.motion.subject import Subject
 
 
 def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:
-    """Write the appearances and the finer backgrounds, one per camera, atomically."""
+    """Write the subject's appearances and the higher-resolution backgrounds, one per camera, atomically."""
     arrays: dict[str, Any] = {"box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box)}
     for index, (appearance, fine) in enumerate(zip(subject.appearances, backgrounds, strict=True)):
         arrays |= {
@@ -37,7 +37,7 @@ def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundM
 
 
 def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
-    """Load a matte maker for ``cameras``, which must have the size of the saved backgrounds.
+    """Load a matte maker for ``cameras``; their image sizes must be those of the saved backgrounds.
 
     Raises:
         UserError: if the file is damaged or belongs to other cameras.
@@ -51,7 +51,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
                     *(arrays[f"{name}_{index}"].astype(np.float32) for name in ("mean", "variance", "frames"))
                 )
                 if fine.mean.shape != (camera.height, camera.width, 3):
-                    raise ValueError("pictures of another size")
+                    raise ValueError("backgrounds of another size")
                 backgrounds.append(fine)
                 colours, surround = (ColourHistogram(arrays[f"{name}_{index}"]) for name in ("subject", "surroundings"))
                 region, still_px = arrays[f"region_{index}"], float(arrays[f"still_{index}"])

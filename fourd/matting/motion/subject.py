@@ -1,9 +1,10 @@
 """Learning of subject and background models without a network.
 
-Expectation maximisation over a few frames of all cameras. It is initialised from motion: moving pixels are the
-subject, and the most frequent colour of a pixel without motion is its background, unless it is a subject colour. The
-E-step combines the evidence of a pixel's own camera with the hull of the other cameras
-(:mod:`fourd.matting.motion.agreement`). A subject that does not move in one view is found by the others.
+The models are learned by expectation maximisation over a few frames of all cameras. Motion initialises them: moving
+pixels are the subject. A pixel's background is its most frequent colour in frames without motion, unless that colour
+is typical of the subject. The E-step combines the evidence of a pixel's own camera with the visual hull of the other
+cameras (:mod:`fourd.matting.motion.agreement`). A subject that is static in one view is therefore found from the
+other views.
 """
 
 from __future__ import annotations
@@ -31,10 +32,13 @@ Flags = NDArray[np.bool_]
 
 ITERATIONS = 4
 MIN_REGION_PIXELS = 20
-"""Minimum number of changing pixels in some camera for a subject to exist."""
+"""Minimum number of changing pixels in at least one camera; with fewer, there is no moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""Weight of all cameras' subject colours in each camera's model: a part of the subject may be static in one view."""
+"""Weight in [0, 1] of the subject colours pooled from all cameras in each camera's colour model.
+
+Pooling helps where a part of the subject is static in one view.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +46,10 @@ class Subject:
     """The learned models.
 
     Attributes:
-        appearances: per camera, at the size of the sampled pictures.
-        cameras: cameras of the sampled pictures.
-        box: corners of the subject's bounding box over all frames, world units; None if views cannot be combined.
+        appearances: one per camera, at the size of the sampled images.
+        cameras: cameras of the sampled images.
+        box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units; None if
+            the views cannot be combined.
     """
 
     appearances: tuple[Appearance, ...]
@@ -58,17 +63,17 @@ def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: i
     Args:
         samples: one per camera.
         names: camera names for messages.
-        seed: random seed of colour subsampling.
+        seed: random seed for subsampling colours.
         track: progress callback.
 
     Raises:
-        UserError: if nothing moves, or the moving regions of the views do not intersect in space.
+        UserError: if no region changes, or if the moving regions of the views do not intersect in space.
     """
     cameras = tuple(sample.camera for sample in samples)
     extents = [MotionExtent.from_sample(sample) for sample in track(samples, len(samples), "motion")]
     if max(int(extent.region.sum()) for extent in extents) < MIN_REGION_PIXELS:
         raise UserError(
-            "the pictures: expected a subject that moves, got nothing that changes in any camera; "
+            "the images: expected a moving subject, got no change in any camera; "
             "provide masks/CAM/FRAME.png, or use --method chroma with a screen of one colour"
         )
     box = _motion_box(extents, cameras, names)
@@ -108,7 +113,7 @@ def _pool_subject_colours(learners: Sequence[Learner]) -> None:
 def _motion_box(
     extents: Sequence[MotionExtent], cameras: Sequence[Camera], names: Sequence[str]
 ) -> tuple[Array, Array] | None:
-    """Bounding box of the hull of the moving regions; None for a single camera or parallel cameras."""
+    """Bounding box of the visual hull of the moving regions; None for a single camera or parallel cameras."""
     focus = find_focus(list(cameras)) if len(cameras) > 1 else None
     if focus is None:
         return None
@@ -120,15 +125,18 @@ def _motion_box(
         if found is None:
             smallest = min(range(len(extents)), key=lambda index: extents[index].region.mean())
             raise UserError(
-                "the pictures: expected views that agree on where something moves, got no common region (camera "
-                f"'{names[smallest]}' has the least motion); check calibration and synchronisation: fourd check"
+                "the images: expected moving regions that intersect in space, got no intersection (camera "
+                f"'{names[smallest]}' has the least motion); check calibration and synchronisation with fourd check"
             )
         box = found
     return box
 
 
 def _subject_regions(extents: Sequence[MotionExtent], grid: VoxelGrid) -> list[Flags]:
-    """Moving regions that lie on the common hull, with a margin; excludes people who move behind the scene."""
+    """Restrict each camera's moving region to the common visual hull plus a margin.
+
+    This excludes people who move outside the volume that all cameras observe.
+    """
     scores = grid.scores([_region_log_odds(extent.region) for extent in extents])
     regions = []
     for index, extent in enumerate(extents):
@@ -138,5 +146,5 @@ def _subject_regions(extents: Sequence[MotionExtent], grid: VoxelGrid) -> list[F
 
 
 def _region_log_odds(region: Flags) -> Floats:
-    """Log-odds (h, w) of a binary region: 3 inside, -5 outside."""
+    """Log-odds (h, w) for a binary region: 3 inside, -5 outside."""
     return np.where(region, np.float32(3), np.float32(-5))
