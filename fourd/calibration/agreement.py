@@ -1,4 +1,4 @@
-"""How well a capture's calibration agrees with its pictures, by epipolar residuals."""
+"""Check of a capture's calibration against its images by epipolar residuals."""
 
 from __future__ import annotations
 
@@ -17,21 +17,26 @@ from fourd.progress import Track
 FEW_CAMERAS = 5
 FEW_CAMERAS_FRAMES = 3
 MAX_PICTURE_PIXELS = 2.1e6
-"""Larger pictures are reduced."""
+"""Maximum number of pixels per image; larger images are reduced."""
 MAX_FRAME_PIXELS = 12e6
-"""Of all pictures of a frame together, so that a ring of cameras takes seconds."""
+"""Maximum number of pixels of all cameras' images of one frame; larger images are reduced.
+
+With this limit, the check of a ring of cameras takes seconds.
+"""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """How well the cameras agree with each other.
+    """Result of the check of a calibration.
 
     Attributes:
-        mean_px: mean over pairs of the median residual, in pixels of the pictures; None where too few points match.
-        worst: the camera with the largest residual of its own, and that residual in pixels; None as above.
-        pairs: number of pairs of cameras with enough matches.
-        matches: number of matches of all pairs.
-        warnings: one line for each camera that disagrees, or one for all together.
+        mean_px: mean of the camera pairs' median residuals, in pixels of the full-size images; None if no pair has
+            enough matches.
+        worst: name of the camera with the largest camera residual, and this residual in pixels; None if no pair has
+            enough matches.
+        pairs: number of camera pairs with enough matches.
+        matches: total number of matches.
+        warnings: one line for each camera that disagrees with the others, or one line if all cameras disagree.
     """
 
     mean_px: float | None
@@ -42,9 +47,16 @@ class Agreement:
 
 
 def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
-    """Compute the residuals of a capture's calibration on one frame, or on 3 frames of up to 5 cameras.
+    """Compute the epipolar residuals of a capture's calibration.
 
-    ``track`` wraps loops for progress. Raises UserError as open_capture.
+    One frame is used; for captures of up to 5 cameras, 3 frames are used.
+
+    Args:
+        path: the capture's folder.
+        track: progress callback.
+
+    Raises:
+        UserError: if the capture cannot be opened; see :func:`fourd.capture.open_capture`.
     """
     whole = open_capture(path)
     largest = max(camera.width * camera.height for camera in whole.cameras)
@@ -64,12 +76,12 @@ def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     file, mean = Path(path) / EXTRINSICS_NAME, float(np.mean(medians)) / scale
     warnings = [
         f"{file}: camera '{capture.names[index]}' disagrees with the others "
-        f"by {(found.cameras[index] or 0) / scale:.1f} px; calibrate it again, or leave it out with --views"
+        f"by {(found.cameras[index] or 0) / scale:.1f} px; calibrate it again, or exclude it with --views"
         for index in found.bad
     ]
     if not warnings and len(medians) > 1 and float(np.median(medians)) > MAX_GOOD_PX:
         warnings.append(
-            f"{file}: the cameras disagree by {mean:.1f} pixels in the mean, none more than the others; calibrate "
-            "again, or import again: fourd import checks for resized pictures and mirrored principal points"
+            f"{file}: the cameras disagree by {mean:.1f} px on average, all by similar amounts; calibrate again, or "
+            "import again, because fourd import checks for resized images and mirrored principal points"
         )
     return Agreement(mean, max(by_camera, key=lambda camera: camera[1]), len(medians), count, tuple(warnings))

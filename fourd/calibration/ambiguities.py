@@ -1,4 +1,4 @@
-"""Ambiguities of a calibration, resolved by its pictures: how these were resized, and mirrored principal points."""
+"""Resolution of a calibration's ambiguities with the images: how they were resized, and mirrored principal points."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ CENTRED_HYPOTHESES = ("unchanged", "scaled", "stretched", "letterboxed", "filled
 
 @dataclass(frozen=True, eq=False)
 class ResolvedCalibration:
-    """Cameras that fit their pictures.
+    """Cameras that fit their images.
 
     Attributes:
-        cameras: one per camera of the calibration, with distortion, of its pictures' size.
-        notes: what was chosen and why, one line each.
-        warnings: suspected errors that were not corrected, one line each.
+        cameras: one per camera of the calibration, with distortion and the size of the camera's images.
+        notes: the choices and the evidence for them, one line per choice.
+        warnings: suspected errors that were not corrected, one line per error.
     """
 
     cameras: tuple[Camera, ...]
@@ -53,26 +53,28 @@ def resolve_ambiguities(
     centres: PrincipalPointMode = "auto",
     track: Track | None = None,
 ) -> ResolvedCalibration:
-    """Fit a calibration to its pictures: their size, and mirrored principal points.
+    """Adapt a calibration to the images' sizes, and check it for mirrored principal points.
 
     Args:
         names: the cameras' names.
         cameras: the calibration as given.
-        pictures_by_frame: for each of a few frames the stored pictures (H, W, 3) of all cameras.
-        resize: how pictures of another size than their calibration were made, by the names of
-            :func:`fourd.calibration.image_sizes.size_hypotheses`; ``auto`` decides by black borders and matches.
-        centres: ``as-given`` skips the check of principal points; ``auto`` warns where mirrored ones agree clearly
-            better; ``mirrored`` applies them. Checked for 2 to 5 cameras.
-        track: wraps loops for progress.
+        pictures_by_frame: for each of a few frames, the stored images (H, W, 3) of all cameras.
+        resize: how images that differ in size from the calibration were made: a name of
+            :func:`fourd.calibration.image_sizes.size_hypotheses`, or ``auto`` to decide by black borders and matches.
+        centres: ``as-given`` skips the check of principal points, ``auto`` warns if mirrored principal points have
+            clearly smaller residuals, and ``mirrored`` applies them. The check needs 2 to 5 cameras.
+        track: progress callback.
 
     Raises:
-        UserError: when the evidence for a size is not clear, ``resize`` does not explain the pictures' sizes, or
-            ``mirrored`` was given and the evidence for it is not clear.
+        UserError: if the evidence for a size hypothesis is not clear, ``resize`` does not explain the images' sizes,
+            or ``centres`` is ``mirrored`` and the evidence for mirrored principal points is not clear.
     """
     sizes = [(picture.shape[1], picture.shape[0]) for picture in pictures_by_frame[0]]
     is_checkable = len(cameras) >= 2 and 4 ** len(cameras) <= MAX_COMBINATIONS
     if centres == "mirrored" and not is_checkable:
-        raise UserError(f"--centres mirrored: expected 2 to 5 cameras, got {len(cameras)}; fix the calibration")
+        raise UserError(
+            f"--centres mirrored: expected 2 to 5 cameras, got {len(cameras)}; correct the calibration file"
+        )
     resolver = _SizeResolver(names, cameras, sizes, pictures_by_frame, is_checkable, track)
     name, notes, matches = resolver.resolve(resize)
     options = [size_hypotheses(camera, *size) for camera, size in zip(cameras, sizes, strict=True)]
@@ -82,9 +84,10 @@ def resolve_ambiguities(
     if name not in CENTRED_HYPOTHESES:
         if centres == "mirrored":
             raise UserError(
-                "--centres mirrored: expected whole pictures, got some cropped to a side; fix the calibration"
+                "--centres mirrored: expected images that are not cropped on one side, got cropped images; correct the "
+                "calibration file"
             )
-        return ResolvedCalibration(fitted, (*notes, "mirrored principal points: not checked in cropped pictures"), ())
+        return ResolvedCalibration(fitted, (*notes, "mirrored principal points: not checked for cropped images"), ())
     if matches is None:
         matches = match_cameras(pictures_by_frame, fitted, track)
     return _resolve_principal_points(names, fitted, matches, centres, notes)
@@ -92,7 +95,7 @@ def resolve_ambiguities(
 
 @dataclass(frozen=True)
 class _SizeResolver:
-    """Finds how pictures of another size than their calibration were made."""
+    """Finds how images that differ in size from their calibration were made."""
 
     names: Sequence[str]
     cameras: Sequence[Camera]
@@ -102,12 +105,12 @@ class _SizeResolver:
     track: Track | None
 
     def resolve(self, resize: str) -> tuple[str, list[str], dict[Pair, Matches] | None]:
-        """The name of the hypothesis, notes, and the matches if any were computed."""
+        """Choose a hypothesis; return its name, notes, and the matches (None if they were not computed)."""
         resized = [i for i, camera in enumerate(self.cameras) if self.sizes[i] != (camera.width, camera.height)]
         if not resized:
             if resize == "auto":
                 return "unchanged", [], None
-            return "unchanged", [f"--resize {resize}: all pictures have their calibration's size; nothing to do"], None
+            return "unchanged", [f"--resize {resize}: not needed, since all images have their calibration's size"], None
         self._check_option(None if resize == "auto" else resize, resized)
         matches = None
         if resize == "auto":
@@ -118,26 +121,31 @@ class _SizeResolver:
         return name, [note], matches
 
     def _check_option(self, asked: str | None, resized: Sequence[int]) -> None:
-        """Raise UserError unless the hypothesis asked for (any, for None) explains the size of all pictures."""
+        """Check that the hypothesis ``asked``, or any hypothesis if None, explains the sizes of all resized images.
+
+        Raises:
+            UserError: if it does not.
+        """
         options = [size_hypotheses(self.cameras[i], *self.sizes[i]) for i in resized]
         common = [name for name in options[0] if all(name in option for option in options)]
         cameras = ", ".join(self.names[i] for i in resized)
         if not common:
             raise UserError(
-                f"{cameras}: expected pictures that were all resized in one way, got sizes that none explains; "
-                "export them at the calibration's size"
+                f"{cameras}: expected images that were all resized in the same way, got sizes for which no such way "
+                "exists; export the images at the calibration's size"
             )
         if asked is not None and asked not in common:
-            raise UserError(f"--resize: expected one of {', '.join(common)} for {cameras}, got '{asked}'; choose one")
+            raise UserError(f"--resize: expected one of {', '.join(common)} for {cameras}, got '{asked}'")
 
     def _choose(self, resized: Sequence[int]) -> tuple[str, str, dict[Pair, Matches]]:
-        """The best hypothesis, the evidence for it in one line, and the matches."""
+        """Choose the best hypothesis; return its name, the evidence in one line, and the matches."""
         borders = {i: measure_black_borders([pictures[i] for pictures in self.pictures_by_frame]) for i in resized}
         guess = choose_size({}, self.cameras, self.sizes, borders)
         matches = match_cameras(self.pictures_by_frame, guess.cameras, self.track)
         choice = choose_size(matches, self.cameras, self.sizes, borders)
         if not choice.is_clear and self.checks_principal_points:
-            # Mirrored principal points give larger residuals than a wrong size: correct them and compare again.
+            # Mirrored principal points can cause larger residuals than a wrong size hypothesis. The hypotheses are
+            # therefore compared again with corrected principal points.
             mirrors = _choose_mirrors(matches, choice.cameras)
             if mirrors is not None and mirrors.is_clear:
                 corrected = [
@@ -148,9 +156,9 @@ class _SizeResolver:
                 choice = again if again.is_clear else choice
         if not choice.is_clear:
             raise UserError(
-                f"{', '.join(self.names[i] for i in resized)}: expected pictures of the calibration's size, or resized "
-                f"in a way that they show clearly, got {self._describe_sizes(resized)} ({choice.why}); "
-                "inspect them and give --resize NAME"
+                f"{', '.join(self.names[i] for i in resized)}: expected images of the calibration's size, or images "
+                f"that show clearly how they were resized, got {self._describe_sizes(resized)} ({choice.why}); "
+                "inspect the images and give --resize NAME"
             )
         widths = [max(b.left, b.top, b.right, b.bottom) for b in borders.values()]
         return choice.name, _evidence(choice, widths), matches
@@ -169,7 +177,7 @@ def _evidence(choice: SizeChoice, widths: Sequence[float]) -> str:
 
 
 def _choose_mirrors(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice | None:
-    """None where there are too few matches."""
+    """Choose principal points; None if there are too few matches."""
     if not compute_residuals(matches, cameras).pairs:
         return None
     return choose_principal_points(matches, cameras)
@@ -187,7 +195,7 @@ def _resolve_principal_points(
     if found is None:
         if centres == "mirrored":
             raise UserError(
-                f"--centres mirrored: expected more matches between cameras, got {count}; fix the calibration"
+                f"--centres mirrored: expected more matches between cameras, got {count}; correct the calibration file"
             )
         note = f"residuals: too few matches between the cameras ({count}) to check the calibration"
         return ResolvedCalibration(cameras, (*notes, note), ())
@@ -205,16 +213,19 @@ def _resolve_principal_points(
             return ResolvedCalibration(found.cameras, (*notes, note), ())
         if not (is_given or is_good):
             raise UserError(
-                f"--centres mirrored: expected a clear choice, got {mirrored}: {numbers}; fix the calibration"
+                f"--centres mirrored: expected clear evidence, got {mirrored} with {numbers}; correct the calibration "
+                "file"
             )
-        note = f"{summary}; principal points agree as given: none is mirrored"
+        note = f"{summary}; no principal point is mirrored"
         return ResolvedCalibration(cameras, (*notes, note), ())
     if is_good:
         return ResolvedCalibration(cameras, (*notes, summary), ())
     if found.is_clear and not is_given:
         warning = f"principal points look mirrored: {mirrored} ({numbers}); not changed; apply with --centres mirrored"
     else:
-        warning = f"cameras disagree: {summary}, no principal point clearly mirrored; recalibrate, or use --calibrate"
+        warning = (
+            f"cameras disagree: {summary}, not explained by mirrored principal points; recalibrate or use --calibrate"
+        )
     return ResolvedCalibration(cameras, tuple(notes), (warning,))
 
 

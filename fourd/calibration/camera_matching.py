@@ -1,4 +1,4 @@
-"""Matches between the cameras of a capture: by features, and on the ground for wide baselines."""
+"""Matches between the cameras of a capture: feature matches, and patch matches on the ground for wide baselines."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ from fourd.progress import Track, untracked
 Picture = NDArray[np.uint8]
 
 MIN_FEATURE_MATCHES = 20
-"""With wide baselines, repeated patterns gave 8 wrong matches that fit a homography."""
+"""Minimum number of feature matches of a camera pair.
+
+Wide baselines need this limit: in a capture, repeated patterns gave 8 wrong matches that fit a homography.
+"""
 NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
 GROUND_HEIGHTS_M = (0.0, -0.02, 0.02)
-"""Heights at which the ground is matched, in this order, until there are enough matches."""
+"""Heights z in metres of the planes on which the ground is matched, in this order, until there are enough matches."""
 GROUND_HALF_SIDE_M = 2.5
 METRIC_DISTANCES_M = (0.5, 50.0)
-"""Range of the distances between cameras in a calibration in metres."""
+"""Plausible range of distances between cameras; outside it, the calibration's unit is assumed not to be metres."""
 MIN_UPRIGHT = 0.5
 """Minimum mean z component of the cameras' up directions in a world with z up."""
 MAX_RASTER_PX = 2000
@@ -33,20 +36,24 @@ MAX_RASTER_PX = 2000
 def match_cameras(
     pictures_by_frame: Sequence[Sequence[Picture]], cameras: Sequence[Camera], track: Track | None = None
 ) -> dict[Pair, Matches]:
-    """Matches of pairs of cameras over all given frames, in pixels of the distorted pictures.
+    """Match pairs of cameras over all given frames.
 
-    Features are matched first; a pair with fewer than 20 feature matches has none. Cameras with feature matches in
-    fewer than two pairs (wide baselines) are matched on the ground as well, in worlds in metres with z up: within
-    2.5 m of the point below the cameras' focus, at z = 0, then 2 cm below and above if there are too few matches. A
-    pair keeps the larger of the two sets.
+    Features are matched first; pairs with fewer than 20 feature matches are discarded. With wide baselines, a camera
+    may have feature matches in fewer than two pairs. All pairs of such a camera are also matched on the ground, if
+    the world is in metres with z up. Ground matches are searched at z = 0 within 2.5 m of the point below the
+    cameras' focus. If there are too few, the planes 2 cm below and above are searched too. Each pair keeps the larger
+    of its two sets of matches.
 
     Args:
-        pictures_by_frame: for each frame an RGB picture (H, W, 3) of each camera, of the camera's size.
-        cameras: the calibration, which guides the search without determining its result.
-        track: wraps loops for progress.
+        pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.
+        cameras: the calibration; it guides the search but does not determine the result.
+        track: progress callback.
+
+    Returns:
+        The matches of each pair in pixels of the distorted images.
 
     Raises:
-        ValueError: when a picture is not of its camera's size.
+        ValueError: if an image does not have its camera's size.
     """
     track = track or untracked
     matches: dict[Pair, Matches] = {}
@@ -86,7 +93,7 @@ def _append(matches: dict[Pair, Matches], more: Mapping[Pair, Matches]) -> None:
 
 
 def _ground_patches(cameras: Sequence[Camera]) -> list[PlanePatch]:
-    """Squares of ground below the cameras' focus; none where the world is not in metres with z up."""
+    """Squares on the ground below the cameras' focus; an empty list if the world is not in metres with z up."""
     distances = [float(np.linalg.norm(a.centre - b.centre)) for a, b in combinations(cameras, 2)]
     up = float(np.mean([-camera.rotation[1, 2] for camera in cameras]))
     focus = find_focus(list(cameras))

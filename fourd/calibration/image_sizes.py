@@ -1,4 +1,4 @@
-"""Pictures of another size than their calibration: hypotheses of how they were resized, tested on the pictures."""
+"""Hypotheses of how images that differ in size from their calibration were made, and tests of these on the images."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 BLACK_LEVEL = 40
-"""A row or column is border when 95% of its pixels are darker than this, of 255."""
+"""Brightness limit of black borders, of 255; 95% of the pixels of a border row or column are darker."""
 CONTENT_ROWS = 4
 MAX_BORDER_ERROR_PX = 0.75
-"""Largest difference between a measured border and the one that a hypothesis predicts."""
+"""Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""
 MAX_GOOD_PX = 3.0
 MIN_LEAD = 1.5
-"""Minimum ratio of the second best hypothesis' residual to the best one's for clear evidence."""
+"""Minimum ratio of the second smallest residual to the smallest residual for clear evidence."""
 
 
 @dataclass(frozen=True)
 class Borders:
-    """Widths of the black borders of a picture, in pixels and fractions of them."""
+    """Widths of an image's black borders in pixels, which may be fractions."""
 
     left: float
     top: float
@@ -35,22 +35,24 @@ class Borders:
     bottom: float
 
     def max_difference(self, other: Borders) -> float:
-        """The largest difference over the four sides."""
+        """The largest difference in pixels between the borders of one side."""
         pairs = ((self.left, other.left), (self.top, other.top), (self.right, other.right), (self.bottom, other.bottom))
         return max(abs(a - b) for a, b in pairs)
 
 
 @dataclass(frozen=True, eq=False)
 class SizeChoice:
-    """How pictures came to a size other than their calibration's.
+    """The best hypothesis of how images were resized, and the evidence.
 
     Attributes:
         name: the best hypothesis.
-        cameras: all cameras for the pictures under that hypothesis.
-        residuals: residuals of all pairs of cameras, by hypothesis.
-        means_px: mean of the medians of the pairs with a resized camera, by hypothesis; None without such a pair.
-        borders_px: largest difference between measured and predicted borders, by hypothesis; None if not measured.
-        is_clear: whether the evidence is sufficient to decide without the user.
+        cameras: the cameras of all images under the best hypothesis.
+        residuals: epipolar residuals of each hypothesis.
+        means_px: mean of the median residuals of the pairs with a resized camera, for each hypothesis; None if there
+            is no such pair.
+        borders_px: largest difference between measured and predicted borders, for each hypothesis; None if the
+            borders were not measured.
+        is_clear: whether the evidence is sufficient without a decision by the user.
         why: the evidence in one line.
     """
 
@@ -64,16 +66,19 @@ class SizeChoice:
 
 
 def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera]:
-    """The camera of pictures of ``width`` x ``height`` made from those of ``camera``, by how they were made.
+    """Cameras for images of ``width`` x ``height`` pixels made from the images of ``camera``, one per hypothesis.
 
-    Names: ``unchanged`` alone for equal sizes, else
-    - ``stretched``: each axis scaled by its own factor; ``scaled`` where both factors agree to half a pixel;
-    - ``letterboxed``: one scale so that the whole picture fits, with equal black borders on two sides;
-    - ``filled``: one scale so that no border remains, cropped equally on two sides;
-    - ``cropped left``, ``cropped right`` (``top``, ``bottom``): not scaled, cropped on that side alone;
-      ``cropped centre``: cropped equally on both sides; only where no side is longer than before.
+    If the sizes are equal, the only hypothesis is ``unchanged``. Otherwise the names are:
+    - ``stretched``: each axis is scaled by its own factor; the name is ``scaled`` if both factors are equal to within
+      half a pixel;
+    - ``letterboxed``: the image is scaled to fit entirely, with equal black borders on two sides;
+    - ``filled``: the image is scaled to leave no border, and cropped equally on two sides;
+    - ``cropped left``, ``cropped right``, ``cropped top`` and ``cropped bottom``: the image is cropped on that side
+      and not scaled;
+    - ``cropped centre``: the image is cropped equally on opposite sides and not scaled.
 
-    Distortion is kept: it is in units of the focal length.
+    The cropped hypotheses exist only if neither side is longer than before. Distortion coefficients are kept, because
+    they apply to coordinates divided by the focal length.
     """
     if (width, height) == (camera.width, camera.height):
         return {"unchanged": camera}
@@ -107,11 +112,11 @@ def _scale_about_centre(camera: Camera, width: int, height: int, scale: float) -
 
 
 def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
-    """Black borders of one camera's distorted pictures (H, W, 3), uint8.
+    """Measure the black borders of one camera's distorted images (H, W, 3) uint8.
 
-    Several frames give a better result than one. A border that ends within a pixel leaves a mixed pixel, whose share
-    is estimated from the brightness of the next rows. Where the scene is dark along a side, the border is measured as
-    0 or too wide.
+    Several frames give a better result than one. If a border ends within a pixel, the covered fraction of the pixel
+    is estimated from the brightness of the next rows. If the scene is dark along a side, the measured border is 0 or
+    too wide.
     """
     grey = np.mean([picture.mean(axis=2) for picture in pictures], axis=0)
     sides = (grey.T, grey, grey.T[::-1], grey[::-1])
@@ -120,7 +125,7 @@ def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
 
 
 def _border_width(rows: Array) -> float:
-    """Width of the black border before the first row of content, with fraction."""
+    """Width in pixels, including a fraction, of the black border before the first row of content."""
     bright = np.percentile(rows[: len(rows) // 4], 95, axis=1) >= BLACK_LEVEL
     if bright[0] or not bright.any():
         return 0.0
@@ -131,7 +136,7 @@ def _border_width(rows: Array) -> float:
     if content - floor < 1:
         return 0.0
     share = np.clip((level[: first + 2] - floor) / (content - floor), 0, 1)
-    # The codec's ringing inside the border is not content.
+    # Brightness inside the border is ringing of the codec and not content.
     share[: max(first - 1, 0)] = 0
     return float((1 - share).sum())
 
@@ -142,27 +147,27 @@ def choose_size(
     sizes: Sequence[tuple[int, int]],
     borders: Mapping[int, Borders] | None = None,
 ) -> SizeChoice:
-    """Find how pictures were resized; all resized pictures are assumed to be made in the same way.
+    """Find how images were resized, assuming that all resized images were made in the same way.
+
+    The measured black borders exclude hypotheses that predict other borders. Of the remaining hypotheses, the one with
+    the smallest epipolar residual is chosen. The evidence is clear in two cases: borders of at least 2 pixels fit only
+    one hypothesis, or the smallest residual is at most 3 pixels and all other remaining hypotheses have residuals at
+    least 1.5 times as large.
 
     Args:
-        matches: matches of pairs of pictures, in pixels of the distorted pictures, of several frames concatenated.
-        cameras: the calibration, one camera per picture.
-        sizes: (width, height) of the pictures.
-        borders: measured borders by camera index, of the resized pictures.
-
-    Returns:
-        SizeChoice. Black borders exclude hypotheses that predict others; among the rest the smallest epipolar residual
-        wins. The evidence is clear when borders of at least 2 pixels fit one hypothesis alone, or when the best
-        residual is within 3 pixels and every other that the borders allow is at least 1.5 times as large.
+        matches: matches of each camera pair in pixels of the distorted images; several frames are concatenated.
+        cameras: the calibration, one camera per image.
+        sizes: (width, height) of each image in pixels.
+        borders: measured borders of the resized images by camera index; None if they were not measured.
 
     Raises:
-        ValueError: when no picture is resized, or no hypothesis explains all sizes.
+        ValueError: if no image is resized, or no hypothesis explains all sizes.
     """
     options = [size_hypotheses(camera, *size) for camera, size in zip(cameras, sizes, strict=True)]
     resized = [index for index, option in enumerate(options) if "unchanged" not in option]
     names = [name for name in options[resized[0]] if all(name in options[i] for i in resized)] if resized else []
     if not names:
-        raise ValueError("sizes: expected some that differ from the calibration's in one way, got none")
+        raise ValueError("sizes: expected images that were all resized in the same way, got none")
     by_name = {name: tuple(option.get(name, cameras[i]) for i, option in enumerate(options)) for name in names}
     residuals = {name: compute_residuals(matches, by_name[name]) for name in names}
     means = {name: _mean_residual(found, resized) for name, found in residuals.items()}

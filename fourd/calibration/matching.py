@@ -1,7 +1,7 @@
-"""Feature matches between two pictures, verified by the geometry of two views.
+"""Feature matches between two images, verified by two-view geometry.
 
-Verification uses no camera pose: matches are kept when a homography or a fundamental matrix that was fitted to the
-matches themselves has more inliers than chance explains.
+Verification does not use camera poses. A homography or a fundamental matrix is fitted to the matches. Its inliers are
+kept if there are more of them than random matches would give.
 """
 
 from __future__ import annotations
@@ -22,12 +22,20 @@ MAX_PLANES = 3
 TOLERANCE_PX = 2.0
 UNDISTORT_ITERATIONS = 20
 MAX_FALSE_ALARMS = 1e-4
-"""Expected number of equally good models if all matches were random; a model below this is accepted."""
+"""Maximum number of false alarms of an accepted model.
+
+The number of false alarms is the expected number of models with as many inliers if all matches were random.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Positions xy_px (N, 2), (0.5, 0.5) at the first pixel's centre, and RootSIFT descriptors (N, 128) float32."""
+    """Features of one image.
+
+    Attributes:
+        xy_px: (N, 2) positions in pixels; the first pixel's centre is at (0.5, 0.5).
+        descriptors: (N, 128) float32 RootSIFT descriptors.
+    """
 
     xy_px: Array
     descriptors: NDArray[np.float32]
@@ -35,7 +43,12 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Corresponding points of two pictures, first_px and second_px (M, 2), in pixels of the distorted pictures."""
+    """Corresponding points of two images.
+
+    Attributes:
+        first_px: (M, 2) positions in the first image, in pixels of the distorted image.
+        second_px: (M, 2) positions in the second image, in pixels of the distorted image.
+    """
 
     first_px: Array
     second_px: Array
@@ -44,14 +57,14 @@ class Matches:
         return len(self.first_px)
 
     def concatenate(self, other: Matches) -> Matches:
-        """These matches followed by those of another frame of the same two cameras."""
+        """Append the matches of another frame of the same two cameras."""
         return Matches(np.vstack([self.first_px, other.first_px]), np.vstack([self.second_px, other.second_px]))
 
 
 def extract_features(picture: Picture, max_features: int = 4000) -> Features:
-    """The ``max_features`` strongest SIFT features of an RGB picture (H, W, 3).
+    """Extract the ``max_features`` strongest SIFT features of an RGB image (H, W, 3).
 
-    Descriptors are square roots of L1-normalised SIFT (RootSIFT: Arandjelovic and Zisserman, CVPR 2012).
+    Descriptors are square roots of L1-normalised SIFT descriptors (RootSIFT, Arandjelovic and Zisserman, CVPR 2012).
     """
     grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     points, descriptors = cv2.SIFT.create(max_features, contrastThreshold=0.02).detectAndCompute(grey, None)
@@ -63,10 +76,10 @@ def extract_features(picture: Picture, max_features: int = 4000) -> Features:
 
 
 def match_features(first: Features, second: Features, ratio: float = 0.8) -> Matches:
-    """Mutual nearest neighbours that pass Lowe's ratio test.
+    """Match features that are mutual nearest neighbours and pass Lowe's ratio test.
 
-    SIFT detects a feature with several orientations several times at one position; of such duplicates one match is
-    kept, since they are no independent evidence.
+    SIFT returns one feature per dominant orientation, so a position may occur several times. Only one match per
+    position is kept, because duplicates are not independent evidence.
     """
     if len(first.xy_px) < 2 or len(second.xy_px) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
@@ -81,9 +94,10 @@ def match_features(first: Features, second: Features, ratio: float = 0.8) -> Mat
 
 
 def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px: float = TOLERANCE_PX) -> Matches:
-    """The matches that fit a common two-view geometry; none where no model beats chance.
+    """Keep the matches that fit a common two-view geometry (see :func:`inlier_mask`).
 
-    The cameras' intrinsics and distortion straighten the points; their poses are not used. See :func:`inlier_mask`.
+    Points are undistorted with the cameras' intrinsics and distortion. The cameras' poses are not used. The result is
+    empty if no geometry has significantly more inliers than random matches would give.
     """
     straight = Matches(undistort_points(first, matches.first_px), undistort_points(second, matches.second_px))
     kept = inlier_mask(straight, second.width, second.height, tolerance_px)
@@ -91,13 +105,19 @@ def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px
 
 
 def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float = TOLERANCE_PX) -> NDArray[np.bool_]:
-    """(M,) whether each undistorted match fits a common two-view geometry; all False where no model beats chance.
+    """Mask (M,) of the undistorted matches that fit a common two-view geometry; all False if no model is accepted.
 
-    Fits up to 3 homographies one after the other, then a fundamental matrix, each with MAGSAC (Barath et al., CVPR
-    2020). A model is accepted when its number of inliers is unlikely by chance (a contrario: Moisan and Stival, IJCV
-    2004). A fundamental matrix that was fitted to a planar scene is degenerate and fits any two matches off the plane:
-    beside a homography it is accepted only for its inliers off the plane, beyond 2. ``width`` and ``height`` are of
-    the second picture.
+    Up to 3 homographies are fitted one after the other, then a fundamental matrix, each with MAGSAC (Barath et al.,
+    CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan
+    and Stival, IJCV 2004). A fundamental matrix is degenerate for planar scenes, where it fits any two matches off
+    the plane. After a homography is accepted, only inliers off the plane therefore count for the fundamental matrix,
+    and two of them are not counted.
+
+    Args:
+        matches: M matches in undistorted pixels.
+        width: width of the second image in pixels.
+        height: height of the second image in pixels.
+        tolerance_px: maximum residual of inliers in pixels.
     """
     count = len(matches)
     on_planes = np.zeros(count, bool)
@@ -132,9 +152,10 @@ def _fit_inliers(matches: Matches, which: NDArray[np.intp], tolerance_px: float,
 
 
 def _beats_chance(count: int, inliers: int, sample_size: int, probability: float) -> bool:
-    """Whether ``inliers`` of ``count`` matches are too many for chance.
+    """Whether a model with ``inliers`` among ``count`` matches is significant.
 
-    Any model fits the ``sample_size`` matches that define it; ``probability`` is that of a random match to fit.
+    The ``sample_size`` matches that define a model always fit it. ``probability`` is the probability that a random
+    match fits it.
     """
     if inliers <= sample_size + 3:
         return False
@@ -152,9 +173,9 @@ def _log_binomial(n: int, k: int) -> float:
 
 
 def undistort_points(camera: Camera, xy_px: Array) -> Array:
-    """(N, 2) pixels of a pinhole with the same K, from pixels of the camera's distorted picture.
+    """Map pixels (N, 2) of the camera's distorted image to pixels of a pinhole camera with the same K.
 
-    Fixed-point iteration, which converges for lenses other than fisheyes.
+    The method is fixed-point iteration. It converges for all lenses except fisheye lenses.
     """
     if camera.distortion is None or not len(xy_px):
         return xy_px
@@ -165,7 +186,7 @@ def undistort_points(camera: Camera, xy_px: Array) -> Array:
 
 
 def distort_points(camera: Camera, xy_px: Array) -> Array:
-    """(N, 2) pixels of the camera's distorted picture, from pixels of a pinhole with the same K."""
+    """Map pixels (N, 2) of a pinhole camera with the same K to pixels of the camera's distorted image."""
     if camera.distortion is None or not len(xy_px):
         return xy_px
     rays = np.column_stack([xy_px, np.ones(len(xy_px))]) @ np.linalg.inv(camera.intrinsics).T

@@ -1,4 +1,4 @@
-"""Errors between two calibrations, and calibrations with a known error to test refinement on."""
+"""Pose errors between two calibrations, and perturbed calibrations for tests of refinement."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fourd.cameras import Camera
 
 @dataclass(frozen=True)
 class PoseError:
-    """Error of a camera's rotation in degrees, and of its centre in world units."""
+    """Rotation error of a camera in degrees, and distance of its centre from the true centre in world units."""
 
     degrees: float
     distance: float
 
 
 def pose_errors(truth: Mapping[str, Camera], cameras: Mapping[str, Camera]) -> dict[str, PoseError]:
-    """The errors of ``cameras`` by name after their alignment to ``truth`` by a similarity transform."""
+    """Compute each camera's pose error by name, after aligning ``cameras`` to ``truth`` by a similarity transform."""
     aligned = align_cameras(cameras, {name: truth[name] for name in cameras})
     return {name: _error(truth[name], aligned[name]) for name in cameras}
 
@@ -29,7 +29,10 @@ def pose_errors(truth: Mapping[str, Camera], cameras: Mapping[str, Camera]) -> d
 def perturb_cameras(
     cameras: Mapping[str, Camera], degrees: float, distance: float, rng: np.random.Generator
 ) -> dict[str, Camera]:
-    """Each camera rotated by ``degrees`` about a random axis and moved by ``distance`` world units at random."""
+    """Rotate each camera by ``degrees`` about a random axis, and move it by ``distance`` in a random direction.
+
+    ``distance`` is in world units.
+    """
     moved = {}
     for name, camera in cameras.items():
         axis, shift = (_random_direction(rng) for _ in range(2))

@@ -1,8 +1,8 @@
-"""Matches on a plane in the world, for wide baselines where features look different in each picture.
+"""Matches on a plane in the world, for wide baselines where features differ too much between images.
 
-Each picture is rectified to the plane with the calibration. Small patches are then searched near the position that the
-calibration predicts. The calibration sets the appearance of a patch and the centre of the search, but not its result,
-so that the matches measure the calibration's error.
+Each image is rectified to the plane with the calibration. Small patches of one image are then searched in the other,
+near the position that the calibration predicts. The calibration determines the appearance of a patch and the centre of
+the search, but not the position found. The matches therefore show the calibration's error.
 """
 
 from __future__ import annotations
@@ -23,9 +23,12 @@ Picture = NDArray[np.uint8]
 HALF_PATCH = 24
 MIN_CORRELATION = 0.75
 MIN_LEAD = 0.12
-"""Minimum difference between the best correlation and the best one elsewhere."""
+"""Minimum difference between the highest correlation and the highest correlation more than 8 pixels away."""
 MIN_DROP = 0.03
-"""Minimum drop of the correlation within 3 pixels on all sides; a patch along an edge drops less."""
+"""Minimum decrease of the correlation 3 pixels from its peak in all directions.
+
+For a patch on a straight edge, the decrease along the edge is smaller.
+"""
 MIN_CONTRAST = 6.0
 
 
@@ -35,8 +38,10 @@ class PlanePatch:
 
     Attributes:
         corner: (3,) world position of the raster's origin.
-        right, down: (3,) perpendicular unit vectors along the raster's rows and columns.
-        width, height: size in world units.
+        right: (3,) unit vector in the world along the raster's rows.
+        down: (3,) unit vector in the world along the raster's columns, perpendicular to ``right``.
+        width: width of the rectangle in world units.
+        height: height of the rectangle in world units.
         resolution: raster pixels per world unit.
     """
 
@@ -53,7 +58,7 @@ class PlanePatch:
         return round(self.width * self.resolution), round(self.height * self.resolution)
 
     def to_picture(self, camera: Camera) -> Array:
-        """(3, 3) homography from raster pixels to undistorted picture pixels; pixel corners are at integers in both."""
+        """Homography (3, 3) from raster pixels to pixels of the undistorted image; pixel corners are at integers."""
         K, R_camera_world = camera.intrinsics, camera.rotation
         step = 1 / self.resolution
         origin = R_camera_world @ self.corner + camera.translation
@@ -64,15 +69,18 @@ class PlanePatch:
 def match_on_plane(
     first: Picture, second: Picture, cameras: tuple[Camera, Camera], patch: PlanePatch, search_radius: int = 28
 ) -> Matches:
-    """Matches of two simultaneous RGB pictures (H, W, 3), on and near the plane of ``patch``.
+    """Match two simultaneous RGB images (H, W, 3) on and near the plane of ``patch``.
 
     Args:
+        first: distorted image of the first camera.
+        second: distorted image of the second camera.
         cameras: the two cameras, with distortion.
-        search_radius: largest error of the calibration that can be found, in raster pixels.
+        patch: rectangle on the plane to which both images are rectified.
+        search_radius: largest displacement that is searched, in raster pixels.
 
     Returns:
-        Matches in pixels of the distorted pictures: corners of the first raster whose patch has one distinct peak of
-        normalized cross-correlation in the second.
+        The matches in pixels of the distorted images. They are corners in the first raster for which the normalized
+        cross-correlation with the second raster has one distinct peak.
     """
     (raster, valid), (other, other_valid) = (
         _rectify(picture, camera, patch) for picture, camera in zip((first, second), cameras, strict=True)
@@ -91,13 +99,17 @@ def match_on_plane(
 
 
 def _rectify(picture: Picture, camera: Camera, patch: PlanePatch) -> tuple[Picture, Picture]:
-    """The raster in grey, slightly smoothed, and a mask that is 255 where the picture covers it."""
+    """Rectify an image to the patch's raster.
+
+    Returns:
+        The slightly smoothed grey raster, and a mask that is 255 at raster pixels inside the image and 0 elsewhere.
+    """
     columns, rows = patch.size
     half = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
     to_ray = np.linalg.inv(camera.intrinsics) @ patch.to_picture(camera) @ half
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
-    # OpenCV inverts the new camera matrix, which may be any homography: rectification and distortion in one map.
+    # OpenCV inverts the new camera matrix, which may be any homography. One map thus rectifies and distorts.
     map_x, map_y = cv2.initUndistortRectifyMap(
         k, camera.distortion, None, np.linalg.inv(to_ray), patch.size, cv2.CV_32FC1
     )
@@ -118,7 +130,7 @@ def _to_picture_px(camera: Camera, patch: PlanePatch, raster_px: Array) -> Array
 def _search(
     raster: Picture, other: Picture, x: int, y: int, search_radius: int
 ) -> tuple[float, float, float, float] | None:
-    """(x, y) and its subpixel match in the other raster; None without a distinct peak."""
+    """The position (x, y) and its subpixel match in the other raster; None if the correlation has no distinct peak."""
     reach = HALF_PATCH + search_radius
     template = raster[y - HALF_PATCH : y + HALF_PATCH + 1, x - HALF_PATCH : x + HALF_PATCH + 1]
     if template.std() < MIN_CONTRAST:
@@ -143,7 +155,7 @@ def _search(
 
 
 def _parabola_peak(values: NDArray[Any]) -> float:
-    """Position of the maximum of the parabola through values at -1, 0 and 1, whose middle one is the largest."""
+    """Position of the maximum of the parabola through the values at -1, 0 and 1; the middle value is the largest."""
     left, middle, right = (float(value) for value in values)
     curvature = left - 2 * middle + right
     return 0.5 * (left - right) / curvature if curvature < 0 else 0.0

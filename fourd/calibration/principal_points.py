@@ -1,8 +1,9 @@
-"""Principal points mirrored about the picture's centre, an error of programs that rotate a calibration by 90 degrees.
+"""Detection of principal points that are mirrored about the image centre.
 
-Such a rotation swaps the picture's axes and reverses one of them. A program that swaps the numbers without reversing
-keeps focal lengths and poses right, but mirrors the principal point along one axis: an error of twice its distance
-from the centre, often 10 pixels or more.
+Programs that rotate a calibration by 90 degrees can cause this error. The rotation swaps the image's axes and reverses
+one of them. If a program swaps the coordinates without reversing one, focal lengths and poses are correct, but the
+principal point is mirrored along one axis. The error is twice the principal point's distance from the centre, often 10
+pixels or more.
 """
 
 from __future__ import annotations
@@ -20,22 +21,24 @@ from fourd.cameras import Camera
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MIN_GAIN = 3.0
-"""Minimum ratio of the given calibration's residual to the mirrored one's."""
+"""Minimum ratio of the given calibration's residual to the mirrored calibration's residual."""
 MIN_LEAD = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class MirrorChoice:
-    """Which cameras' principal points are mirrored.
+    """The combination of mirrored principal points with the smallest residual.
 
     Attributes:
-        names: by camera "as given", "mirrored x", "mirrored y" or "mirrored both".
+        names: for each camera "as given", "mirrored x", "mirrored y" or "mirrored both".
         cameras: the cameras with the chosen principal points.
-        given, chosen: residuals of the calibration as given and as chosen.
-        given_px, chosen_px: means of the pairs' medians.
-        next_px: mean of the best other combination.
-        is_clear: whether the choice is within 3 pixels, the next combination is at least 1.5 times as far off and, for
-            a mirrored choice, the given calibration is at least 3 times as far off.
+        given: residuals of the given calibration.
+        chosen: residuals of the chosen combination.
+        given_px: mean of the camera pairs' median residuals of the given calibration, in pixels.
+        chosen_px: the same mean of the chosen combination.
+        next_px: the same mean of the second best combination.
+        is_clear: whether the evidence is clear. ``chosen_px`` is at most 3 pixels, and ``next_px`` is at least 1.5
+            times ``chosen_px``. If a principal point is mirrored, ``given_px`` is at least 3 times ``chosen_px``.
     """
 
     names: tuple[str, ...]
@@ -49,7 +52,7 @@ class MirrorChoice:
 
 
 def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
-    """The camera with its principal point as given and mirrored about the picture's centre, by name."""
+    """The camera with each of its four possible principal points, by hypothesis name."""
     found = {}
     for name, x, y in (
         ("as given", False, False),
@@ -67,20 +70,24 @@ def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
 
 
 def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
-    """Score all combinations of mirrored principal points by matches in pixels of the distorted pictures.
+    """Choose the combination of mirrored principal points with the smallest epipolar residual.
 
-    The pictures have the calibration's size or are resized without a crop, so that both have the same centre. At most
-    5 cameras (4^5 combinations).
+    The images must have the calibration's size or be resized without a crop off the centre, so that the centre is the
+    same.
+
+    Args:
+        matches: matches of each camera pair, in pixels of the distorted images.
+        cameras: at most 5 cameras, which give 4^5 combinations.
 
     Raises:
-        ValueError: for more cameras, or when no pair has enough matches.
+        ValueError: if there are more than 5 cameras, or no pair has enough matches.
     """
     if 4 ** len(cameras) > MAX_COMBINATIONS:
-        raise ValueError(f"cameras: expected at most 5, got {len(cameras)}; take a part of them")
+        raise ValueError(f"cameras: expected at most 5, got {len(cameras)}; pass fewer cameras")
     options = [principal_point_hypotheses(camera) for camera in cameras]
     given = compute_residuals(matches, cameras)
     if not given.pairs:
-        raise ValueError("matches: expected a pair of cameras with at least 8, got none; add frames or other matches")
+        raise ValueError("matches: expected a camera pair with at least 8 matches, got none; add frames")
     medians = {
         (pair, first_name, second_name): _pair_median(matches, cameras, pair, first, second)
         for pair in given.pairs
@@ -105,7 +112,7 @@ def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[C
 def _pair_median(
     matches: Mapping[Pair, Matches], cameras: Sequence[Camera], pair: Pair, first: Camera, second: Camera
 ) -> float:
-    """Median residual of a pair with its two cameras replaced."""
+    """Median residual of a pair if its two cameras are replaced by ``first`` and ``second``."""
     changed = list(cameras)
     changed[pair[0]], changed[pair[1]] = first, second
     return compute_residuals({pair: matches[pair]}, changed).pairs[pair]

@@ -31,18 +31,18 @@ MAX_GOOD_PX = 3.0
 MAX_GOOD_RATIO = 4.0
 MIN_PAIRS = 2
 MIN_BAD_SHARE = 0.75
-"""Share of a camera's pairs that must disagree for the camera to be bad."""
+"""Minimum share of a camera's pairs that disagree if the camera is bad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Distances of matches from their epipolar lines, in pixels of the pictures.
+    """Distances of matches from their epipolar lines, in pixels.
 
     Attributes:
-        pairs: median distance by pair (i, j), i < j; only pairs with at least 8 matches.
-        counts: number of matches by pair.
-        cameras: residual of each camera alone, fitted so that r_ij^2 = r_i^2 + r_j^2; None for a camera without pairs.
-        bad: indices of cameras that disagree with the others, ascending; see :func:`find_bad_cameras`.
+        pairs: median distance r_ij of each pair (i, j), i < j, with at least 8 matches.
+        counts: number of matches of each pair.
+        cameras: residual r_i of each camera, fitted to r_ij^2 = r_i^2 + r_j^2; None for a camera without a pair.
+        bad: ascending indices of the cameras that disagree with the others; see :func:`find_bad_cameras`.
     """
 
     pairs: dict[Pair, float]
@@ -54,19 +54,19 @@ class Residuals:
 def epipolar_residuals(
     pictures: Sequence[Picture], cameras: Sequence[Camera], *, max_features: int = 4000
 ) -> Residuals:
-    """Match pictures of one frame and compute the distances of the matches from their epipolar lines.
+    """Match the images of one frame and compute the distances of the matches from their epipolar lines.
 
     Args:
-        pictures: an RGB picture (H, W, 3) of each camera, of the camera's size.
-        cameras: cameras of the pictures: with distortion, or pinholes for undistorted pictures.
-        max_features: features per picture.
+        pictures: one RGB image (H, W, 3) per camera, of the camera's size.
+        cameras: cameras of the images, with their distortion; without distortion for undistorted images.
+        max_features: maximum number of features per image.
 
     Returns:
-        Residuals. Wrong matches are dropped without the cameras' poses
-        (:func:`fourd.calibration.matching.inlier_mask`), so that a wrong calibration keeps its residuals.
+        The residuals. Wrong matches are removed without using the cameras' poses
+        (:func:`fourd.calibration.matching.inlier_mask`), so that errors of the poses remain in the residuals.
 
     Raises:
-        ValueError: when a picture is not of its camera's size.
+        ValueError: if an image does not have its camera's size.
     """
     return compute_residuals(match_pairs(pictures, cameras, max_features=max_features), cameras)
 
@@ -74,11 +74,20 @@ def epipolar_residuals(
 def match_pairs(
     pictures: Sequence[Picture], cameras: Sequence[Camera], *, max_features: int = 4000
 ) -> dict[Pair, Matches]:
-    """Verified matches of the pairs of :func:`select_pairs`; arguments and errors as epipolar_residuals."""
+    """Match the camera pairs of :func:`select_pairs` and verify the matches.
+
+    Args:
+        pictures: one RGB image (H, W, 3) per camera, of the camera's size.
+        cameras: cameras of the images.
+        max_features: maximum number of features per image.
+
+    Raises:
+        ValueError: if an image does not have its camera's size.
+    """
     for index, (picture, camera) in enumerate(zip(pictures, cameras, strict=True)):
         if picture.shape != (camera.height, camera.width, 3):
             raise ValueError(
-                f"pictures[{index}]: expected {camera.height} x {camera.width} x 3, as the camera has, "
+                f"pictures[{index}]: expected {camera.height} x {camera.width} x 3 like the camera, "
                 f"got {' x '.join(map(str, picture.shape))}"
             )
     features: list[Features] = [extract_features(picture, max_features) for picture in pictures]
@@ -89,9 +98,10 @@ def match_pairs(
 
 
 def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
-    """Pairs (i, j), i < j, to match: all pairs of up to 8 cameras, else each camera with 6 neighbours.
+    """Select the camera pairs (i, j), i < j, to match.
 
-    Neighbours are the cameras with the smallest angle between viewing directions; ties go to the nearest in space.
+    Up to 8 cameras give all pairs. With more cameras, each camera is paired with its 6 nearest neighbours. The
+    distance for this is the angle between viewing directions, plus a small term for the distance between centres.
     """
     count = len(cameras)
     if count <= ALL_PAIRS_CAMERAS:
@@ -108,7 +118,7 @@ def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
 
 
 def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> Residuals:
-    """Epipolar residuals of matches in the pixels of the cameras' distorted pictures."""
+    """Compute the epipolar residuals of matches that are given in pixels of the distorted images."""
     counts = {pair: len(found) for pair, found in matches.items()}
     pairs = {
         (i, j): float(np.median(np.abs(epipolar_distances(found, cameras[i], cameras[j]))))
@@ -119,9 +129,9 @@ def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]
 
 
 def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array:
-    """(M,) signed distance in pixels of each match from its epipolar lines, mean of both pictures.
+    """Signed distances (M,) in pixels of matches from their epipolar lines, averaged over the two images.
 
-    Cameras with the same centre have no epipolar lines: all distances are 0.
+    Two cameras with the same centre have no epipolar lines, and all distances are 0.
     """
     rotation = second.rotation @ first.rotation.T
     shift = second.translation - rotation @ first.translation
@@ -142,12 +152,17 @@ def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array
 
 
 def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX) -> tuple[int, ...]:
-    """Indices of cameras that disagree with cameras that agree among each other, ascending.
+    """Find the cameras that disagree with the others while the others agree with each other.
 
-    A pair disagrees when its median residual exceeds both ``max_px`` and 4 times the median of the better half of all
-    pairs. A camera is bad when it has at least 2 pairs, at least 3 in 4 of them disagree, and at least 2 of its
-    partners in these have another pair that agrees. Two cameras alone are never bad, nor is any where all disagree:
-    then the error is common to all.
+    A pair disagrees if its median residual exceeds both ``max_px`` and 4 times the median of the better half of all
+    pairs. A camera is bad if it meets three conditions. It has at least 2 pairs. At least 3 in 4 of its pairs
+    disagree. At least 2 of its partners in these pairs agree with some other camera.
+
+    No camera is bad if there are only two cameras, or if all pairs disagree. In both cases the residuals do not show
+    which camera is wrong.
+
+    Returns:
+        The indices of the bad cameras in ascending order.
     """
     if not pairs:
         return ()
@@ -167,7 +182,10 @@ def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX
 def _camera_residuals(
     pairs: Mapping[Pair, float], counts: Mapping[Pair, int], cameras: int
 ) -> tuple[float | None, ...]:
-    """r_i >= 0 of each camera with r_ij^2 = r_i^2 + r_j^2: least absolute deviations by reweighted least squares."""
+    """Fit r_i >= 0 of each camera to r_ij^2 = r_i^2 + r_j^2.
+
+    Iteratively reweighted least squares minimise the absolute deviations.
+    """
     if not pairs:
         return (None,) * cameras
     design = np.zeros((len(pairs), cameras))

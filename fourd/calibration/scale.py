@@ -17,7 +17,7 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Distance:
-    """Distance between the centres of two cameras in metres."""
+    """Measured distance in metres between the centres of two cameras, given by name."""
 
     first: str
     second: str
@@ -27,16 +27,19 @@ class Distance:
 def set_world_frame(
     cameras: Mapping[str, Camera], pictures: Mapping[str, Picture], distance: Distance | None, board: Board | None
 ) -> tuple[dict[str, Camera], list[str]]:
-    """The cameras in the unit of ``distance`` and the world of ``board``, where these are given, and notes.
+    """Scale the cameras to a measured distance and align them to a chessboard, if these are given.
 
     Args:
-        cameras: by name, with the distortion of the pictures.
-        pictures: by the same names an RGB picture (H, W, 3) of each; those that show the board define the world.
-        distance: known distance between two cameras.
-        board: chessboard in the pictures.
+        cameras: cameras by name, with the distortion of the images.
+        pictures: one RGB image (H, W, 3) of each camera by name; the images that show the board define the world.
+        distance: measured distance between two cameras; None keeps the scale.
+        board: chessboard in the images; None keeps the world's origin and axes.
+
+    Returns:
+        The transformed cameras by name, and notes for the log, one line each.
 
     Raises:
-        UserError: for a name without a camera, a distance that is not positive, or a board that no picture shows.
+        UserError: if ``distance`` has an unknown camera name or is not positive, or no image shows the board.
     """
     moved, notes = dict(cameras), []
     if distance is not None:
@@ -46,29 +49,32 @@ def set_world_frame(
         poses = _board_poses(moved, pictures, board)
         moved = align_cameras(moved, poses)
         notes.append(
-            f"aligned to the chessboard in the pictures of {', '.join(poses)}: origin at its corner, z off the board"
+            f"aligned to the chessboard in the images of {', '.join(poses)}: origin at a corner, z normal to the board"
         )
         if len(poses) == 1 and distance is None:
-            notes.append("one camera's view of the board gives no unit; give --scale, or show it to two cameras")
+            notes.append(
+                "the board is visible in one camera only, so the scale is unknown; give --scale, or show the board to "
+                "two cameras"
+            )
     return moved, notes
 
 
 def scale_cameras(cameras: Mapping[str, Camera], distance: Distance) -> dict[str, Camera]:
-    """The cameras in metres, scaled so that the two cameras of ``distance`` have that distance.
+    """Scale the cameras to metres, so that the two cameras of ``distance`` have the measured distance.
 
     Raises:
-        UserError: for a name without a camera, twice the same camera, or a distance that is not positive.
+        UserError: if a name is unknown, both names are the same camera, or the distance is not positive.
     """
     names = (distance.first, distance.second)
     for name in names:
         if name not in cameras:
-            raise UserError(f"{name}: expected one of {', '.join(cameras)}, got another name; name a calibrated camera")
+            raise UserError(f"distance: expected two camera names among {', '.join(cameras)}, got '{name}'")
     first, second = (cameras[name].centre for name in names)
     length = float(np.linalg.norm(first - second))
     if not (np.isfinite(distance.metres) and distance.metres > 0 and length > 0):
         raise UserError(
-            f"{names[0]}, {names[1]}: expected two cameras apart and their distance above 0, got {distance.metres:g}; "
-            "measure between the centres of their lenses"
+            f"{names[0]}, {names[1]}: expected two cameras at different positions and a distance above 0, got "
+            f"{distance.metres:g} m; measure between the centres of the lenses"
         )
     return {
         name: replace(camera, translation=camera.translation * distance.metres / length)
@@ -77,17 +83,20 @@ def scale_cameras(cameras: Mapping[str, Camera], distance: Distance) -> dict[str
 
 
 def align_cameras(cameras: Mapping[str, Camera], poses: Mapping[str, Camera]) -> dict[str, Camera]:
-    """All cameras, transformed into the world in which some of them have the given ``poses``.
+    """Transform all cameras into the world in which some of them have the given ``poses``.
 
-    One pose gives rotation and translation and keeps the scale. Two poses or more give the scale too: the rotation is
-    the mean of theirs; scale and translation fit their centres in the least-squares sense.
+    One pose determines rotation and translation; the scale is kept. Two or more poses also determine the scale. The
+    rotation is then the mean of the rotations from single poses, and scale and translation are a least-squares fit of
+    the camera centres.
 
     Raises:
-        UserError: when no pose is of one of the cameras.
+        UserError: if no name in ``poses`` is a name in ``cameras``.
     """
     known = [name for name in poses if name in cameras]
     if not known:
-        raise UserError("board: expected it in the picture of a calibrated camera, got none; show it to one of them")
+        raise UserError(
+            "board: expected an image of a calibrated camera that shows the board, got none; show the board to one"
+        )
     u, _, vt = np.linalg.svd(sum(poses[name].rotation.T @ cameras[name].rotation for name in known))
     R_new_old = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
     old = np.stack([R_new_old @ cameras[name].centre for name in known])

@@ -1,4 +1,4 @@
-"""Calibration of static cameras from their pictures alone: structure from motion by COLMAP."""
+"""Calibration of static cameras from their images alone, by structure from motion with COLMAP."""
 
 from __future__ import annotations
 
@@ -28,19 +28,25 @@ MIN_CAMERAS = 3
 SAME_FEATURE_PX = 0.75
 MAX_FEATURES = 4096
 SIFT_PEAK_THRESHOLD = 0.003
-"""COLMAP's default is 0.0067. With few pictures weak features are needed: they connect a real ring of 20 cameras."""
-FIX = "give the cameras more overlap (neighbours within 30 degrees) and the scene more texture, or a fixed calibration"
+"""Minimum peak value of SIFT features; COLMAP's default is 0.0067.
+
+With few images, weak features are needed: in a real ring of 20 cameras, neighbours match only with them.
+"""
+FIX = (
+    "give the cameras more overlap (at most 30 degrees between neighbours), add texture to the scene, or provide a "
+    "calibration"
+)
 
 
 @dataclass(frozen=True, eq=False)
 class SelfCalibration:
-    """Cameras reconstructed from pictures.
+    """Cameras reconstructed from images.
 
     Attributes:
-        cameras: by name, with distortion; the world's origin, axes and unit are arbitrary.
-        error_px: mean reprojection error.
+        cameras: cameras with distortion by name; the origin, axes and unit of their world are arbitrary.
+        error_px: mean reprojection error in pixels.
         points: number of triangulated points.
-        missing: cameras without a pose.
+        missing: names of the cameras that could not be registered.
     """
 
     cameras: dict[str, Camera]
@@ -57,37 +63,38 @@ def calibrate_from_pictures(
     allows_missing: bool = False,
     seed: int = 0,
 ) -> SelfCalibration:
-    """Estimate intrinsics and poses of static cameras from one frame or several.
+    """Estimate intrinsics and poses of static cameras from one or several frames.
 
-    Matches features of all pairs and registers the cameras incrementally (Schoenberger and Frahm,
-    Structure-from-Motion Revisited, CVPR 2016). The same pictures and seed give the same cameras to about 1e-5 of the
-    scene's size: COLMAP's threads sum in any order.
+    Features are matched between all pairs of cameras, and the cameras are registered incrementally (Schoenberger and
+    Frahm, Structure-from-Motion Revisited, CVPR 2016). Results for the same images and seed differ by about 1e-5 of
+    the scene's size, because COLMAP's threads sum in varying order.
 
     Args:
-        pictures: by camera name its RGB pictures (H, W, 3) uint8; picture k of all cameras is of one frame. One frame
-            is enough; more frames, far apart in time, help where most texture is on moving objects.
-        lens_model: SIMPLE_RADIAL (one focal length, k1) or OPENCV (fx, fy, k1, k2, p1, p2). The principal point stays
-            at the centre. OPENCV needs texture near the pictures' corners.
-        is_lens_shared: whether all cameras have the same intrinsics, which stabilises them; their pictures must have
-            one size.
-        allows_missing: return the reconstructed cameras where others could not be registered.
-        seed: RANSAC's seed, at least 0.
+        pictures: RGB images (H, W, 3) uint8 of each camera by name; all cameras' k-th images show the same frame. One
+            frame is enough. More frames, far apart in time, help if most of the texture is on moving objects.
+        lens_model: SIMPLE_RADIAL (one focal length, k1) or OPENCV (fx, fy, k1, k2, p1, p2). The principal point is
+            fixed at the image centre. OPENCV needs texture near the images' corners.
+        is_lens_shared: whether all cameras have the same intrinsics. This makes the estimate more stable. All images
+            must have the same size.
+        allows_missing: whether to return the registered cameras if others could not be registered.
+        seed: seed of RANSAC, at least 0.
 
     Raises:
-        ValueError: when cameras have different numbers of pictures, or none.
-        UserError: for fewer than 3 cameras, different sizes of a shared lens, and cameras that could not be registered.
+        ValueError: if a camera has no images, or cameras have different numbers of images.
+        UserError: if there are fewer than 3 cameras, cameras with a shared lens have images of different sizes, or
+            cameras could not be registered.
     """
     names = list(pictures)
     if len(names) < MIN_CAMERAS:
-        raise UserError(f"cameras: expected at least {MIN_CAMERAS} to calibrate, got {len(names)}; add views")
+        raise UserError(f"cameras: expected at least {MIN_CAMERAS} for calibration, got {len(names)}; add cameras")
     frame_counts = {len(frames) for frames in pictures.values()}
     if len(frame_counts) != 1 or 0 in frame_counts:
-        raise ValueError(f"pictures: expected as many frames of each camera, got {sorted(frame_counts)}")
+        raise ValueError(f"pictures: expected the same number of frames for each camera, got {sorted(frame_counts)}")
     sizes = {frames[0].shape[1::-1] for frames in pictures.values()}
     if is_lens_shared and len(sizes) > 1:
         raise UserError(
-            f"cameras with a shared lens: expected pictures of one size, got "
-            f"{', '.join(f'{w} x {h}' for w, h in sorted(sizes))}; let each camera have its own lens"
+            f"cameras with a shared lens: expected images of one size, got "
+            f"{', '.join(f'{w} x {h}' for w, h in sorted(sizes))}; resize the images to one size"
         )
     with tempfile.TemporaryDirectory(prefix="fourd-calibrate-") as folder, _quiet():
         frames = [list(frame) for frame in zip(*pictures.values(), strict=True)]
@@ -96,17 +103,17 @@ def calibrate_from_pictures(
     missing = tuple(name for name in names if name not in cameras)
     if model is None or len(cameras) < 2 or (missing and not allows_missing):
         unmatched = ", ".join(missing) if model is not None and len(cameras) >= 2 else "any camera"
-        raise UserError(f"cameras: expected pictures that match, got none for {unmatched}; {FIX}")
+        raise UserError(f"cameras: expected images with enough matches, got too few for {unmatched}; {FIX}")
     return SelfCalibration(cameras, float(model.compute_mean_reprojection_error()), model.num_points3D(), missing)
 
 
 def _reconstruct(
     folder: Path, frames: list[list[Picture]], lens_model: LensModel, is_lens_shared: bool, seed: int
 ) -> Any | None:
-    """The reconstruction with the most cameras; ``frames`` holds the pictures of all cameras of each frame.
+    """Reconstruct with COLMAP and return the model with the most cameras; ``frames[k]`` has the images of frame k.
 
-    Each camera is one COLMAP image with the features of all its frames: static features of several frames merge, and
-    features on moving objects are matched within their frame only.
+    Each camera is one COLMAP image that contains the features of all of its frames. Static features found in several
+    frames are merged. Features on moving objects are matched only within their frame.
     """
     pycolmap.set_random_seed(seed)
     keypoints: list[Array] = [np.zeros((0, 2))] * len(frames[0])
@@ -127,17 +134,17 @@ def _reconstruct(
 
 
 def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, is_lens_shared: bool) -> Path:
-    """Path of a database with the features and matches of one frame.
+    """Extract and match the features of one frame, and return the path of COLMAP's database.
 
-    Picture files are named by number, since camera names may contain characters that file names cannot.
+    The image files' names are numbers, because camera names may contain characters that are invalid in file names.
     """
     images, database = folder / "images", folder / "database.db"
     images.mkdir(parents=True)
     for index, picture in enumerate(pictures):
         if not cv2.imwrite(str(images / f"{index:06d}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
-            raise OSError(f"{images}: a temporary picture could not be written")
+            raise OSError(f"{images}: a temporary image could not be written")
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Neighbours in a ring of 20 are 18 degrees apart: affine-invariant features match over such baselines.
+    # In a ring of 20 cameras neighbours are 18 degrees apart; matching over such baselines needs affine invariance.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.domain_size_pooling = True
     extraction.sift.peak_threshold = SIFT_PEAK_THRESHOLD
@@ -152,7 +159,7 @@ def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, i
 
 
 def _merge_frame(database: Path, keypoints: list[Array], matches: PairMatches) -> None:
-    """Add the features and matches of one frame's database to those of the frames before it."""
+    """Add the features and matches in one frame's database to ``keypoints`` and ``matches``."""
     with closing(pycolmap.Database.open(database)) as store:
         images = sorted(store.read_all_images(), key=lambda image: image.name)
         indices = []
@@ -168,7 +175,11 @@ def _merge_frame(database: Path, keypoints: list[Array], matches: PairMatches) -
 
 
 def _merge_keypoints(known: Array, xy: Array) -> tuple[Array, NDArray[np.intp]]:
-    """All keypoints (N, 2), and the index among them of each of ``xy`` (M, 2); those within 0.75 pixels merge."""
+    """Add the keypoints ``xy`` (M, 2) to ``known``; a keypoint within 0.75 pixels of a known one is merged with it.
+
+    Returns:
+        All keypoints (N, 2), and the index (M,) in this array of each keypoint of ``xy``.
+    """
     if not len(known):
         return np.asarray(xy, np.float64), np.arange(len(xy))
     distance, nearest = KDTree(known).query(xy)
@@ -178,7 +189,7 @@ def _merge_keypoints(known: Array, xy: Array) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _write_merged(database: Path, keypoints: list[Array], matches: PairMatches) -> None:
-    """Replace the features and matches of a database by those of all frames."""
+    """Replace the features and matches in a database with the merged ones of all frames."""
     with closing(pycolmap.Database.open(database)) as store:
         images = sorted(store.read_all_images(), key=lambda image: image.name)
         for clear in (store.clear_keypoints, store.clear_descriptors, store.clear_matches):
@@ -191,7 +202,7 @@ def _write_merged(database: Path, keypoints: list[Array], matches: PairMatches) 
 
 
 def _mapping_options(seed: int) -> Any:
-    """COLMAP's defaults, adapted to few cameras far apart instead of many photos."""
+    """COLMAP's mapping options, adapted to a few cameras with wide baselines."""
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
     # One thread makes the result repeatable up to rounding.
@@ -201,7 +212,7 @@ def _mapping_options(seed: int) -> Any:
     options.mapper.init_min_num_inliers = 40
     options.mapper.init_min_tri_angle = 8.0
     options.mapper.abs_pose_min_num_inliers = 15
-    # With one picture per camera most points are seen by two cameras only.
+    # With one image per camera, most points are visible in only two cameras.
     options.triangulation.ignore_two_view_tracks = False
     return options
 
@@ -212,7 +223,7 @@ def _to_cameras(model: Any, names: list[str]) -> dict[str, Camera]:
         if not image.has_pose:
             continue
         lens, pose = model.camera(image.camera_id), image.cam_from_world()
-        # COLMAP, like fourd, has the centre of the first pixel at (0.5, 0.5).
+        # In COLMAP as in fourd, the centre of the first pixel is at (0.5, 0.5).
         extra = np.asarray(lens.params)[lens.extra_params_idxs()]
         distortion = np.concatenate([extra, np.zeros(3)])[:4] if len(extra) == 1 else extra
         cameras[names[int(Path(image.name).stem)]] = Camera(

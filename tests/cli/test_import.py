@@ -120,7 +120,7 @@ def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixt
     cameras = [replace(of.camera(32, 48), width=36) for of in read_calibration(source).values()]
     write_calibration(source, ["a", "b", "c"], cameras)
     line = refused_line(capsys, source, tmp_path / "out")
-    assert "a, b, c: expected pictures of the calibration's size, or resized in a way" in line
+    assert "a, b, c: expected images of the calibration's size, or images that show clearly" in line
     assert "got 36 x 48 -> 32 x 48 (" in line
     assert "stretched: no matches" in line
     assert "give --resize NAME" in line

@@ -59,7 +59,7 @@ class BackgroundModel:
         return np.exp(-0.5 * channel_sum(np.square(rgb - self.mean) / (2 * self.variance)))
 
     def matching_weight(self, rgb: Picture, weights: Floats, noise: float) -> Floats:
-        """Sum (h, w) of the ``weights`` (T, h, w) of those frames ``rgb`` (T, h, w, 3) whose colour matches the mean."""
+        """Sum (h, w) of the ``weights`` (T, h, w) of the frames (T, h, w, 3) whose colour matches the mean."""
         total = np.zeros(rgb.shape[1:3], np.float32)
         for value, weight in zip(rgb, weights, strict=True):
             total += weight * _match(value.astype(np.float32) - self.mean, noise)
