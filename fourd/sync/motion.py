@@ -1,4 +1,4 @@
-"""Time offsets between cameras without a common trigger, from the motion energy of their pictures."""
+"""Time offsets between cameras without a common trigger, estimated from the motion energy of their images."""
 
 from __future__ import annotations
 
@@ -19,16 +19,25 @@ Grey = NDArray[np.uint8]
 
 NOISE_SIGMAS = 3.0
 ENERGY_FLOOR = 0.1
-"""Share of the median energy added before the logarithm, which limits the steps at still frames."""
+"""Constant added to the energy before the logarithm, as a share of the median energy.
+
+It limits the steps of the logarithm at frames without motion.
+"""
 FINE_SIGMA_FRAMES, COARSE_SIGMA_FRAMES = 1.0, 6.0
-"""Standard deviations of the difference of Gaussians that is correlated: a band-pass over few frames."""
+"""Standard deviations in frames of the two Gaussians whose difference is the band-pass filter."""
 MAX_SIGNAL = 4.0
-"""Clipping level in robust standard deviations: cuts and flashes are in one camera alone."""
+"""Clipping level of the band-passed signal in robust standard deviations.
+
+Clipping limits the effect of cuts and flashes that occur in one camera only.
+"""
 PEAK_RADIUS_FRAMES = 3
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 NOISE_CORRELATION = 4.0
-"""Divided by the square root of the number of frames: the correlation that noise reaches over some tens of lags."""
+"""Numerator of the noise level of a correlation; the denominator is the square root of the number of frames.
+
+The noise level is the maximum correlation of two independent signals over some tens of lags.
+"""
 
 MARGIN, LABEL, PANEL, ROW = 16, 290, 480, 56
 INK, GRID, WARNING = (40, 40, 40), (215, 215, 215), (60, 60, 200)
@@ -36,20 +45,19 @@ INK, GRID, WARNING = (40, 40, 40), (215, 215, 215), (60, 60, 200)
 
 @dataclass(frozen=True, eq=False)
 class Offsets:
-    """Delay of each camera relative to the first.
+    """Time offset of each camera's video relative to the first camera's video.
 
-    With offset o, frame f of the capture is frame f + o of the camera's video: an event at frame f of the first
-    camera is at frame f + o of this one. A camera that started to record 7 frames late lacks its first 7 and has
-    o = -7.
+    An event at frame f of the first camera's video is at frame f + o of the video of a camera with offset o. A camera
+    that starts to record 7 frames after the first camera has o = -7.
 
     Attributes:
-        frames: whole frames; 0 for the first camera.
-        subframes: the same with fractions, from parabolas through the correlations' peaks.
-        confidence: in [0, 1]. With p1 the peak of a pair's correlation, p2 the highest value more than 3 frames away
-            from it and c = 4 / sqrt(frames) the level that noise reaches, a pair's confidence is the smaller of
-            (p1 - c) / (1 - c) and 2 (p1 - p2), and 0 where its lag differs from the solution by more than a frame. A
-            camera's confidence is the mean of the better half of its pairs. Above 0.3 is good; below 0.1 the offset
-            is unreliable.
+        frames: offsets in whole frames; 0 for the first camera.
+        subframes: offsets in frames with fractions, from parabolas through the correlations' peaks.
+        confidence: confidence of each camera's offset in [0, 1]. Values above 0.3 are good; below 0.1 the offset is
+            unreliable. For a pair of cameras, p1 is the peak of the correlation, p2 is the highest correlation more
+            than 3 frames away from the peak, and c = 4 / sqrt(frames) is the noise level. The pair's confidence is
+            the smaller of (p1 - c) / (1 - c) and 2 (p1 - p2). It is 0 if the pair's lag differs from the solution by
+            more than one frame. A camera's confidence is the mean over the better half of its pairs.
     """
 
     frames: tuple[int, ...]
@@ -58,21 +66,24 @@ class Offsets:
 
 
 def motion_energy(pictures: Iterable[Grey]) -> Array:
-    """(F,) mean difference of each picture from the one before, in grey levels; the first has the second's value.
+    """Compute the motion energy (F,): the mean absolute difference of consecutive images in grey levels.
 
-    The pictures (H, W) are uint8 and read one at a time; a width of 200 pixels is enough. Changes of the whole
-    picture, such as exposure flicker, are fitted by a gain and an offset and removed. Differences within 3 standard
-    deviations of the noise, estimated from the median difference, count as 0.
+    Changes of the whole image, such as exposure flicker, are fitted by a gain and an offset and removed. Differences
+    below 3 standard deviations of the noise count as 0; the noise is estimated from the median difference. The first
+    image has the energy of the second.
+
+    Args:
+        pictures: F grey images (H, W) uint8, read one at a time; a width of 200 pixels is enough.
 
     Raises:
-        ValueError: when pictures differ in size.
+        ValueError: if the images differ in size.
     """
     energies: list[float] = []
     before: NDArray[np.float32] | None = None
     for picture in pictures:
         now = np.asarray(cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 0.8), np.float32)
         if before is not None and before.shape != now.shape:
-            raise ValueError(f"pictures: expected {before.shape} pixels, as the one before, got {now.shape}")
+            raise ValueError(f"pictures: expected {before.shape} pixels like the previous image, got {now.shape}")
         energies.append(0.0 if before is None else _difference(before, now))
         before = now
     if len(energies) > 1:
@@ -88,7 +99,7 @@ def _difference(before: NDArray[np.float32], now: NDArray[np.float32]) -> float:
 
 
 def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tuple[float, float]:
-    """Gain and offset from ``before`` to ``now``: a line, refitted without the pixels that moved."""
+    """Fit a gain and an offset from ``before`` to ``now`` by linear regression, repeated without moving pixels."""
     gain, offset = 1.0, float(np.median(now - before))
     for _ in range(3):
         error = np.abs(now - gain * before - offset)
@@ -97,7 +108,7 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
         centred = x - x.mean()
         power = float(centred @ centred)
         if power < len(x):
-            # A uniform picture does not determine the gain.
+            # A uniform image does not determine the gain.
             return 1.0, float(np.median(now - before))
         gain = float(centred @ y) / power
         offset = float(y.mean() - gain * x.mean())
@@ -105,30 +116,33 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
 
 
 def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
-    """Estimate each camera's delay relative to the first in frames, from its :func:`motion_energy`.
+    """Estimate each camera's time offset relative to the first camera from their motion energies.
 
-    The logarithms of the energies, band-passed by a difference of Gaussians against gains and slow trends, are
-    correlated for every pair of cameras. All lags together give the offsets by weighted least squares, reweighted
-    towards least absolute deviations, so that pairs with a flat, ambiguous or inconsistent correlation have little
-    weight.
+    The logarithm of each energy is band-passed by a difference of Gaussians, which removes gains and slow trends.
+    These signals are correlated for every pair of cameras. The pairs' lags give the offsets by iteratively reweighted
+    least squares, which approximates least absolute deviations. Pairs with a flat, ambiguous or inconsistent
+    correlation therefore have little weight.
 
-    Cameras see different parts of a motion: for slow and smooth motion even the best lag is off by some frames (up to
-    3 at 60 Hz on a balancing man seen from four sides), which the confidence does not show. Sudden motion, such as
-    claps or steps, makes the estimate exact. An offset of up to 3 frames is no evidence of a missing trigger.
+    Each camera records a different part of the motion. For slow and smooth motion the best lag can therefore be wrong
+    by some frames, and the confidence does not show this. The error was up to 3 frames at 60 Hz for a balancing man
+    recorded from four sides. For sudden motion, such as claps or steps, the estimate is exact. An offset of up to 3
+    frames does not prove that the cameras lack a common trigger.
 
     Args:
-        energies: (F,) of each camera; lengths may differ.
+        energies: :func:`motion_energy` (F,) of each camera; F may differ between cameras.
         max_offset: largest offset in frames, at least 1; at least 12 frames must overlap.
 
     Raises:
-        ValueError: when there is no camera, or too few frames for ``max_offset``.
+        ValueError: if there is no camera, or there are too few frames for ``max_offset``.
     """
     if not energies or max_offset < 1:
-        raise ValueError(f"expected at least 1 camera and 1 frame, got {len(energies)} and {max_offset}")
+        raise ValueError(
+            f"expected at least 1 camera and max_offset of at least 1, got {len(energies)} cameras and {max_offset}"
+        )
     shortest = min(len(energy) for energy in energies)
     if shortest - max_offset < MIN_OVERLAP:
         limit = max(shortest - MIN_OVERLAP, 0)
-        raise ValueError(f"max_offset: expected at most {limit} frames of {shortest}, got {max_offset}")
+        raise ValueError(f"max_offset: expected at most {limit} for videos of {shortest} frames, got {max_offset}")
     signals = [_bandpass(energy) for energy in energies]
     pairs = list(combinations(range(len(signals)), 2))
     found = [_estimate_lag(signals[i], signals[j], max_offset) for i, j in pairs]
@@ -144,13 +158,13 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
 
 
 def _confidence(weights: Sequence[float]) -> float:
-    """Mean of the better half; 1 for a single camera."""
+    """A camera's confidence: the mean of the larger half of its pairs' weights; 1 for a single camera."""
     better = sorted(weights, reverse=True)[: (len(weights) + 1) // 2]
     return float(np.mean(better)) if better else 1.0
 
 
 def _bandpass(energy: Array) -> Array:
-    """(F,) band-passed log energy, normalised and clipped; zeros for a constant energy."""
+    """Compute the band-passed, normalised and clipped log energy (F,); zeros if the energy is constant."""
     level = ENERGY_FLOOR * float(np.median(energy)) + 1e-3 * float(np.max(energy, initial=0)) + 1e-9
     logarithm = np.log(energy + level)
     band = gaussian_filter1d(logarithm, FINE_SIGMA_FRAMES) - gaussian_filter1d(logarithm, COARSE_SIGMA_FRAMES)
@@ -160,7 +174,11 @@ def _bandpass(energy: Array) -> Array:
 
 
 def _estimate_lag(first: Array, second: Array, max_lag: int) -> tuple[float, float]:
-    """The subframe lag at which ``second[f + lag]`` correlates best with ``first[f]``, and its weight."""
+    """Find the lag in frames, with fraction, at which ``second[f + lag]`` correlates best with ``first[f]``.
+
+    Returns:
+        The lag, and its weight in [0, 1].
+    """
     scores = np.array([_correlation(first, second, lag) for lag in range(-max_lag, max_lag + 1)])
     top = int(scores.argmax())
     peak = float(scores[top])
@@ -187,7 +205,10 @@ def _correlation(first: Array, second: Array, lag: int) -> float:
 
 
 def _solve(pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, count: int) -> Array:
-    """(count,) offsets, the first 0, whose differences fit the lags; 0 where all weights are 0."""
+    """Fit offsets (count,) to the lags of the pairs; the first offset is 0.
+
+    A camera whose pairs all have weight 0 gets offset 0.
+    """
     if not pairs:
         return np.zeros(count)
     design = np.zeros((len(pairs), count))
@@ -204,10 +225,10 @@ def _solve(pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, c
 
 
 def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Array], offsets: Offsets) -> None:
-    """Write a PNG of all energies, as recorded (left) and shifted by the offsets (right), atomically.
+    """Write a PNG plot of all energies atomically: as recorded on the left, shifted by the offsets on the right.
 
-    Each camera has a row with its name, offset and confidence, red below 0.1. Each row has its own scale. The grey
-    lines mark the same frames on both sides.
+    Each camera has a row with its name, offset and confidence; confidences below 0.1 are red. Each row has its own
+    vertical scale. The grey lines mark the same frame numbers on both sides.
     """
     height = 3 * MARGIN + ROW * len(names) + MARGIN
     canvas = np.full((height, LABEL + 2 * (PANEL + MARGIN) + MARGIN, 3), 255, np.uint8)
@@ -229,7 +250,7 @@ def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Arra
         _put_text(canvas, text, MARGIN, top + 42, INK if confidence >= 0.1 else WARNING)
     done, content = cv2.imencode(".png", canvas)
     if not done:
-        raise RuntimeError(f"{path}: the picture could not be encoded")
+        raise RuntimeError(f"{path}: the image could not be encoded")
     write_bytes_atomically(path, content.tobytes())
 
 
@@ -245,7 +266,7 @@ def _draw_curve(canvas: Grey, energy: Array, shift: int, left: int, top: int, lo
 
 
 def _tick_frames(longest: int) -> int:
-    """Frames between grey lines: 1, 2 or 5 times a power of ten, for about ten lines."""
+    """Number of frames between grey lines: 1, 2 or 5 times a power of ten, which gives about ten lines."""
     rough = max(longest / 10, 1)
     power = 10 ** int(np.floor(np.log10(rough)))
     return int(next(power * step for step in (1, 2, 5, 10) if power * step >= rough))

@@ -1,4 +1,4 @@
-"""Synthetic captures with ground truth: an articulated, textured figure that runs inside a ring of cameras."""
+"""Synthetic captures with ground truth: a running, textured human figure inside a ring of cameras."""
 
 from fourd.synth.generate import SynthSettings, is_finished, make_synthetic
 

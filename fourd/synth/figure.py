@@ -1,6 +1,6 @@
-"""The figure: rounded parts on a skeleton with joint angles that are smooth, periodic functions of time.
+"""The figure: rounded parts on a skeleton whose joint angles are smooth, periodic functions of time.
 
-The world is in metres with z up; the figure is at the origin and faces +x, its left is +y.
+The world is in metres with z up. The figure is at the origin and faces +x, with +y to its left.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A rounded cone (the convex hull of two spheres), scaled along its own axes.
+    """A rounded cone, the convex hull of two spheres, scaled along its own axes.
 
     Attributes:
         frame: (3, 3) rotation R_world_part.
-        origin: (3,) centre of the first sphere in the world.
+        origin: (3,) centre of the first sphere in the world, in metres.
         stretch: (3,) scale factors along the part's axes.
-        length: distance between the spheres along +z before scaling; 0 for an ellipsoid.
+        length: distance along +z from the first to the second sphere's centre before scaling; 0 for an ellipsoid.
         radii: radii of the first and the second sphere before scaling.
-        pattern: its colours.
+        pattern: colours of the surface.
     """
 
     frame: Array
@@ -37,7 +37,7 @@ class Part:
     pattern: Pattern
 
     def spheres(self) -> list[tuple[Array, float]]:
-        """World spheres whose convex hull contains the part: centres (3,) and radii in metres."""
+        """Two spheres, centre (3,) and radius in metres in the world, whose convex hull contains the part."""
         scale = float(self.stretch.max())
         end = self.origin + self.frame[:, 2] * (self.length * self.stretch[2])
         return [(self.origin, self.radii[0] * scale), (end, self.radii[1] * scale)]
@@ -45,7 +45,17 @@ class Part:
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of a seed: proportions (factors around 1), the gait's first phase (cycles), clothes."""
+    """Random properties of a figure.
+
+    Attributes:
+        leg: scale factor of the legs' length.
+        arm: scale factor of the arms' length.
+        girth: scale factor of the width of trunk and limbs.
+        head: scale factor of the head.
+        swing: scale factor of the swing angles of arms and legs.
+        start: phase of the gait in frame 0, in cycles.
+        wardrobe: patterns of the parts.
+    """
 
     leg: float
     arm: float
@@ -57,7 +67,7 @@ class Figure:
 
 
 def make_figure(seed: int) -> Figure:
-    """The figure of a seed."""
+    """Create the figure that belongs to a random seed."""
     rng = np.random.default_rng(seed)
     return Figure(
         leg=float(rng.uniform(0.94, 1.06)),
@@ -71,7 +81,10 @@ def make_figure(seed: int) -> Figure:
 
 
 def pose_figure(figure: Figure, phase: float) -> list[Part]:
-    """The parts at ``phase`` in cycles of the gait, with period 1: two steps, each with a leap."""
+    """Compute the parts of the figure at ``phase`` of the gait.
+
+    The phase is in cycles. One cycle has two steps, each with a leap.
+    """
     p = 2 * np.pi * (phase + figure.start)
     hips = _rotation_z(0.45 * np.sin(p) + 0.2 * np.sin(2 * p))
     pelvis = hips @ _rotation_z(0.22 * np.sin(p)) @ _rotation_x(0.06 * np.cos(p))
@@ -168,7 +181,7 @@ def _make_head(figure: Figure, rotation: Array, chest: Array, waist: Array, p: f
 
 
 def _make_ponytail(rotation: Array, root: Array, p: float, pattern: Pattern) -> list[Part]:
-    """Three links, each with a phase lag to the one before it."""
+    """Three links; the phase of each link lags behind that of the link before it."""
     parts = []
     frame = rotation @ _rotation_y(1.1)
     for link, (thin, thick) in enumerate(((0.03, 0.047), (0.047, 0.043), (0.043, 0.018))):
@@ -192,12 +205,15 @@ def _cone(
 
 
 def _limb(frame: Array, joint: Array, length: float, first: float, second: float, pattern: Pattern) -> Part:
-    """A part from ``joint`` along the frame's -z."""
+    """Create a part that extends from ``joint`` along the frame's -z axis."""
     return _cone(frame @ np.diag([1.0, -1.0, -1.0]), joint, length, first, second, pattern)
 
 
 def _lowest_height(parts: Sequence[Part]) -> float:
-    """Height of the lowest point: a soft minimum, which is smooth when the lower foot changes."""
+    """Height of the lowest point.
+
+    The soft minimum makes the height smooth over time when the other foot becomes the lower one.
+    """
     heights = np.array([centre[2] - radius for part in parts for centre, radius in part.spheres()])
     softness = 0.02
     return float(heights.min() - softness * np.log(np.exp((heights.min() - heights) / softness).sum()))

@@ -1,4 +1,4 @@
-"""Writing of a synthetic capture: cameras, pictures, mattes, true depth and plates, and its settings."""
+"""Writing of a synthetic capture: cameras, images, mattes, true depth, true clean plates and settings."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CYCLE_FRAMES = 24
 RING_RADIUS = 3.6
 RING_HEIGHTS = (1.35, 0.75, 2.15)
 FILL = 0.9
-"""Share of the picture's side that the whole motion spans."""
+"""Largest extent of the figure's motion in an image, as a share of the image's side."""
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,16 @@ class SynthSettings:
     """Settings that determine every byte of a synthetic capture.
 
     Attributes:
-        frames: at least 1. The gait has whole cycles of about 24 frames, so that the capture plays in a loop.
-        cameras: 3 to 100, evenly spaced on a ring with a radius of 3.6 m, at three heights.
-        size: width and height of the pictures, 32 to 4096 pixels.
-        seed: at least 0; determines clothes, proportions and the gait's first phase.
+        frames: number of frames, at least 1. They contain whole gait cycles of about 24 frames, so that the capture can
+            be played in a loop.
+        cameras: number of cameras, 3 to 100. They are evenly spaced on a ring with a radius of 3.6 m, at three
+            heights.
+        size: width and height of the images, 32 to 4096 pixels.
+        seed: random seed, at least 0, of clothes, proportions and the gait's first phase.
         gloss: strength of the highlights, 0 to 1.
 
     Raises:
-        UserError: naming the option that is out of range.
+        UserError: if a value is out of range; the message contains the option's name.
     """
 
     frames: int = 24
@@ -68,17 +70,22 @@ def make_synthetic(
 ) -> None:
     """Write a synthetic capture of a running figure into the folder ``out``.
 
-    It contains images/CAM/FRAME.jpg, masks/CAM/FRAME.png (soft, 255 = figure), intri.yml, extri.yml,
-    truth/depth/CAM/FRAME.png (uint16 camera depth in millimetres at pixel centres, 0 = none), truth/bgs/CAM.png (the
-    empty studio) and synth.json (the settings). The world is in metres, z up. The same settings give the same bytes. A
-    finished capture of these settings is unchanged; a synthetic one of other settings is replaced.
+    The capture contains images/CAM/FRAME.jpg, masks/CAM/FRAME.png (soft mattes, 255 = figure), intri.yml, extri.yml,
+    truth/depth/CAM/FRAME.png (uint16 camera depth in millimetres at pixel centres, 0 = background), truth/bgs/CAM.png
+    (the empty studio) and synth.json (the settings). The world is in metres with z up. The same settings give the same
+    bytes. If ``out`` has a finished capture with these settings, it is kept. A synthetic capture with other settings is
+    replaced.
 
     Args:
-        out: a folder that is missing, empty, or a synthetic capture.
-        frames, cameras, size, seed, gloss: see :class:`SynthSettings`.
+        out: folder that does not exist, is empty, or contains a synthetic capture.
+        frames: number of frames; see :class:`SynthSettings`.
+        cameras: number of cameras.
+        size: width and height of the images in pixels.
+        seed: random seed.
+        gloss: strength of the highlights.
 
     Raises:
-        UserError: when a number is out of range or ``out`` contains other files.
+        UserError: if a number is out of range or ``out`` contains other files.
     """
     out = Path(out)
     settings = SynthSettings(frames, cameras, size, seed, gloss)
@@ -106,12 +113,12 @@ def make_synthetic(
 
 
 def is_finished(out: Path | str, settings: SynthSettings) -> bool:
-    """Whether ``out`` contains a finished capture of these settings."""
+    """Whether ``out`` contains a finished capture with these settings."""
     return _read_settings(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
 
 
 def _read_settings(out: Path) -> dict[str, object] | None:
-    """Content of synth.json; None where it is missing or invalid."""
+    """Content of synth.json; None if the file is missing or invalid."""
     try:
         content = json.loads((out / SETTINGS_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -125,12 +132,13 @@ def _write_settings(out: Path, settings: SynthSettings, *, finished: bool) -> No
 
 
 def _prepare_folder(out: Path) -> None:
-    """Make the folder; remove an older synthetic capture, whose frames would mix with the new ones."""
+    """Create the folder, and remove an older synthetic capture so that its frames do not mix with the new ones."""
     if out.exists() and not out.is_dir():
         raise UserError(f"{out}: expected a folder, got a file; name another folder")
     if out.is_dir() and any(out.iterdir()) and _read_settings(out) is None:
         raise UserError(
-            f"{out}: expected an empty folder or a synthetic capture ({SETTINGS_NAME}), got other files; name another"
+            f"{out}: expected an empty folder or a synthetic capture ({SETTINGS_NAME}), got other files; "
+            "name another folder"
         )
     out.mkdir(parents=True, exist_ok=True)
     for name in ("images", "masks", "truth"):
@@ -139,12 +147,12 @@ def _prepare_folder(out: Path) -> None:
 
 
 def _phase(frame: int, frames: int) -> float:
-    """Phase in cycles of the gait: whole cycles over the capture, so that its end meets its start."""
+    """Phase of the gait in cycles; the capture has whole cycles, so that it can be played in a loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 
 def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
-    """Cameras facing the figure's centre, with the longest common focal length that never crops the figure."""
+    """Cameras that face the figure, with the longest common focal length that keeps the figure in all images."""
     unit = np.eye(3)
     poses = [pose_figure(figure, step / 48) for step in range(48)]
     target, up = np.array([0.0, 0.0, 0.88]), np.array([0.0, 0.0, 1.0])
@@ -175,7 +183,7 @@ def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
 def _write_camera(
     out: Path, name: str, camera: Camera, figure: Figure, settings: SynthSettings, advance: Callable[[], None]
 ) -> None:
-    """Every frame of one camera, and its plate."""
+    """Write the plate and all frames of one camera."""
     plate = render_plate(camera, 2 * np.pi * figure.start)
     _write_image(out / "truth" / "bgs" / f"{name}.png", np.round(255 * plate).astype(np.uint8)[..., ::-1])
     for frame in range(settings.frames):
@@ -194,7 +202,7 @@ def _write_image(path: Path, pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> 
     options = [cv2.IMWRITE_JPEG_QUALITY, 95] if path.suffix == ".jpg" else []
     done, content = cv2.imencode(path.suffix, np.ascontiguousarray(pixels), options)
     if not done:
-        raise RuntimeError(f"{path}: the picture could not be encoded")
+        raise RuntimeError(f"{path}: the image could not be encoded")
     write_bytes_atomically(path, content.tobytes())
 
 

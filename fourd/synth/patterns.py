@@ -1,4 +1,4 @@
-"""Surface colours as functions of the position in the part's own coordinates, so that they move with the part."""
+"""Surface colours as functions of the position in a part's coordinates, so that they move with the part."""
 
 from __future__ import annotations
 
@@ -20,14 +20,16 @@ class Pattern:
     """Two colours and the rule that mixes them.
 
     Attributes:
-        kind: stripes are oblique to the part's axis, hoops across it; checks and dots go around it; noise is smooth.
-        first, second: RGB in [0, 1].
+        kind: stripes are oblique to the part's axis, hoops are perpendicular to it, checks and dots repeat around it,
+            noise varies smoothly, plain has the first colour only.
+        first: first colour, RGB in [0, 1].
+        second: second colour, RGB in [0, 1].
         period: period along the part's axis in metres.
-        around: number of repetitions around the axis (checks and dots).
+        around: number of repetitions around the axis for checks and dots.
         phase: shift of the pattern in radians.
-        badge: radius in metres of a disc on the front and the back, 0 for none.
+        badge: radius in metres of a disc on the front and the back; 0 for no disc.
         badge_height: height of the disc's centre along the axis in metres.
-        badge_colour: RGB in [0, 1].
+        badge_colour: colour of the disc, RGB in [0, 1].
     """
 
     kind: Kind
@@ -41,7 +43,10 @@ class Pattern:
     badge_colour: Colour = (1.0, 1.0, 1.0)
 
     def colours(self, xyz: Array) -> Array:
-        """(N, 3) RGB in [0, 1] at the part's own coordinates ``xyz`` (N, 3) in metres, axis along z."""
+        """Colours (N, 3), RGB in [0, 1], at positions ``xyz`` (N, 3).
+
+        The positions are in metres in the part's coordinates, whose z axis is the part's axis.
+        """
         weight = self._second_weight(xyz)[:, None]
         colours = np.asarray(self.first) * (1 - weight) + np.asarray(self.second) * weight
         if self.badge:
@@ -52,7 +57,7 @@ class Pattern:
         return colours * self._brightness(xyz)[:, None]
 
     def _second_weight(self, xyz: Array) -> Array:
-        """Weight of the second colour in [0, 1]."""
+        """Weight (N,) in [0, 1] of the second colour."""
         frequency = 2 * np.pi / self.period
         x, y, z = xyz.T
         if self.kind == "plain":
@@ -71,17 +76,17 @@ class Pattern:
         return _sharpen(waves) if self.kind == "checks" else _sharpen(np.abs(waves) - 0.45)
 
     def _brightness(self, xyz: Array) -> Array:
-        """Smooth variation, so that no large patch is without features."""
+        """Brightness factor (N,) that varies smoothly, so that large areas of one colour still have texture."""
         return 0.95 + 0.05 * np.sin(xyz @ np.array([23.0, 31.0, 27.0]) + self.phase)
 
 
 def _sharpen(waves: Array) -> Array:
-    """Turn a sine into edges that are soft over about a tenth of the period."""
+    """Turn a sine in [-1, 1] into a square wave in [0, 1] with soft edges about a tenth of the period wide."""
     return np.clip(0.5 + 2.5 * waves, 0, 1)
 
 
 def hsv(hue: float, saturation: float, value: float) -> Colour:
-    """RGB in [0, 1]; the hue is in turns and wraps."""
+    """Convert HSV to RGB in [0, 1]; the hue has period 1."""
     return colorsys.hsv_to_rgb(hue % 1.0, saturation, value)
 
 
@@ -104,7 +109,7 @@ class Wardrobe:
 
 
 def choose_wardrobe(rng: np.random.Generator) -> Wardrobe:
-    """Clothes in three matching hues, drawn from ``rng``."""
+    """Choose random patterns for clothes in three matching hues, and for skin and hair."""
     hue = float(rng.uniform())
     warm, cool, third = hsv(hue, 0.72, 0.9), hsv(hue + 0.45, 0.75, 0.55), hsv(hue + 0.17, 0.7, 0.95)
     pale = hsv(hue + 0.08, 0.12, 0.97)

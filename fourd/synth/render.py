@@ -1,4 +1,4 @@
-"""Ray tracing of the figure with analytic intersections and supersampling."""
+"""Ray tracing of the figure with analytic intersections and several rays per pixel."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 SAMPLES = 3
-"""Rays along each side of a pixel; odd, so that one goes through the centre, where depth is defined."""
+"""Number of rays along each side of a pixel; it is odd, so that one ray passes through the centre and gives depth."""
 
 BAND_SAMPLES = 1 << 20
-"""Rays traced at once, which bounds the memory for large pictures."""
+"""Approximate number of rays that are traced at once; this bounds the memory for large images."""
 
 KEY_LIGHT = np.array([0.45, 0.35, 0.82]) / np.linalg.norm([0.45, 0.35, 0.82])
 FILL_LIGHT = np.array([-0.7, -0.5, 0.35]) / np.linalg.norm([-0.7, -0.5, 0.35])
@@ -27,7 +27,13 @@ SHININESS = 28.0
 
 @dataclass(frozen=True, eq=False)
 class RenderedFigure:
-    """rgb (H, W, 3) uint8; mask (H, W) uint8, the share of rays that hit; depth (H, W) uint16 in millimetres."""
+    """A rendered image.
+
+    Attributes:
+        rgb: (H, W, 3) uint8 colours.
+        mask: (H, W) uint8 share of a pixel's rays that hit the figure; 255 = all rays.
+        depth: (H, W) uint16 camera depth at the pixel centre in millimetres; 0 = background.
+    """
 
     rgb: NDArray[np.uint8]
     mask: NDArray[np.uint8]
@@ -35,7 +41,14 @@ class RenderedFigure:
 
 
 def render_figure(parts: Sequence[Part], camera: Camera, plate: Array, gloss: float) -> RenderedFigure:
-    """The figure in front of ``plate`` (H, W, 3), RGB in [0, 1]; ``gloss`` is the strength of highlights in [0, 1]."""
+    """Render the figure in front of a background image.
+
+    Args:
+        parts: the posed figure.
+        camera: camera of the image.
+        plate: (H, W, 3) background, RGB in [0, 1].
+        gloss: strength of highlights in [0, 1].
+    """
     height, width = camera.height, camera.width
     rgb, coverage, depth = plate.copy(), np.zeros((height, width)), np.zeros((height, width))
     boxes = [_bounding_box(part, camera) for part in parts]
@@ -57,7 +70,7 @@ def render_figure(parts: Sequence[Part], camera: Camera, plate: Array, gloss: fl
 
 
 def render_plate(camera: Camera, hue_shift: float) -> Array:
-    """(H, W, 3) RGB in [0, 1] of the empty studio: a tiled floor and a round wall with a radius of 6 m."""
+    """Render the empty studio (H, W, 3), RGB in [0, 1]: a tiled floor and a cylindrical wall with a radius of 6 m."""
     sides = np.arange(camera.width * SAMPLES), np.arange(camera.height * SAMPLES)
     u, v = _pixel_rays(camera, *((side + 0.5) / SAMPLES for side in sides))
     rotation = camera.rotation
@@ -80,7 +93,11 @@ def render_plate(camera: Camera, hue_shift: float) -> Array:
 def _trace(
     parts: Sequence[Part], boxes: Sequence[Box], camera: Camera, band: Box, gloss: float
 ) -> tuple[Array, Array, Array]:
-    """For the rays of a band of pixels: colour times hit (h, w, 3), hit 0 or 1 (h, w), depth in metres (h, w)."""
+    """Trace the rays of a band of pixels.
+
+    Returns:
+        Premultiplied colour (h, w, 3), hit (h, w) 0 or 1, and camera depth (h, w) in metres of each ray.
+    """
     left, top, right, bottom = band
     u, v = _pixel_rays(
         camera,
@@ -109,10 +126,10 @@ def _trace(
 
 
 def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
-    """(len(v), len(u)) camera depth at which rays (u, v, 1) enter the part, inf where they miss it.
+    """Camera depths (len(v), len(u)) at which rays (u, v, 1) enter the part; infinite for rays that miss it.
 
-    In the part's unscaled axes the part is a convex rounded cone, and the entry is the first of the entries of its two
-    spheres and of its lateral surface.
+    In the part's unscaled axes the part is a convex rounded cone. A ray's entry point is the first of its entry points
+    into the two spheres and the lateral surface.
     """
     to_part = (part.frame / part.stretch).T
     eye = to_part @ (camera.centre - part.origin)
@@ -143,13 +160,13 @@ def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
 
 
 def _enter_sphere(square: Array, across: Array, excess: float) -> Array:
-    """The smaller root of ``square t^2 + 2 across t + excess``, inf where there is none."""
+    """The smaller root t of ``square t^2 + 2 across t + excess = 0``; infinite if there is no real root."""
     root = across * across - square * excess
     return np.where(root > 0, (-across - np.sqrt(np.maximum(root, 0))) / square, np.inf)
 
 
 def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> Array:
-    """(N, 3) RGB of the part where rays ``eye + t direction`` enter it."""
+    """RGB colours (N, 3) of the part at the points ``eye + t direction``, where rays enter it."""
     local = (eye - part.origin + direction * t[:, None]) @ part.frame
     normal = _normals(part, local / part.stretch) / part.stretch @ part.frame.T
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -164,7 +181,10 @@ def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> 
 
 
 def _normals(part: Part, local: Array) -> Array:
-    """(N, 3) outward normals of the unscaled part, not normalised: from the centre of the sphere tangent there."""
+    """Outward normals (N, 3) of the unscaled part, not normalised.
+
+    Each is the vector to the surface point from the centre of the inscribed sphere that touches the surface there.
+    """
     normal = local.copy()
     if part.length > 0:
         sine = (part.radii[0] - part.radii[1]) / part.length
@@ -174,9 +194,9 @@ def _normals(part: Part, local: Array) -> Array:
 
 
 def _bounding_box(part: Part, camera: Camera) -> Box:
-    """Pixels (left, top, right, bottom), ends excluded, that contain the part's image within the picture.
+    """Pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
 
-    The bounds of a sphere's image are exact along each axis.
+    ``right`` and ``bottom`` are exclusive. The bounds of each sphere's projection are exact.
     """
     k = camera.intrinsics
     edges: list[list[float]] = [[], []]
@@ -192,7 +212,10 @@ def _bounding_box(part: Part, camera: Camera) -> Box:
 
 
 def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
-    """(2, 2) minimum and maximum image coordinates of the parts in units of the focal length: rows x and y."""
+    """Bounds (2, 2) of the parts' projection in units of the focal length.
+
+    Row 0 has the minimum and maximum of x, row 1 those of y.
+    """
     spans = []
     for part in parts:
         for centre, radius in part.spheres():
@@ -204,13 +227,16 @@ def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
 
 
 def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Components u of columns and v of rows for the rays (u, v, 1) in camera axes, whose parameter is depth."""
+    """Components u of each column x and v of each row y of the rays (u, v, 1) in camera axes.
+
+    The parameter along such a ray is the camera depth.
+    """
     k = camera.intrinsics
     return (x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1]
 
 
 def _average_samples(samples: Array) -> Array:
-    """Mean over each pixel's rays: (h S, w S, ...) to (h, w, ...)."""
+    """Average the S x S rays of each pixel: from shape (h S, w S, ...) to (h, w, ...)."""
     height, width = samples.shape[0] // SAMPLES, samples.shape[1] // SAMPLES
     tiles: Array = samples.reshape(height, SAMPLES, width, SAMPLES, *samples.shape[2:])
     return np.asarray(tiles.mean(axis=(1, 3)), dtype=np.float64)

@@ -94,7 +94,7 @@ def test_single_camera_has_no_offset() -> None:
 
 def test_too_few_frames_are_refused() -> None:
     """Catches correlations over a few frames, which are always high."""
-    with pytest.raises(ValueError, match="expected at most 8 frames of 20, got 10"):
+    with pytest.raises(ValueError, match="expected at most 8 for videos of 20 frames, got 10"):
         estimate_offsets([np.ones(20), np.ones(30)], max_offset=10)
 
 
@@ -131,7 +131,7 @@ def test_energy_ignores_exposure_and_noise(rng: np.random.Generator) -> None:
 def test_empty_videos_and_changing_sizes() -> None:
     """Catches a crash on an empty video, and a change of size that counts as motion."""
     assert motion_energy([]).shape == (0,)
-    with pytest.raises(ValueError, match="as the one before"):
+    with pytest.raises(ValueError, match="like the previous image"):
         motion_energy([np.zeros((4, 4), np.uint8), np.zeros((4, 5), np.uint8)])
 
 
