@@ -1,4 +1,5 @@
-"""The point model: K-Planes features, a geometry head and appearance heads over the points of each frame."""
+"""The point model: K-Planes, and heads that compute the geometry and colour of each frame's points from K-Planes
+features."""
 
 from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.model.point_model import PointModel

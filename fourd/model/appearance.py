@@ -12,14 +12,16 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""Views with a lower visibility weight at a point are ignored there. Bounds the ratio of weights that float16 holds."""
+"""Smallest visibility weight that counts: a view with a lower weight at a point is ignored there. The threshold bounds
+the ratio of the weights, so that float16 can store them."""
 
 
 class ImageEncoder(nn.Module):
     """Three-level feature pyramid over the source images, 8, 16 and 32 channels wide.
 
-    (V, 3, H, W) in [0, 1] -> (V, image_features, H / stride, W / stride); H and W are multiples of 4 * stride.
-    Nothing is normalised over the image, so that a crop has the same features as the whole image, except at its border.
+    It maps (V, 3, H, W) in [0, 1] to (V, image_features, H / stride, W / stride). H and W are multiples of 4 * stride.
+    No layer normalises over the image. A crop therefore has the same features as the whole image, except near the
+    crop's border.
     """
 
     def __init__(self, out_features: int, stride: int) -> None:
@@ -34,7 +36,7 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # The sampling kernel reads all channels of a pixel at once.
+        # The kernel that samples the features reads all channels of a pixel at once, so they are stored together.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
@@ -46,8 +48,8 @@ class ImageEncoder(nn.Module):
 class BlendHead(nn.Module):
     """MLP that gives a blend logit for each point and source view.
 
-    The first layer acts on [point feature, image sample, optional direction]. Its point half is computed once for each
-    point instead of once for each view: the same sum in another order.
+    The first layer acts on [point feature, image sample, optional direction]. The part that depends on the point
+    feature alone is computed once for each point instead of once for each view. Only the order of the sums changes.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -60,7 +62,7 @@ class BlendHead(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, point: Tensor, samples: Tensor, directions: Tensor | None = None) -> Tensor:
-        """Blend logits (V, N) in +-5.
+        """Blend logits (V, N), between -5 and 5.
 
         Args:
             point: (N, H) output of the layer ``point``.
@@ -75,7 +77,8 @@ class BlendHead(nn.Module):
 
 
 class HarmonicsHead(nn.Module):
-    """MLP with one hidden layer: (N, F) -> degree-3 SH coefficients (N, 3, 16), initialised near zero."""
+    """MLP with one hidden layer that maps features (N, F) to degree-3 SH coefficients (N, 3, 16), initially near
+    zero."""
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
         super().__init__()
@@ -87,12 +90,12 @@ class HarmonicsHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> Tensor:
-        """Output (N, H) of the layer ``first`` -> (N, 3, 16)."""
+        """SH coefficients (N, 3, 16) from the output (N, H) of the layer ``first``."""
         return self.layers(hidden).reshape(-1, 3, SH_TERMS)
 
 
 def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:
-    """``base + colour_range * tanh(sh . Y(d))``: sh (N, 3, 16), unit directions (N, 3) -> (N, 3)."""
+    """Colours (N, 3) ``base + colour_range * tanh(sh . Y(d))`` from ``sh`` (N, 3, 16) and unit directions d (N, 3)."""
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
@@ -102,17 +105,18 @@ def zero_low_visibility(visibility: Tensor) -> Tensor:
 
 
 def blend(logits: Tensor, visibility: Tensor, colours: Tensor, base: Tensor | None = None) -> Tensor:
-    """Image-based colour: a softmax over views, multiplied by their visibility weights and normalised.
+    """Image-based colour: the mean of the views' colours, weighted by the softmax of the logits times the visibility.
 
     Args:
         logits: (V, N).
         visibility: (V, N) in [0, 1]; views below MIN_VISIBILITY get no weight.
         colours: (V, N, 3).
-        base: (N, 3) the points' own colours, which replace a view's colour in proportion to its invisibility.
+        base: (N, 3) the points' own colours, or None. A view with visibility v and colour c then contributes v c + (1 -
+            v) base instead of c.
 
     Returns:
-        (N, 3). Where no view is visible: ``base``, or else the mean over the views, as for a baked point whose
-        weights are all 0.
+        (N, 3) colours. A point that is visible in no view gets ``base`` or, without ``base``, the mean of the views'
+        colours. A baked point whose weights are all 0 also gets this mean.
     """
     visibility = zero_low_visibility(visibility)
     if base is not None:

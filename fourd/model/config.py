@@ -1,4 +1,4 @@
-"""Configuration of the point model; every field is a config key and an ablation switch."""
+"""Configuration of the point model. Every field is a config key that can be changed for an ablation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Literal
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise ValueError(message) unless ``condition`` is true; config readers add file and key."""
+    """Raise ValueError(message) unless ``condition`` is true. Code that reads config files adds the file and key."""
     if not condition:
         raise ValueError(message)
 
@@ -21,13 +21,13 @@ class PlanesConfig:
     features: int = 8
     """Channels of each plane."""
     base_resolution: int = 64
-    """Cells along the longest side of the bounds at the coarsest level."""
+    """Grid resolution along the longest side of the bounds at the coarsest level."""
     multiplier: int = 2
     """Factor between the resolutions of consecutive levels."""
     reduction: Literal["concat", "sum", "product"] = "concat"
-    """How the planes of a level are combined: concat as in 4K4D, product as in K-Planes, or sum."""
+    """How the features of a level's planes are combined: concat as in 4K4D, product as in K-Planes, or sum."""
     time: bool = True
-    """Whether the planes xt, yt and zt exist; without them a point's feature ignores time."""
+    """Use the planes xt, yt and zt. Without them, a point's feature does not depend on time."""
 
     def __post_init__(self) -> None:
         require(1 <= self.levels <= 8, f"levels: expected 1 to 8, got {self.levels}")
@@ -44,29 +44,31 @@ class ModelConfig:
     hidden: int = 64
     """Width of every MLP."""
     appearance: Literal["both", "ibr", "sh"] = "both"
-    """Colour from source images and spherical harmonics together, or one of them alone."""
+    """Parts of a point's colour: both is the sum of ibr and sh; ibr is blended from source images; sh is spherical
+    harmonics."""
     sh: Literal["mlp", "explicit"] = "mlp"
-    """Spherical harmonics from an MLP on the point feature, or 48 free coefficients for each point and frame."""
+    """Source of SH coefficients: mlp predicts them from the point feature; explicit optimises 48 for each point and
+    frame."""
     sh_range: float = 0.25
-    """Largest absolute value of the SH part when images give the base colour."""
+    """Maximum absolute value of the SH part when it is added to the image-based colour."""
     continuous: bool = False
-    """Blend weights depend on the viewing direction (as in ENeRF). Such a model cannot be exported."""
+    """Let blend weights depend on the viewing direction (as in ENeRF). Such a model cannot be exported."""
     neighbours: int = 4
-    """Number N' of source views blended for a viewing camera."""
+    """Number N' of source views that are blended for a viewing camera."""
     image_features: int = 8
     """Channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2
-    """Stride in pixels of the image encoder's features; 1 takes four times as long as 2."""
+    """Stride in pixels of the image encoder's features. Stride 1 takes four times as long as stride 2."""
     occlusion: bool = True
     """Ignore source views in which a point is occluded."""
     radius_range: tuple[float, float] = (0.5, 6.0)
     """Smallest and largest radius, in multiples of the mean distance between neighbouring points."""
     radius_start: float = 1.3
-    """Radius of every point before training, in the same unit."""
+    """Radius of every point before training, in multiples of the same distance."""
     residual: bool = False
-    """Add a learnt displacement field (a smaller K-Planes) to the points; export bakes it into the positions."""
+    """Displace points by a learnt field (a smaller K-Planes). Export bakes the displacement into the positions."""
     residual_range: float = 0.1
-    """Largest displacement, as a share of the longest side of the bounds."""
+    """Maximum displacement, as a share of the longest side of the bounds."""
 
     def __post_init__(self) -> None:
         low, high = self.radius_range

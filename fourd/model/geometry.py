@@ -1,4 +1,4 @@
-"""Geometry head: a point's feature -> its radius and density."""
+"""Geometry head: predicts a point's radius and density from its feature."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ DENSITY_OFFSET = 5.0
 class GeometryHead(nn.Module):
     """MLP with two hidden layers that gives radius and density (4K4D, eq. 1 and supplement).
 
-    ``radius = low + (high - low) * sigmoid(a + offset)``, where the offset makes ``a = 0`` the configured initial
-    radius, and ``density = sigmoid(b + 5)``. Radii are multiples of the points' spacing.
+    For the MLP's outputs a and b, ``radius = low + (high - low) * sigmoid(a + offset)`` and ``density = sigmoid(b +
+    5)``. The offset is such that ``a = 0`` gives the configured initial radius. Radii are multiples of the points'
+    spacing.
     """
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
@@ -40,7 +41,7 @@ class GeometryHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Output (N, H) of the layer ``first`` -> radius (N,) in spacings, density (N,) in (0, 1)."""
+        """Radius (N,) in spacings and density (N,) in (0, 1) from the output (N, H) of the layer ``first``."""
         raw_radius, raw_density = self.layers(hidden).unbind(-1)
         share = torch.sigmoid(raw_radius + self.radius_offset)
         radius = self.radius_low + (self.radius_high - self.radius_low) * share

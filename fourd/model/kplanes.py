@@ -1,4 +1,4 @@
-"""K-Planes: features of points in space and time, from planes over pairs of their coordinates."""
+"""K-Planes: features of points in space and time, sampled from planes over pairs of the coordinates x, y, z and t."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ TIME_PAIRS = ((0, 3), (1, 3), (2, 3))
 class KPlanes(nn.Module):
     """Multi-resolution feature planes over (x, y, z, t) (Fridovich-Keil et al. 2023, sec. 3).
 
-    Coordinates are (N, 4) float32 in [-1, 1]; those outside are clamped to the border. The first and last samples of
-    each axis lie on the borders (align_corners), so that with F frames the time planes have one row for each frame.
-    Differentiable in the planes and the coordinates. A plane is (rows, columns, features), so that the values that
-    a point reads are adjacent in memory.
+    Coordinates are (N, 4) float32 in [-1, 1]. Coordinates outside are clamped to the border. The first and last samples
+    of each axis lie on the borders (align_corners), so that with F frames the time planes have one row for each frame.
+    Features are differentiable in the planes and the coordinates. A plane is (rows, columns, features), so that the
+    values that are read for a point are adjacent in memory.
     """
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
-        """``sides`` are the lengths of the bounds (any unit); the longest side gets the full resolution."""
+        """``sides`` are the side lengths of the bounds, in any unit. The longest side gets the full resolution."""
         super().__init__()
         self.config = config
         pairs = SPACE_PAIRS + (TIME_PAIRS if config.time else ())
@@ -37,12 +37,13 @@ class KPlanes(nn.Module):
 
     @property
     def out_features(self) -> int:
-        """Number of output channels: over all planes and levels for concat, over all levels otherwise."""
+        """Number of output channels: the sum over all planes and levels for concat, the sum over all levels
+        otherwise."""
         planes = len(self.pairs) if self.config.reduction == "concat" else 1
         return self.config.levels * self.config.features * planes
 
     def forward(self, coordinates: Tensor) -> Tensor:
-        """(N, 4) coordinates in [-1, 1] -> (N, out_features)."""
+        """Features (N, out_features) at coordinates (N, 4) in [-1, 1]."""
         axes = [axis for pair in self.pairs for axis in pair] * self.config.levels
         samples = sample_planes(coordinates, list(self.planes), axes)
         if self.config.reduction == "concat":
@@ -54,6 +55,6 @@ class KPlanes(nn.Module):
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)
         if self.config.reduction == "product":
-            # At zero the product has no gradient. K-Planes initialises time planes to one.
+            # With all planes at zero the product would have no gradient. K-Planes initialises time planes to one.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)

@@ -24,12 +24,12 @@ RGB = 3
 
 @dataclass(frozen=True)
 class PointFeatures:
-    """Outputs of the heads' first layers over the K-Planes features of N points: (N, H) each, before the ReLU.
+    """Outputs of the first layers of the heads for the K-Planes features of N points. Each is (N, H), before the ReLU.
 
     Attributes:
-        geometry: of the geometry head.
-        blend: of the blend head; None without image-based colour.
-        harmonics: of the harmonics head; None without one.
+        geometry: output of the geometry head's first layer.
+        blend: output of the blend head's first layer; None without image-based colour.
+        harmonics: output of the harmonics head's first layer; None if there is no such head.
     """
 
     geometry: Tensor
@@ -39,17 +39,18 @@ class PointFeatures:
 
 @dataclass(frozen=True)
 class EvaluatedPoints:
-    """N points at one time, with their geometry and the features that give their colour.
+    """N points at one time: their geometry, and the features from which their colour is computed.
 
     Attributes:
-        xyz: (N, 3) world units, displacement included.
-        radius: (N,) world units.
-        density: (N,) in (0, 1).
+        xyz: (N, 3) positions in world units, with the displacement added.
+        radius: (N,) radii in world units.
+        density: (N,) densities in (0, 1).
         spacing: (N,) distance between neighbouring points in world units.
-        displacement: (N, 3) the part of ``xyz`` from the residual field; None without one.
-        features: for the appearance heads.
+        displacement: (N, 3) displacement by the residual field, contained in ``xyz``; None without a residual field.
+        features: hidden features of the heads.
         explicit_sh: (N, 48) optimised SH coefficients; None where an MLP gives them.
-        rgb: (N, 3) colours in place of those of views that do not see the point; None keeps the views' own.
+        rgb: (N, 3) the points' own colours, which replace the colours of views in which the point is not visible; None
+            uses the colours of these views.
     """
 
     xyz: Tensor
@@ -63,10 +64,10 @@ class EvaluatedPoints:
 
 
 class PointModel(nn.Module):
-    """The networks that all frames share; the points belong to the frames.
+    """The networks that all frames share. Points are stored for each frame, outside this model.
 
-    Points are (N, 3) float32 in world units, time is in [0, 1]. ``shadow`` is set on a background's model where the
-    foreground casts shadows on it.
+    Points are (N, 3) float32 in world units. Time is in [0, 1]. ``shadow`` is the field of the foreground's shadows on
+    the background; only the model of a background has it.
     """
 
     lower: Tensor
@@ -86,10 +87,10 @@ class PointModel(nn.Module):
         Args:
             config: layers and ablation switches.
             lower: (3,) lower corner of the scene's bounds in world units.
-            upper: (3,) upper corner.
+            upper: (3,) upper corner of the bounds.
             spacing: mean distance between neighbouring points in world units.
-            frame_count: frames of the whole capture: rows of the time planes.
-            contraction: maps all of space into the planes; without one they end at the bounds.
+            frame_count: number of frames of the whole capture, which is the number of rows of the time planes.
+            contraction: map of all of space into the planes; with None, the planes cover the bounds only.
         """
         super().__init__()
         self.config = config
@@ -119,12 +120,14 @@ class PointModel(nn.Module):
 
     @property
     def sh_base(self) -> float:
-        """Colour to which the SH part is added: mid grey when no images give the base colour."""
+        """Constant colour to which the SH part is added: mid grey for colour from SH alone, 0 with image-based
+        colour."""
         return 0.5 if self.config.appearance == "sh" else 0.0
 
     @property
     def sh_range(self) -> float:
-        """Half the width of the SH part's interval; alone it covers all colours."""
+        """Maximum absolute value of the SH part. For colour from SH alone it is 0.75, so that all colours are in
+        range."""
         return 0.75 if self.config.appearance == "sh" else self.config.sh_range
 
     def evaluate(
@@ -136,16 +139,18 @@ class PointModel(nn.Module):
         explicit_sh: Tensor | None = None,
         rgb: Tensor | None = None,
     ) -> EvaluatedPoints:
-        """Positions, radii and densities of points at ``time``; :meth:`colour` gives their colours for a viewer.
+        """Compute positions, radii and densities of points at ``time``. :meth:`colour` computes their colours for a
+        viewer.
 
-        Differentiable. Positions get no gradient through the K-Planes of geometry and appearance.
+        The result is differentiable. The positions ``xyz`` get no gradient through the K-Planes features of geometry
+        and appearance.
 
         Args:
-            xyz: (N, 3) optimised positions.
-            spacing: (N,) distance between neighbouring points, the unit of radii.
+            xyz: (N, 3) optimised positions in world units.
+            spacing: (N,) distance between neighbouring points in world units; radii are multiples of it.
             time: in [0, 1].
-            explicit_sh: (N, 48), see :class:`EvaluatedPoints`.
-            rgb: (N, 3), see :class:`EvaluatedPoints`.
+            explicit_sh: (N, 48) optimised SH coefficients; see :class:`EvaluatedPoints`.
+            rgb: (N, 3) the points' own colours; see :class:`EvaluatedPoints`.
         """
         features = self._point_features(xyz, time)
         radius, density = self.geometry_head(features.geometry)
@@ -163,14 +168,14 @@ class PointModel(nn.Module):
         shadow: Shadow | None = None,
         train_encoder: bool = True,
     ) -> Tensor:
-        """RGB of points seen from ``viewer``, (N, 3), not clamped (4K4D, eq. 2).
+        """RGB (N, 3) of points as seen from ``viewer``, not clamped (4K4D, eq. 2).
 
         Args:
             points: the output of :meth:`evaluate`.
             viewer: the viewing camera.
-            sources: the N' views nearest to the viewer; None where colour is SH alone.
-            shadow: multiplies the image-based part, as it does the bytes of a baked scene.
-            train_encoder: False gives the image encoder no gradient, which saves a third of a step's time.
+            sources: the N' views nearest to the viewer; None if colour is SH alone.
+            shadow: factors on the image-based part. An exported scene applies them to the same part, stored as bytes.
+            train_encoder: whether the image encoder gets a gradient. Without it a step takes a third less time.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:
@@ -192,7 +197,7 @@ class PointModel(nn.Module):
         return colour
 
     def coordinates(self, xyz: Tensor, time: float) -> Tensor:
-        """World points (N, 3) and time in [0, 1] -> K-Planes coordinates (N, 4) in [-1, 1]."""
+        """K-Planes coordinates (N, 4) in [-1, 1] of world points (N, 3) at a time in [0, 1]."""
         if self.contraction is None:
             space = 2 * (xyz - self.lower) / (self.upper - self.lower) - 1
         else:
@@ -200,23 +205,25 @@ class PointModel(nn.Module):
         return torch.cat([space, torch.full_like(space[:, :1], 2 * time - 1)], dim=1)
 
     def encode_images(self, images: Tensor) -> Tensor | None:
-        """(V, 3, H, W) -> (V, image_features, H / stride, W / stride), or None without image-based colour."""
+        """Features (V, image_features, H / stride, W / stride) of images (V, 3, H, W); None without image-based
+        colour."""
         return None if self.image_encoder is None else self.image_encoder(images)
 
     def harmonics(self, points: EvaluatedPoints) -> Tensor | None:
-        """SH coefficients (N, 3, 16), from the MLP or explicit; None without an SH part."""
+        """SH coefficients (N, 3, 16), predicted by the MLP or explicit; None if colour has no SH part."""
         if self.config.appearance == "ibr":
             return None
         if self.harmonics_head is not None:
             assert points.features.harmonics is not None
             return self.harmonics_head(points.features.harmonics)
-        assert points.explicit_sh is not None, "explicit spherical harmonics come with the frame's points"
+        assert points.explicit_sh is not None, "explicit spherical harmonics must be passed with the points"
         return points.explicit_sh.reshape(-1, 3, 16)
 
     def blend_logits(
         self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None
     ) -> Tensor:
-        """Logits (V, N) of the source views; only continuous blending needs ``viewer``."""
+        """Blend logits (V, N) of the source views. ``viewer`` is used by continuous blending only and may otherwise be
+        None."""
         assert self.blend_head is not None
         assert points.features.blend is not None
         directions = None
@@ -242,7 +249,8 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """(V, N, 4): difference between the viewing and source directions, and their cosine (as in IBRNet)."""
+    """(V, N, 4) difference (3) between viewing direction and source direction, and the cosine (1) of their angle (as in
+    IBRNet)."""
     target = unit_directions(xyz, viewer)
     parts = []
     for camera in cameras:

@@ -10,7 +10,7 @@ from fourd.model.kplanes import KPlanes
 
 
 class ResidualField(nn.Module):
-    """A small K-Planes and an MLP that displace points by at most ``residual_range`` of the scene's size."""
+    """A small K-Planes with an MLP that displaces points by at most ``residual_range`` times the scene's size."""
 
     def __init__(self, config: ModelConfig, sides: tuple[float, float, float], frame_count: int) -> None:
         super().__init__()
@@ -26,5 +26,5 @@ class ResidualField(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, coordinates: Tensor) -> Tensor:
-        """(N, 4) in [-1, 1] -> (N, 3) displacement in world units."""
+        """Displacement (N, 3) in world units at coordinates (N, 4) in [-1, 1]."""
         return self.range * torch.tanh(self.layers(self.planes(coordinates)))

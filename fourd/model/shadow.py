@@ -1,4 +1,4 @@
-"""Shadows and reflected light: how the dynamic foreground changes the colours of the background around it."""
+"""Shadows and reflected light of the dynamic foreground on the background around it."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from fourd.model.kplanes import KPlanes
 PLANES = PlanesConfig(levels=2, features=4, base_resolution=64)
 HIDDEN = 32
 MARGIN = 0.5
-"""The field extends beyond the foreground's bounds by this share of their longest side."""
+"""Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
 FADE = 0.25
-"""Share of the distance from the border to the centre over which shadows fade in, so that they have no sharp border."""
+"""Width of the zone at the field's border in which shadows fade out, as a share of the distance from border to centre.
+Without it, shadows would end in a sharp edge."""
 GAIN = 3.0
-"""Factor on the MLP's output: each frame is seen in few steps, in which its shadow has to be learnt."""
+"""Factor on the MLP's output. It speeds up learning, because each frame is rendered in few steps."""
 STRENGTH = 127 / 128
-"""Factors are within 1 +- STRENGTH, the range that bytes in units of 1/128 hold."""
+"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. This range fits into bytes in units of 1/128."""
 
 
 @dataclass(frozen=True)
 class Shadow:
-    """Shadow on N points at one time.
+    """The shadow on N points at one time.
 
     Attributes:
-        factor: (N,) in (0, 2), multiplies image-based colours; 1 where there is no shadow. Differentiable in the
+        factor: (N,) factor in (0, 2) on image-based colours; 1 where there is no shadow. It is differentiable in the
             field's parameters.
         is_inside: (N,) bool, whether the point lies within the field.
     """
@@ -38,20 +39,23 @@ class Shadow:
     is_inside: Tensor
 
     def apply(self, colour: Tensor) -> Tensor:
-        """Shadowed image-based colours (N, 3), with the gradient of :meth:`detach_inside`."""
+        """Image-based colours (N, 3) times the shadow factor. Unshadowed colours get no gradient inside the field, as
+        in :meth:`detach_inside`."""
         return self.detach_inside(colour) * self.factor[:, None]
 
     def detach_inside(self, colour: Tensor) -> Tensor:
-        """The same colours (N, 3), without a gradient inside the field: there the clean plates supervise the
-        background's colours, and the frames its shadow alone."""
+        """The same colours (N, 3), detached from the gradient inside the field.
+
+        Inside the field, clean plates train the background's colours, and frames train its shadow alone.
+        """
         return torch.where(self.is_inside[:, None], colour.detach(), colour)
 
 
 class ShadowField(nn.Module):
-    """A small K-Planes with time, and an MLP, over the bounds of the foreground and a margin.
+    """A small K-Planes with time planes and an MLP, over the foreground's bounds extended by a margin.
 
-    ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0, so
-    the factor is exactly 1 before training, and stays 1 where no picture gives a gradient.
+    ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0. Hence
+    the factor is exactly 1 before training, and stays 1 where no image gives a gradient.
     """
 
     lower: Tensor
@@ -72,7 +76,7 @@ class ShadowField(nn.Module):
         )
 
     def forward(self, xyz: Tensor, time: float) -> Shadow:
-        """Shadow on points (N, 3) in world units at ``time`` in [0, 1]. Positions get no gradient."""
+        """The shadow on points (N, 3) in world units at ``time`` in [0, 1]. Positions get no gradient."""
         position = 2 * (xyz.detach() - self.lower) / (self.upper - self.lower) - 1
         edge = position.abs().amax(dim=1)
         is_inside = edge < 1
@@ -85,6 +89,6 @@ class ShadowField(nn.Module):
         return Shadow(torch.ones_like(edge).index_put((rows,), factor), is_inside)
 
     def mean_squared_deviation(self, xyz: Tensor, time: float) -> Tensor:
-        """Mean of (factor - 1)^2 over the points (N, 3) that lie inside the field; scalar."""
+        """Scalar mean of (factor - 1)^2 over those of the points (N, 3) that lie inside the field."""
         shadow = self(xyz, time)
         return (shadow.factor - 1).square().sum() / shadow.is_inside.sum().clamp(min=1)

@@ -1,4 +1,5 @@
-"""Linear layers over the same input, computed as one matrix product: separate layers would each read the input."""
+"""Linear layers over the same input, computed as one matrix product. The input is then read once instead of once for
+each layer."""
 
 from __future__ import annotations
 
@@ -11,9 +12,10 @@ from torch.autograd.function import once_differentiable
 
 
 def shared_linear(features: Tensor, layers: Sequence[nn.Linear]) -> list[Tensor]:
-    """Outputs of all ``layers`` for ``features`` (N, F): (N, width of the layer) each, views of one array.
+    """Outputs of all ``layers`` for ``features`` (N, F). Each output is (N, width of its layer), a view of one array.
 
-    Equal to the separate layers up to the order of the sums. Differentiable once in features, weights and biases.
+    The outputs equal those of separate layers up to the order of the sums. They are differentiable once in features,
+    weights and biases.
     """
     parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]
     return list(_SharedLinear.apply(features, *parameters))

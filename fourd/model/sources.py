@@ -12,8 +12,8 @@ from fourd.ops.sources import op as ops
 from fourd.ops.sources import reference
 
 OCCLUSION_FALLOFF_SPACINGS = 1.0
-"""Scale of the exponential decay of an occluded point's visibility, in spacings; the decay starts at twice this depth
-behind the surface."""
+"""Scale, in spacings, of the exponential decay of an occluded point's visibility weight with its depth behind the
+surface. The decay starts at a depth of twice the scale."""
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class SourceViews:
 
     Attributes:
         images: (V, 3, H, W) float32 in [0, 1]; H and W are multiples of 8.
-        mattes: (V, H, W) float32 in [0, 1], 1 where the object covers the pixel.
-        depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there is none; None when
-            occlusion is not tested.
+        mattes: (V, H, W) float32 in [0, 1]; 1 where the object covers the pixel.
+        depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there is no surface; None
+            if occlusion is not tested.
         cameras: the V cameras of the crops.
-        encoded: (V, C, h, w) cached features of the image encoder; None where the encoder has to run.
+        encoded: (V, C, h, w) cached features of the image encoder; None if the encoder must run.
     """
 
     images: Tensor
@@ -41,8 +41,9 @@ class SourceSamples:
     """Samples of V source views at N points.
 
     Attributes:
-        channels: (V, N, C) image features and RGB (the last three), differentiable.
-        visibility: (V, N) visibility weights in [0, 1]: the squared matte times the occlusion's decay; no gradient.
+        channels: (V, N, C) image features followed by RGB (the last three channels), differentiable.
+        visibility: (V, N) visibility weights in [0, 1], without gradient: the squared matte times the decay due to
+            occlusion.
     """
 
     channels: Tensor
@@ -55,17 +56,19 @@ class SourceSamples:
 
 
 def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor) -> SourceSamples:
-    """Project points into every source view and sample it bilinearly.
+    """Project points into every source view and sample the views bilinearly.
 
-    The matte is squared: a pixel on the silhouette mixes in background, so the visibility weight has to fall faster
-    than coverage. In float32, on the CPU or a CUDA device with kernels, one kernel computes everything.
+    The matte is squared because a pixel on the silhouette contains background colour: the visibility weight must fall
+    faster than the coverage. In float32, one kernel computes everything, on the CPU or on a CUDA device with compiled
+    kernels.
 
     Args:
-        xyz: (N, 3) world points; gradients flow through the projection.
+        xyz: (N, 3) points in world units. Gradients flow through the projection.
         sources: the views.
-        features: (V, C, h, w) of the image encoder over the same views, at its own resolution, or None for RGB alone.
-        softness: (N,) scale, in world units, of the exponential decay of the visibility weight of points behind the
-            view's surface; the decay starts at a depth of twice the scale. No gradient.
+        features: (V, C, h, w) features of the same views from the image encoder, at the encoder's resolution; None for
+            RGB alone.
+        softness: (N,) scale, in world units, of the exponential decay of a point's visibility weight with its depth
+            behind the view's surface. The decay starts at a depth of twice the scale. No gradient.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)
@@ -74,7 +77,7 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
 
 
 def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Tensor]:
-    """Project world points (N, 3) into V cameras: pixels (V, N, 2) and depth (V, N) in world units.
+    """Project world points (N, 3) into V cameras. Returns pixels (V, N, 2) and depths (V, N) in world units.
 
     Points at or behind a camera get pixels far outside its image.
     """

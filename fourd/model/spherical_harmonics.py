@@ -11,13 +11,13 @@ __all__ = ["SH_TERMS", "sh_basis"]
 
 
 def sh_basis(directions: Tensor) -> Tensor:
-    """Evaluate the 16 real spherical harmonics up to degree 3.
+    """The 16 real spherical harmonics up to degree 3 at given directions.
 
     Args:
-        directions: (..., 3) unit vectors; they are not normalised here.
+        directions: (..., 3) unit vectors. They are not normalised here.
 
     Returns:
-        (..., 16), differentiable in ``directions``. Orthonormal over the sphere.
+        (..., 16) values, differentiable in ``directions``. The functions are orthonormal over the sphere.
     """
     x, y, z = directions.unbind(-1)
     return torch.stack([torch.full_like(x, SH_CONSTANT), *directional_terms(x, y, z)], dim=-1)

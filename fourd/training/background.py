@@ -1,4 +1,4 @@
-"""The static background of a full scene: its model, its points, and the clean plates as source views."""
+"""The static background of a full scene: its model, its points, and the clean plates, which are its source views."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 SIZE_STEP_PX = 32
-"""Padded sides of plates are multiples of this."""
+"""The sides of padded plates are multiples of this number of pixels."""
 CACHED_STEPS = 100
-"""Steps for which a plate's depth and features are reused: both change slowly."""
+"""Number of steps for which a plate's depth and features are reused. Both change slowly."""
 MAX_DEPTH_BEHIND = 9.0
-"""In spacings: a point farther behind the occlusion depth of a plate is hidden in it."""
+"""Depth behind a plate's occlusion depth, in spacings. A point that lies deeper is occluded in the plate."""
 MIN_RADIUS = 0.6
-"""In spacings."""
+"""Smallest radius of background points, in spacings."""
 
 
 def create_background(
@@ -38,10 +38,10 @@ def create_background(
     """An untrained background.
 
     Args:
-        points: its initial points; their colours are used where no source view sees them.
-        plates: clean plates by camera index.
-        config: of the run.
-        contraction: maps all of space into the K-Planes.
+        points: initial points. Their colours are used where they are visible in no source view.
+        plates: camera index -> clean plate.
+        config: the run's training config.
+        contraction: map of all of space into the K-Planes.
     """
     order = morton_order(points.xyz)
     xyz, rgb = torch.from_numpy(points.xyz[order]), torch.from_numpy(points.rgb[order]).float() / 255
@@ -64,7 +64,7 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # Features outside all plates get no gradient: random initial values would remain as noise.
+        # Features outside all plates get no gradient, so random initial values would remain there as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -73,7 +73,10 @@ def create_background(
 
 
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """(N,) bool, which points (N, 3) lie in no camera's image. No step observes them, and densification keeps them."""
+    """(N,) bool, whether each of the points (N, 3) lies outside every camera's image.
+
+    No training step renders such points, so densification must not remove them as unobserved.
+    """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
         pixels, depth = camera.project(xyz.double().numpy())
@@ -83,7 +86,7 @@ def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
 
 @dataclass(frozen=True)
 class _CachedPlate:
-    """A plate's occlusion depth (H, W) and encoded features (C, h, w), computed at a step."""
+    """A plate's occlusion depth (H, W) and encoded features (C, h, w), computed at step ``step``."""
 
     step: int
     depth: Tensor | None
@@ -92,13 +95,13 @@ class _CachedPlate:
 
 @dataclass(eq=False)
 class StaticBackground:
-    """Points that all frames share, and their model. Clean plates are the source views.
+    """The points that all frames share, and their model. Their source views are the clean plates.
 
     Attributes:
-        model: without time planes, in contracted space.
-        points: the cloud.
-        plates: by the camera's index in the capture, training cameras only.
-        rig: the current cameras; None for the plates' own.
+        model: point model without time planes, in contracted space.
+        points: the background's points.
+        plates: camera index in the capture -> clean plate, for training cameras only.
+        rig: the current cameras; None to use the plates' own cameras.
     """
 
     model: PointModel
@@ -109,7 +112,8 @@ class StaticBackground:
     _cache: dict[int, _CachedPlate] = field(default_factory=dict)
 
     def count_step(self) -> None:
-        """Count a step that changed the points or the model, for the expiry of cached depths and features."""
+        """Count a step that changed the points or the model. Cached depths and features expire after a number of such
+        steps."""
         self._step += 1
 
     def camera(self, index: int) -> Camera:
@@ -117,11 +121,15 @@ class StaticBackground:
         return self.plates[index].camera if self.rig is None else self.rig.cameras[index]
 
     def clear_cache(self) -> None:
-        """Drop cached depths and features. A resumed run starts without them, so a checkpoint drops them too."""
+        """Drop cached depths and features.
+
+        A resumed run starts without them. They are therefore dropped at each checkpoint, so that an uninterrupted run
+        computes the same.
+        """
         self._cache.clear()
 
     def hidden_points(self) -> Tensor:
-        """(N,) bool, points that no plate sees: outside its image, or occluded."""
+        """(N,) bool, whether each point is hidden in every plate: outside the plate's image, or occluded in it."""
         xyz, spacing = self.points.xyz.double().numpy(), self.points.spacing.numpy()
         hidden = np.ones(len(xyz), np.bool_)
         for index in self.plates:
@@ -136,12 +144,12 @@ class StaticBackground:
     def sources(
         self, cameras: Sequence[int], *, train_encoder: bool = False, points: SizedPoints | None = None
     ) -> SourceViews:
-        """Plates as source views, with cached occlusion depths and features.
+        """The plates of some cameras as source views, with cached occlusion depths and features.
 
         Args:
             cameras: indices of the cameras.
-            train_encoder: leave the features out, so that the image encoder runs and gets a gradient.
-            points: recompute depths and features from these points.
+            train_encoder: whether to omit the cached features, so that the image encoder runs and gets a gradient.
+            points: points from which depths and features are recomputed; None uses the cached ones.
         """
         images, mattes, padded = self._padded_plates(cameras)
         if points is not None:
@@ -159,7 +167,10 @@ class StaticBackground:
         )
 
     def _padded_plates(self, cameras: Sequence[int]) -> tuple[Tensor, Tensor, tuple[Camera, ...]]:
-        """Images (V, 3, H, W), mattes (V, H, W) and cameras, of one size for all plates, as the cache requires."""
+        """Images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates ``cameras``.
+
+        All are padded to the size of the largest plate, so that cached depths and features can be stacked.
+        """
         plates = [self.plates[index] for index in cameras]
         height = max(_round_up(plate.camera.height) for plate in self.plates.values())
         width = max(_round_up(plate.camera.width) for plate in self.plates.values())

@@ -1,4 +1,5 @@
-"""Checkpoints in safetensors: written atomically, verified when read; loading one executes no code."""
+"""Checkpoints as safetensors files. They are written atomically and verified when read. Loading one executes no
+code."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from fourd.files import atomic_path
 
 FORMAT = "fourd-checkpoint-1"
 KEPT = 2
-"""Number of checkpoints that stay on disk."""
+"""Number of checkpoints that are kept on disk."""
 MAX_SHOWN_MISMATCHES = 3
 
 
@@ -35,16 +36,16 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
     Args:
         folder: the folder of checkpoints; created if missing.
         step: number of optimizer steps, 0 or more; names the file.
-        tensors: dense tensors by name, stored bit for bit.
-        state: JSON data, with exact floats; stored in the file's header.
+        tensors: name -> dense tensor, stored bit for bit.
+        state: JSON data, stored in the file's header. Floats are stored exactly.
 
     Returns:
         The file's path.
 
     Raises:
-        UserError: the folder is not writable, for instance because the disk is full. Older checkpoints are unchanged
-            then, and no part of the new one remains.
-        ValueError: ``state`` is not JSON data; NaN is not.
+        UserError: the folder is not writable, for instance because the disk is full. In that case older checkpoints are
+            unchanged, and no part of the new one remains.
+        ValueError: ``state`` is not JSON data, for example because it contains NaN.
     """
     plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     header = {
@@ -64,11 +65,11 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
 
 def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
-    """The newest checkpoint in ``folder`` that is intact, which is verified by reading it.
+    """The newest intact checkpoint in ``folder``. Each candidate is verified by loading it.
 
     Returns:
-        (path, note): path is None if there is no such checkpoint or no folder; note is one line about damaged newer
-        files that were skipped, or empty.
+        (path, note). path is None if there is no intact checkpoint or no folder. note is one line about damaged newer
+        files that were skipped, or an empty string.
     """
     damaged: list[str] = []
     found = None
@@ -87,19 +88,19 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
 
 
 def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]:
-    """Read (step, tensors, state) as saved, with tensors on the CPU.
+    """Read (step, tensors, state) of a checkpoint. Tensors are on the CPU.
 
-    Raises UserError if the file is missing, truncated, altered, or of another kind.
+    Raises UserError if the file is missing, truncated, altered, or not a checkpoint.
     """
     try:
         with safe_open(path, framework="pt") as stream:
             header = stream.metadata() or {}
-            # safe_open is not iterable.
+            # The object from safe_open cannot be iterated over directly.
             tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise UserError(
             f"{path}: expected a complete checkpoint, got a file that cannot be read ({_one_line(error)}); "
-            f"delete it to resume from the one before it"
+            f"delete the file to resume from the previous checkpoint"
         ) from error
     if header.get("format") != FORMAT:
         raise UserError(
@@ -108,8 +109,8 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
         )
     if header.get("crc32") != str(_checksum(tensors)):
         raise UserError(
-            f"{path}: expected the contents as written, got altered ones (the checksum differs); "
-            f"delete it to resume from the one before it"
+            f"{path}: expected unaltered contents, got contents with another checksum; "
+            f"delete the file to resume from the previous checkpoint"
         )
     return int(header["step"]), tensors, json.loads(header["state"])
 
@@ -117,7 +118,8 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
 def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, source: Path | str) -> None:
     """Load the tensors whose names start with ``prefix`` into ``module``.
 
-    Raises UserError with ``source`` and the first differences if names, shapes or dtypes differ, and loads nothing.
+    If names, shapes or dtypes differ, raises UserError that names ``source`` and the first differences, and loads
+    nothing.
     """
     given = _strip_prefix(prefix, tensors)
     wanted = module.state_dict()
@@ -129,7 +131,7 @@ def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, sourc
         shown = ", ".join(found[:MAX_SHOWN_MISMATCHES])
         rest = f" and {len(found) - MAX_SHOWN_MISMATCHES} more" if len(found) > MAX_SHOWN_MISMATCHES else ""
         raise UserError(
-            f"{source}: expected a checkpoint of this model, got one of another: {shown}{rest}; "
+            f"{source}: expected a checkpoint of this model, got one of another model: {shown}{rest}; "
             f"use the config it was trained with, or train in a new folder"
         )
     module.load_state_dict(given)
@@ -138,10 +140,10 @@ def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, sourc
 def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
     """An optimizer's state as flat tensors ``PREFIX + INDEX.NAME``, such as ``optimizer.3.exp_avg``.
 
-    Indices count the parameters in the order of the optimizer's groups. Learning rates and other settings come from the
-    config and are not included. Parameters without a gradient have no state.
+    INDEX is the parameter's number in the order of the optimizer's groups. Learning rates and other settings are not
+    included, because they come from the config. Parameters without a gradient have no state.
 
-    Raises ValueError for a state that is not a tensor (Adam and AdamW have none).
+    Raises ValueError if a state is not a tensor. All states of Adam and AdamW are tensors.
     """
     packed: dict[str, Tensor] = {}
     for index, entries in optimizer.state_dict()["state"].items():
@@ -155,9 +157,9 @@ def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, T
 def unpack_optimizer(
     optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor], prefix: str, source: Path | str = "checkpoint"
 ) -> None:
-    """Set an optimizer's state from the tensors of :func:`pack_optimizer`, bit for bit; settings are unchanged.
+    """Restore an optimizer's state bit for bit from tensors of :func:`pack_optimizer`. Settings are unchanged.
 
-    Raises UserError with ``source`` if the tensors belong to other parameters.
+    Raises UserError that names ``source`` if the tensors belong to other parameters.
     """
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
@@ -174,12 +176,12 @@ def unpack_optimizer(
 
 
 def pack_torch_rng(generator: torch.Generator | None = None) -> Tensor:
-    """The state of a torch CPU generator (None for the default one) as a uint8 tensor."""
+    """The state of a torch CPU generator as a uint8 tensor; None selects the default generator."""
     return torch.get_rng_state() if generator is None else generator.get_state()
 
 
 def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) -> None:
-    """Set the state of a torch CPU generator (None for the default one) from :func:`pack_torch_rng`."""
+    """Restore the state of a torch CPU generator from :func:`pack_torch_rng`; None selects the default generator."""
     if generator is None:
         torch.set_rng_state(state.clone())
     else:
@@ -192,9 +194,9 @@ def pack_numpy_rng(generator: np.random.Generator) -> dict[str, Any]:
 
 
 def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
-    """A NumPy generator with the state from :func:`pack_numpy_rng`.
+    """A NumPy generator with a state from :func:`pack_numpy_rng`.
 
-    Raises ValueError for the state of an unknown kind of generator.
+    Raises ValueError if the kind of generator is unknown.
     """
     kinds = {
         "PCG64": np.random.PCG64,
@@ -212,13 +214,16 @@ def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Checkpoint files in the order of their steps, without temporary files, whose names start with a dot."""
+    """Checkpoint files in the order of their steps. Temporary files, whose names start with a dot, are not included."""
     named = [path for path in folder.glob("*.safetensors") if path.stem.isdecimal()]
     return sorted(named, key=lambda path: int(path.stem))
 
 
 def _drop_old(folder: Path, step: int) -> None:
-    """Keep the two newest up to ``step``, and of later ones (from before a resume) the intact ones."""
+    """Delete all checkpoints up to ``step`` except the two newest, and all damaged later ones.
+
+    Later checkpoints exist if the run was resumed from an earlier step.
+    """
     files = _files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:
         path.unlink(missing_ok=True)
@@ -230,17 +235,17 @@ def _drop_old(folder: Path, step: int) -> None:
 
 
 def _cannot_write(folder: Path, error: Exception) -> UserError:
-    # safetensors wraps the system's error in its own type, with the error number in the text.
+    # safetensors raises its own exception type, whose text contains the system's error number.
     is_full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
     before = _files(folder)
     kept = f"the previous checkpoint, {before[-1].name}, is intact" if before else "there is no previous checkpoint"
     got = "a full disk" if is_full else _one_line(error)
     fix = "free some space" if is_full else "make the folder writable"
-    return UserError(f"{folder}: expected room for a checkpoint, got {got}; {kept}; {fix} and add --resume")
+    return UserError(f"{folder}: expected free disk space for a checkpoint, got {got}; {kept}; {fix} and add --resume")
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """CRC-32 of names and bytes: safetensors detects truncated files, but no altered ones."""
+    """CRC-32 of names and bytes. safetensors itself detects truncated files, but not altered ones."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)

@@ -12,20 +12,20 @@ from fourd.model.config import ModelConfig, PlanesConfig, require
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of the loss terms (4K4D, eq. 8); 0 switches a term off."""
+    """Weights of the loss terms (4K4D, eq. 8). Weight 0 switches a term off."""
 
     image: Literal["mse", "huber"] = "mse"
-    """Penalty of colour differences."""
+    """Loss function of colour differences."""
     perceptual: float = 1e-3
-    """Weight of LPIPS (VGG-16), where its network weights are installed."""
+    """Weight of LPIPS (VGG-16). The term needs the network weights to be installed."""
     stand_in: float = 1e-2
-    """Weight of 1 - SSIM, which replaces LPIPS where its network weights are missing."""
+    """Weight of 1 - SSIM, which replaces LPIPS if the network weights are missing."""
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement, in units of the point spacing."""
+    """Weight of the mean squared displacement by the residual field, in units of the point spacing."""
     shadow: float = 1e-2
-    """Weight of the mean squared difference of the background's shadow factors from 1."""
+    """Weight of the mean of (f - 1)^2 over the background's shadow factors f."""
     closed: float = 2e-2
     """Weight of the background's mean squared transmittance from viewpoints between the training cameras."""
 
@@ -37,20 +37,20 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class RateConfig:
-    """Learning rates of Adam, with a linear warm-up and exponential decay over the step or time budget."""
+    """Learning rates of Adam. All have a linear warm-up and decay exponentially over the step or time budget."""
 
     planes: float = 5e-3
     """K-Planes."""
     mlps: float = 1e-3
-    """MLPs and the image encoder."""
+    """Learning rate of the MLPs and the image encoder."""
     xyz: float = 2e-3
-    """Positions of points, as a share of the scene's size."""
+    """Learning rate of point positions, as a share of the scene's size."""
     sh: float = 5e-3
-    """Explicit spherical harmonics, and colours of background points."""
+    """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
-    """Factor on all rates at the end of the budget."""
+    """Factor on all learning rates at the end of the budget."""
     warm_up: int = 20
-    """Steps of the linear warm-up."""
+    """Number of steps of the linear warm-up."""
 
     def __post_init__(self) -> None:
         for name in ("planes", "mlps", "xyz", "sh"):
@@ -65,32 +65,37 @@ class BackgroundConfig:
     """The static background of a full scene."""
 
     points: int = 200_000
-    """Maximum number of background points, without those of the coarse shell in directions that no plate shows."""
+    """Maximum number of background points, not counting the coarse shell of points in directions that no plate
+    shows."""
     seeding: Literal["ngp", "sfm"] = "ngp"
-    """Source of the points: ngp: a radiance field fitted to the plates, with depths from stereo; sfm: stereo alone."""
+    """Source of the points: ngp is a radiance field fitted to the plates, with depths from stereo; sfm is stereo
+    alone."""
     seeds: Path | None = None
     """PLY file with background points in world units, used instead of points from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
     """Settings of ngp seeding."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
-    """K-Planes of the background, over contracted space."""
+    """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """Render foreground and background in one picture. If false, each is trained alone, on black and on plates."""
+    """Render foreground and background together. If false, the foreground is trained alone on black, the background on
+    plates."""
     share: float = 0.35
-    """Share of the steps that render a clean plate instead of a frame."""
+    """Share of the training steps that render a clean plate instead of a frame."""
     window_px: int = 256
-    """Side in pixels of the square window of the plate that such a step renders."""
+    """Side in pixels of the square window of the plate that is rendered in such a step."""
     margin_px: int = 64
-    """Maximum margin in pixels around the matte's box in steps that render a frame."""
+    """Maximum margin in pixels around the matte's bounding box in steps that render a frame."""
     xyz_rate: float = 0.02
-    """Learning rate of the background's positions, as a share of the point spacing."""
+    """Learning rate of the positions of background points, as a share of the point spacing."""
     least_layers: int = 12
-    """Minimum of the random K in a full scene. With fewer layers, floors at grazing angles are cut off: the gradient,
-    blind to the points behind the last layer, enlarges the discs, and more points are cut off, until all is blurred."""
+    """Minimum of the number K of composited points, sampled in each step of a full scene. With too small a K, the last
+    points of a floor at a grazing angle are cut off. The gradient then enlarges the discs, more points are cut off, and
+    the image blurs."""
     encoder_every: int = 8
-    """Steps that render a plate update the background's image encoder if their number is a multiple of this."""
+    """The background's image encoder is updated in plate steps whose number is a multiple of this."""
     shadow: bool = False
-    """Learn shadows and reflected light of the foreground on the background, by frame. Needs image-based colour."""
+    """Learn the shadows and reflected light of the foreground on the background in each frame. Needs image-based
+    colour."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
@@ -104,16 +109,17 @@ class BackgroundConfig:
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """Densification: splitting and removing points, in full scenes."""
+    """Densification splits and removes points in full scenes."""
 
     on: bool = True
-    """Whether points are split and removed while training."""
+    """Split and remove points while training."""
     frame_every: int = 40
-    """Steps of a frame between two densifications of its points; points unobserved in all of them are removed."""
+    """Steps of a frame between two densifications of its points. Points without a gradient in all these steps are
+    removed."""
     background_every: int = 250
-    """Steps between two densifications of the background; points that are occluded in every plate are removed."""
+    """Steps between two densifications of the background. Points that are occluded in every plate are removed."""
     share: float = 0.1
-    """Maximum share of the points that one densification splits."""
+    """Maximum share of the points that are split in one densification."""
     growth: float = 1.25
     """Maximum number of points, as a multiple of the initial number."""
     until: float = 0.6
@@ -129,28 +135,30 @@ class DensifyConfig:
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Corrections of the training cameras' calibration; off by default."""
+    """Corrections of the training cameras' calibration. They are off by default."""
 
     poses: bool = False
-    """Refine camera poses: by bundle adjustment before carving, then by gradient descent while training."""
+    """Refine camera poses by bundle adjustment before carving, and then by gradient descent while training."""
     focal: bool = False
-    """Refine focal lengths likewise."""
+    """Refine focal lengths in the same two stages."""
     colours: bool = False
-    """Learn an affine correction of each camera's colours; the mean over the cameras is the identity."""
+    """Learn an affine correction of each camera's colours. The mean correction over all cameras is the identity."""
     rotation_deg: float = 0.5
-    """Standard deviation of a camera's rotation error, in degrees."""
+    """Assumed standard deviation of a camera's rotation error, in degrees."""
     position: float = 0.003
-    """Standard deviation of a camera's position error, as a share of its distance from the scene's centre."""
+    """Assumed standard deviation of a camera's position error, as a share of the camera's distance from the scene's
+    centre."""
     focal_spread: float = 0.002
-    """Standard deviation of the focal length's error, as a share of the focal length."""
+    """Assumed standard deviation of the focal length's error, as a share of the focal length."""
     colour_spread: float = 0.1
-    """Standard deviation of the entries of the colour correction."""
+    """Assumed standard deviation of the entries of the colour correction."""
     band: float = 0.03
-    """Maximum distance of matched features from the given cameras' epipolar lines, as a share of the longer side."""
+    """Maximum distance of a matched feature from its epipolar line under the given cameras, as a share of the longer
+    image side."""
     weight: float = 1e-5
-    """Loss weight of the squared corrections, in units of their standard deviations."""
+    """Loss weight of the sum of squared corrections, each divided by its standard deviation."""
     pose_rate: float = 1e-4
-    """Learning rate of poses, in radians and shares of the distance."""
+    """Learning rate of poses: rotation in radians, translation as a share of the distance from the scene's centre."""
     focal_rate: float = 5e-5
     """Learning rate of the logarithm of the focal length."""
     colour_rate: float = 5e-3
@@ -172,60 +180,67 @@ class RefineConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """All settings of a run, saved as its config.yaml."""
+    """All training settings of a run, saved in the run's config.yaml."""
 
     model: ModelConfig = field(default_factory=ModelConfig)
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
     scene: Literal["object", "full"] = "object"
-    """object: the foreground of the mattes, on black; full: the whole picture, with a static background."""
+    """Part of the images to reconstruct: object is the foreground in the mattes, on black; full is the whole image,
+    with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
-    """Background of a full scene."""
+    """Settings of the background of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
-    """Densification in a full scene."""
+    """Settings of densification in a full scene."""
     refine: RefineConfig = field(default_factory=RefineConfig)
-    """Corrections of the calibration."""
+    """Settings of the corrections of the calibration."""
     points: int = 40_000
-    """Maximum number of points of each frame."""
+    """Maximum number of points in each frame."""
     layers: int = 15
-    """Number K of points composited at each pixel while training."""
+    """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
-    """Minimum of K, which is drawn in each step, so that surfaces are opaque within the fewer layers of an exported
+    """Minimum of K. K is sampled in each step, so that surfaces are also opaque with the fewer layers of an exported
     scene. Full scenes use background.least_layers instead."""
     crop: Literal["mask", "full"] = "mask"
-    """Train on the matte's bounding box with a margin, or on whole images."""
+    """Part of an image to train on: mask is the matte's bounding box with a margin; full is the whole image."""
     random_background: bool = True
-    """Composite prediction and truth on a random colour each step: on black, holes in dark surfaces have no error."""
+    """Composite prediction and ground truth on a random colour in each step. On black, holes in dark surfaces would
+    cause no loss."""
     encoder_every: int = 2
-    """The image encoder is updated in every n-th step: its backward pass is expensive, and it changes slowly."""
+    """Update the image encoder in every n-th step only. Its backward pass is expensive, and its weights change
+    slowly."""
     hidden_weight: float = 3e-2
-    """Points whose largest compositing weight in the view is below this are skipped in a step; 0 skips none."""
+    """Points whose largest compositing weight in the view is below this are skipped in a step. With 0, all points are
+    used."""
     keep_in_hull: bool = True
-    """Revert moves of points out of the silhouettes of the step's target and source views; prevents stray points."""
+    """Revert moves of points out of the silhouettes of the step's target and source views. This prevents stray
+    points."""
     neighbour_pool: int = 5
-    """Source views are drawn from this many nearest views, so that training covers the baselines of unseen views."""
+    """Number of nearest views from which a step's source views are sampled. A larger pool includes the wider baselines
+    of novel views."""
     image_scale: float = 1.0
-    """Scale of the images; 0.5 halves width and height."""
+    """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
-    """Cameras to use; null for all."""
+    """Names of the cameras to use; null for all."""
     test_views: tuple[str, ...] = ()
-    """Held-out cameras: neither trained on nor used as source views."""
+    """Names of held-out cameras. They are neither trained on nor used as source views."""
     frames: str | None = None
-    """Frames to use as A:B or A:B:S, B excluded; null for all."""
+    """Frames to use, written A:B or A:B:S (step S), where B is excluded; null for all."""
     max_steps: int | None = None
     """Stop after this many steps."""
     max_seconds: float | None = None
     """Stop after this many seconds of training."""
     seed: int = 0
-    """Seed of all random numbers."""
+    """Seed of all random numbers of the run."""
     checkpoint_seconds: float = 120.0
-    """Seconds between checkpoints; ignored if checkpoint_steps is set."""
+    """Seconds between checkpoints. Ignored if checkpoint_steps is set."""
     checkpoint_steps: int | None = None
     """Steps between checkpoints."""
     validation_seconds: float = 60.0
-    """Seconds between validations on held-out (or else training) views."""
+    """Seconds between validations. They use held-out views, or training views if no view is held out."""
     memory_mb: int = 96
-    """Size of the cache of decoded images in MiB; the cache of points has half of it. The rest is read when needed."""
+    """Size of the cache of decoded images in MiB. The cache of points has half this size. Data that does not fit is
+    read when needed."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
@@ -240,7 +255,7 @@ class TrainConfig:
         )
         require(
             not (self.background.shadow and self.model.appearance == "sh"),
-            "background.shadow: expected image-based colour (model.appearance both or ibr), got sh",
+            "background.shadow: expected image-based colour (model.appearance: both or ibr), got sh",
         )
         for name in ("max_steps", "max_seconds", "checkpoint_seconds", "checkpoint_steps", "validation_seconds"):
             value = getattr(self, name)

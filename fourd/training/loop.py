@@ -39,15 +39,15 @@ from fourd.training.schedule import StepSampler, budget_spent, rate_factor
 from fourd.training.step import Stepper
 
 LOG_INTERVAL = 10
-"""Steps between two records of metrics."""
+"""Number of steps between two records of metrics."""
 PSNR_SMOOTHING = 0.97
-"""Decay of the moving average of the PSNR, per step."""
+"""Decay, for each step, of the exponential moving average of the PSNR."""
 MAX_VALIDATION_VIEWS = 4
 
 
 @dataclass(frozen=True)
 class TrainSummary:
-    """The end of training: steps and seconds in all, and the smoothed PSNR in dB."""
+    """Result of training: the total number of steps, the total time in seconds, and the smoothed PSNR in dB."""
 
     steps: int
     seconds: float
@@ -62,9 +62,9 @@ class Trainer:
 
         Args:
             run: the run folder.
-            lpips: the network of the perceptual loss; None replaces it by SSIM.
+            lpips: the network of the perceptual loss; with None, SSIM replaces the perceptual loss.
             console: shows progress.
-            budget: the config with max_steps and max_seconds; a resumed run may get more of either.
+            budget: the config with max_steps and max_seconds. Both may be larger when a run is resumed.
         """
         if budget.max_steps is None and budget.max_seconds is None:
             raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a limit")
@@ -87,7 +87,7 @@ class Trainer:
         self._saved_step = self.done if saved is not None else -1
 
     def train(self) -> TrainSummary:
-        """Train until the budget is spent; Ctrl-C saves a checkpoint from which the run can be resumed."""
+        """Train until the budget is spent. Ctrl-C saves a checkpoint from which the run can be resumed."""
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done)
         try:
@@ -143,7 +143,10 @@ class Trainer:
             )
 
     def _validate(self, log: MetricsLog) -> None:
-        """Log the mean PSNR of held-out (or else training) views at the middle frame, in the mattes' boxes."""
+        """Log the mean PSNR in the mattes' bounding boxes of held-out views at the middle frame.
+
+        Training views are used if no view is held out.
+        """
         frame = self.run.capture.frame_count // 2
         points = self.frames.get(frame)
         values = []
@@ -162,7 +165,8 @@ class Trainer:
             cv2.imwrite(str(temporary), cv2.cvtColor(pair, cv2.COLOR_RGB2BGR))
 
     def _checkpoint(self) -> None:
-        """Save points first, then the model's file, whose presence marks the checkpoint as complete."""
+        """Save the points first and the model's file last. The presence of the model's file marks the checkpoint as
+        complete."""
         if self.done == self._saved_step:
             return
         target = checkpoint_path(self.run.checkpoints, self.done)
@@ -189,12 +193,12 @@ class Trainer:
         except (OSError, SafetensorError) as error:
             shutil.rmtree(folder, ignore_errors=True)
             raise UserError(
-                f"{folder}: expected room for a checkpoint, got '{error}'; the previous checkpoint is intact: "
-                f"free some space and add --resume"
+                f"{folder}: expected free disk space for a checkpoint, got '{error}'; "
+                f"the previous checkpoint is intact: free some space and add --resume"
             ) from error
 
     def _restore(self) -> Path | None:
-        """Load the newest checkpoint, and return the folder of its points; None where there is no checkpoint."""
+        """Load the newest checkpoint and return the folder of its points, or None if there is no checkpoint."""
         found, note = latest_checkpoint(self.run.checkpoints)
         if note:
             self.console.print(note, style="yellow")

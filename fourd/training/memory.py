@@ -1,8 +1,9 @@
-"""Control of the C library's heap (glibc; a no-op elsewhere): fast reuse within a bounded resident size.
+"""Control of the C library's heap: fast reuse of freed memory within a bounded resident size. Only glibc is supported;
+with other libraries the functions do nothing.
 
 Images differ in size, so freed memory does not always fit the next allocation, and the heap's address space grows for
-hours. Only pages that were touched since the last trim occupy memory. Data that stays alive for many steps is stored
-outside the heap, in pages of its own, because it would fragment the heap.
+hours. Of this address space, only pages that were written since the last trim occupy memory. Data that stays alive for
+many steps would fragment the heap. It is stored outside the heap, in separate pages.
 """
 
 from __future__ import annotations
@@ -20,21 +21,25 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 RESIDENT_BYTES = 1000 * 2**20
-"""Target for the process's resident size. Live data cannot be returned, so it is no hard limit."""
+"""Target for the process's resident size. The target can be exceeded, because memory in use cannot be returned to the
+system."""
 
 FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
-"""The same for a full scene, where each step would start with unmapped memory at the smaller target."""
+"""Target for a full scene, whose steps use more memory. With the smaller target, the heap would be trimmed at every
+step."""
 
 MIN_GROWTH_BYTES = 128 * 2**20
-"""Growth between two trims: with less, every step would spend its time in page faults."""
+"""Minimum growth of the resident size between two trims. With more frequent trims, page faults would dominate every
+step's time."""
 
-_TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # of malloc.h
+_TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 
 
 def retain_freed_memory() -> None:
     """Keep freed memory in the process until a :class:`HeapTrimmer` returns it to the system.
 
-    By default the C library returns every large array at once, and each step spends time in page faults.
+    By default, the C library returns the memory of a large array as soon as it is freed. Each step would then spend
+    time in page faults.
     """
     mallopt = _libc_function("mallopt")
     if mallopt is not None:
@@ -43,7 +48,8 @@ def retain_freed_memory() -> None:
 
 
 def array_outside_heap(array: NDArray[Any]) -> NDArray[Any]:
-    """A writable copy outside the heap; its pages return to the system with its last view."""
+    """A writable copy outside the heap. Its pages are returned to the system when the last view of the copy is
+    deleted."""
     pages = mmap.mmap(-1, max(array.nbytes, 1))
     copy = np.frombuffer(pages, array.dtype, count=array.size).reshape(array.shape)
     copy[...] = array
@@ -51,22 +57,23 @@ def array_outside_heap(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def tensor_outside_heap(value: Tensor) -> Tensor:
-    """The same of a CPU tensor."""
+    """A copy of a CPU tensor outside the heap."""
     return torch.from_numpy(array_outside_heap(value.numpy()))
 
 
 class HeapTrimmer:
-    """Returns the heap's free pages to the system before the process holds too much."""
+    """Returns free pages of the heap to the system when the resident size is too large."""
 
     def __init__(self, resident: int = RESIDENT_BYTES, min_growth: int = MIN_GROWTH_BYTES) -> None:
-        """Target ``resident`` bytes; at least ``min_growth`` bytes are touched between two trims."""
+        """Set the target to ``resident`` bytes. The resident size grows by at least ``min_growth`` bytes between two
+        trims."""
         self._malloc_trim = _libc_function("malloc_trim")
         self._resident = resident
         self._min_growth = min_growth
         self._floor = resident_bytes() if self._malloc_trim is not None else 0
 
     def after_step(self) -> None:
-        """Trim if the process holds too much. Called between steps, when most memory is free."""
+        """Trim if the resident size is too large. Called between steps, when most of the heap is free."""
         if self._malloc_trim is None:
             return
         now = resident_bytes()
@@ -75,7 +82,7 @@ class HeapTrimmer:
             self.trim()
 
     def trim(self) -> None:
-        """Trim at once, before rare work that needs much memory."""
+        """Trim unconditionally, before rare work that needs much memory."""
         if self._malloc_trim is not None:
             self._malloc_trim(ctypes.c_size_t(0))
             self._floor = resident_bytes()

@@ -1,4 +1,4 @@
-"""Logged measurements of a run: metrics.jsonl for programs, TensorBoard events for people."""
+"""Log of a run's measurements: metrics.jsonl, which is easy to parse, and TensorBoard events."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ FLUSH_SECONDS = 10
 
 
 class MetricsLog:
-    """Appends to ``metrics.jsonl`` and to TensorBoard events in a run folder; a context manager."""
+    """A context manager that appends to ``metrics.jsonl`` and to TensorBoard events in a run folder."""
 
     def __init__(self, folder: Path, resume_step: int = 0) -> None:
-        """Open the log of a run, and remove the records after the step from which it resumes.
+        """Open the log of a run and remove records after the step from which the run resumes.
 
         Args:
             folder: the run's folder; created if missing.
-            resume_step: number of completed steps. Records of later steps, and lines that a kill truncated, are
-                removed; TensorBoard hides the same steps.
+            resume_step: number of completed steps. Records of later steps are removed, and so are truncated lines of a
+                killed run. TensorBoard hides the same steps.
 
         Raises:
             UserError: the folder is not writable.
         """
-        # The import takes a second.
+        # Imported here because the import takes a second.
         from torch.utils.tensorboard import SummaryWriter
 
         self._folder = folder
@@ -67,7 +67,7 @@ class MetricsLog:
             self._events.add_image(name, picture, step, dataformats="HWC")
 
     def close(self) -> None:
-        """Flush and close; further calls have no effect. Raises UserError if the disk is full."""
+        """Flush and close the log. Further calls have no effect. Raises UserError if the disk is full."""
         if self._stream.closed:
             return
         with self._os_errors_as_user_errors():
@@ -92,7 +92,10 @@ class MetricsLog:
 
 
 def _truncate(path: Path, last_step: int) -> None:
-    """Keep the complete records up to ``last_step``; line by line, because the file of a long run is large."""
+    """Keep the complete records up to ``last_step``.
+
+    The file is processed line by line, because the log of a long run is large.
+    """
     with path.open("rb") as lines, atomic_path(path) as temporary, temporary.open("wb") as kept:
         for line in lines:
             if line.endswith(b"\n") and _step_of(line) <= last_step:
@@ -100,7 +103,7 @@ def _truncate(path: Path, last_step: int) -> None:
 
 
 def _step_of(line: bytes) -> float:
-    """A record's step; infinite for a line that is not a record."""
+    """The step of a record; infinity for a line that is not a record."""
     try:
         record = json.loads(line)
     except ValueError:

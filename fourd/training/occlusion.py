@@ -1,4 +1,4 @@
-"""Depth maps of points, with which source views test occlusion."""
+"""Depth maps of points, used to test in which source views a point is occluded."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class SizedPoints(Protocol):
 
 
 def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
-    """(H, W) depth of the nearest surface in world units, infinite where alpha is at most 0.5."""
+    """Depth (H, W) of the nearest surface in world units, infinite where alpha is at most 0.5."""
     ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
     _, alpha, depth = render_points_numpy(
         points.xyz.numpy(),
@@ -46,11 +46,11 @@ def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
 
 
 def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
-    """(H, W) depth behind which points of the same surface count as occluded: surface depth, dilated by a point's size.
+    """Depth (H, W) behind which points count as occluded: the surface depth, dilated by the size of a point.
 
-    Points are discs. On a floor at a grazing angle each disc covers those behind it, and the undilated depth would
-    occlude half of the points that a camera sees. Hence each pixel takes the farthest depth within the median disc
-    radius.
+    Points are rendered as discs that face the camera. On a floor at a grazing angle, each disc covers the discs behind
+    it. With the undilated depth, half of the floor's visible points would count as occluded. Hence each pixel gets the
+    farthest depth within the median disc radius.
     """
     pixels, depth = camera.project(points.xyz.double().numpy())
     inside = camera.is_in_image(pixels, depth) & (depth > NEAR)
@@ -64,7 +64,8 @@ def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
 
 
 def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool) -> SourceViews:
-    """The same views with the points' surface depth in each; unchanged where ``occlusion`` is not tested."""
+    """The same views with the surface depth of the points added. The views are returned unchanged if ``occlusion`` is
+    false."""
     if not occlusion:
         return sources
     depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]

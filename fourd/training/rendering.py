@@ -1,4 +1,4 @@
-"""Compositing of evaluated points, and the selection of the points that a view shows."""
+"""Compositing of evaluated points, and selection of the points that are visible in a view."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from fourd.training.points.frame_points import FramePoints
 NEAR = 0.01
 """Depth of the near plane in world units."""
 COUNT_STEP = 1024
-"""Numbers of visible points are multiples of this: tensors of few sizes fit into memory that earlier steps freed."""
+"""The number of visible points is rounded up to a multiple of this. Tensors then have few different sizes and fit into
+memory that was freed by earlier steps."""
 
 
 @dataclass(frozen=True)
 class RenderablePoints:
-    """N points as a renderer needs them.
+    """The data of N points that a renderer needs.
 
     Attributes:
-        xyz: (N, 3) world units.
-        radius: (N,) world units.
-        density: (N,) in (0, 1).
-        colour: (N, 3) RGB for one viewer.
+        xyz: (N, 3) positions in world units.
+        radius: (N,) radii in world units.
+        density: (N,) densities in (0, 1).
+        colour: (N, 3) RGB as seen from one viewing camera.
     """
 
     xyz: Tensor
@@ -37,16 +38,16 @@ class RenderablePoints:
 
     @classmethod
     def of(cls, points: EvaluatedPoints, colour: Tensor) -> RenderablePoints:
-        """Evaluated points with their colours (N, 3)."""
+        """Combine evaluated points with their colours (N, 3)."""
         return cls(points.xyz, points.radius, points.density, colour)
 
 
 def composite(
     clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, background: Tensor | None = None
 ) -> PointRender:
-    """Render all clouds in one peel, so that they occlude each other.
+    """Render all clouds together, so that they occlude each other.
 
-    Features are (H, W, 4): RGB and the part of alpha that belongs to the first cloud.
+    Features of the result are (H, W, 4): RGB, and the contribution of the first cloud to alpha.
     """
     ones, zeros = torch.ones_like, torch.zeros_like
     is_first = [ones(cloud.radius) if k == 0 else zeros(cloud.radius) for k, cloud in enumerate(clouds)]
@@ -64,9 +65,9 @@ def composite(
 
 
 def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, min_weight: float) -> list[Tensor]:
-    """Indices of each cloud's points whose largest compositing weight in the view exceeds ``min_weight``.
+    """For each cloud, indices of the points whose largest compositing weight in the view exceeds ``min_weight``.
 
-    Clouds occlude each other. With ``min_weight`` 0 all points count as visible.
+    Occlusion between the clouds is taken into account. With ``min_weight`` 0, all points count as visible.
     """
     if min_weight == 0:
         return [torch.arange(cloud.xyz.shape[0]) for cloud in clouds]
@@ -83,7 +84,10 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
 
 
 def select_heaviest(weight: Tensor, min_weight: float) -> Tensor:
-    """Ascending indices of the weights (N,) above ``min_weight``, filled up with the next largest to COUNT_STEP."""
+    """Ascending indices of the weights (N,) above ``min_weight``.
+
+    Indices of the next largest weights are added until their number is a multiple of COUNT_STEP.
+    """
     count = int((weight > min_weight).sum())
     rounded = min(weight.shape[0], -(-count // COUNT_STEP) * COUNT_STEP)
     return weight.topk(rounded, sorted=False).indices.sort().values

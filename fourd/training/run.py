@@ -1,7 +1,7 @@
 """A run folder: its config, its capture, and its trained state.
 
-``config.yaml`` is written when training starts; ``hull/``, ``background/`` and ``calibration/`` exist before it;
-``checkpoints/STEP.safetensors`` with ``checkpoints/STEP.points/``, ``metrics.jsonl``, TensorBoard events and
+``hull/``, ``background/`` and ``calibration/`` are written before training. ``config.yaml`` is written when training
+starts. ``checkpoints/STEP.safetensors``, ``checkpoints/STEP.points/``, ``metrics.jsonl``, TensorBoard events and
 ``validation/`` are written while training.
 """
 
@@ -44,7 +44,7 @@ from fourd.training.views import ViewStore
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """Measurements of the capture before training, in world units."""
+    """Quantities that are measured on the capture before training. Lengths are in world units."""
 
     lower: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Lower corner of the bounds."""
@@ -53,17 +53,18 @@ class SceneConfig:
     spacing: float = 0.01
     """Mean distance between neighbouring points."""
     frame_count: int = 1
-    """Frames of the whole capture."""
+    """Number of frames of the whole capture."""
     reach: float = 1.0
-    """Distance from the centre of the bounds to the farthest camera. Contracted space is undistorted within it."""
+    """Distance from the centre of the bounds to the farthest camera. Within this distance, the contraction does not
+    distort space."""
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """The run's config.yaml."""
+    """Content of the run's config.yaml."""
 
     capture: Path = Path()
-    """The capture's folder, absolute."""
+    """Absolute path of the capture's folder."""
     scene: SceneConfig = field(default_factory=SceneConfig)
     train: TrainConfig = field(default_factory=TrainConfig)
 
@@ -74,10 +75,10 @@ class Run:
 
     Attributes:
         folder: the run's folder.
-        config: its config.yaml.
-        capture: the selected views and frames of the capture, training and test.
+        config: content of the run's config.yaml.
+        capture: the capture with the selected training and test views and the selected frames.
         training: indices of the training cameras in ``capture.cameras``.
-        test: indices of the held-out cameras.
+        test: indices of the held-out cameras in ``capture.cameras``.
     """
 
     folder: Path
@@ -88,7 +89,7 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds, where angles between cameras are measured."""
+        """(3,) centre of the bounds. It is the vertex of the angles by which nearest cameras are chosen."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
@@ -96,7 +97,7 @@ class Run:
         return self.folder / CHECKPOINTS
 
     def new_model(self) -> PointModel:
-        """An untrained model, reproducible from the config."""
+        """An untrained model. The same config always gives the same model."""
         torch.manual_seed(self.config.train.seed)
         scene = self.config.scene
         return PointModel(
@@ -108,7 +109,7 @@ class Run:
         )
 
     def new_refinement(self) -> Refinement | None:
-        """Identity corrections of the training cameras; None where the config enables none."""
+        """Corrections of the training cameras, initially the identity; None if the config enables no correction."""
         refine = self.config.train.refine
         if not (refine.cameras or refine.colours):
             return None
@@ -120,8 +121,10 @@ class Run:
         return Contraction((x, y, z), self.config.scene.reach)
 
     def background(self, saved: Path | None) -> StaticBackground | None:
-        """A full scene's background, with points from the checkpoint folder ``saved`` or else initial ones; None for an
-        object."""
+        """The background of a full scene; None for an object.
+
+        Its points are read from the checkpoint folder ``saved``. If that is None, initial points are used.
+        """
         if self.config.train.scene != "full":
             return None
         initial = read_ply(self.folder / BACKGROUND / POINTS)
@@ -136,18 +139,21 @@ class Run:
         return background
 
     def view_store(self) -> ViewStore:
-        """Training images, with the config's crop and cache size."""
+        """The store of training images, with the crop and cache size of the config."""
         train = self.config.train
         return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
 
     def frame_store(self, saved: Path | None) -> FrameStore:
-        """Points of all frames, from the checkpoint folder ``saved`` or else the initial points."""
+        """The store of the points of all frames.
+
+        Points are read from the checkpoint folder ``saved``. If that is None, initial points are used.
+        """
         scratch = Scratch(self.folder / SCRATCH)
         budget_mb = self.config.train.memory_mb // 2
         return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved)
 
     def initial_points(self, frame: int) -> FramePoints:
-        """Initial points of a frame, at most ``config.train.points``, in Morton order."""
+        """Initial points of a frame in Morton order. There are at most ``config.train.points``."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
         xyz = read_ply(self.folder / HULL / f"{number:06d}.ply").xyz[: train.points]
@@ -159,7 +165,7 @@ class Run:
 
 @dataclass(frozen=True)
 class TrainedRun:
-    """A run with its newest intact checkpoint."""
+    """A run with the models and points of its newest intact checkpoint."""
 
     run: Run
     step: int
@@ -169,10 +175,13 @@ class TrainedRun:
 
 
 def open_run(folder: Path) -> Run:
-    """Open a run folder and its capture. Raises UserError if one of them is missing or invalid."""
+    """Open a run folder and its capture.
+
+    Raises UserError if the run or the capture is missing or invalid.
+    """
     path = folder / CONFIG_NAME
     if not path.is_file():
-        raise UserError(f"{folder}: expected a run (a folder with {CONFIG_NAME}), got none; make one with fourd train")
+        raise UserError(f"{folder}: expected a run (a folder with {CONFIG_NAME}), got none; run fourd train")
     config = load_overlay(RunConfig(), path)
     adjusted = folder if config.train.refine.cameras else None
     views = open_run_views(config.capture, DataSelection.of(config.train), adjusted)
@@ -208,7 +217,8 @@ def load_run(folder: Path) -> TrainedRun:
 def read_run_plates(
     capture: Capture, training: Sequence[int], folder: Path, log: Log = lambda line: None
 ) -> tuple[PlateView, ...]:
-    """The clean plates of the training views: the run's own where ``folder`` has any, else the capture's."""
+    """The clean plates of the training views. The run's own plates are used if ``folder`` has any, otherwise the
+    capture's plates."""
     made = folder / BACKGROUND / PLATES
     return read_plates(capture, training, log, made=made if made.exists() else None)
 
@@ -219,7 +229,7 @@ def points_folder(checkpoint: Path) -> Path:
 
 
 def drop_stale_points(checkpoints: Path) -> None:
-    """Remove folders of points without their checkpoint file, which was deleted or never completed."""
+    """Remove folders of points whose checkpoint file was deleted or never completed."""
     for folder in checkpoints.glob("*.points"):
         if not folder.with_suffix(".safetensors").exists():
             shutil.rmtree(folder)

@@ -12,16 +12,16 @@ from fourd.training.config import RateConfig, TrainConfig
 
 @dataclass(frozen=True)
 class StepSample:
-    """What one step renders.
+    """Frame, views and options of one training step.
 
     Attributes:
         frame: index into the selected frames.
         target: index of the target camera.
-        sources: indices of its source cameras.
-        background_colour: (3,) float32 RGB behind prediction and truth.
-        layers: number of composited points, K.
-        is_plate: whether the target is the camera's clean plate instead of its picture of the frame.
-        position: three numbers in [0, 1) that choose the part of the target to render, in a full scene.
+        sources: indices of the source cameras.
+        background_colour: (3,) float32 RGB on which prediction and ground truth are composited.
+        layers: maximum number K of points that are composited at each pixel.
+        is_plate: whether the target is the camera's clean plate instead of the camera's image of the frame.
+        position: three numbers in [0, 1) that determine which part of the target is rendered in a full scene.
     """
 
     frame: int
@@ -34,9 +34,9 @@ class StepSample:
 
 
 class StepSampler:
-    """Draws each step's sample from the seed and the step's number alone.
+    """Determines the sample of each step from the seed and the step's number alone.
 
-    Nothing is stored between steps, so that a resumed run draws the same samples as an uninterrupted one.
+    No state is stored between steps. A resumed run therefore has the same samples as an uninterrupted run.
     """
 
     def __init__(
@@ -51,7 +51,10 @@ class StepSampler:
         }
 
     def sample(self, step: int) -> StepSample:
-        """The sample of a step. Over F * V steps every view of every frame is drawn once."""
+        """The sample of a step.
+
+        In F * V steps, with F frames and V training views, every view of every frame is sampled exactly once.
+        """
         views = len(self._training)
         epoch, place = divmod(step, self._frames * views)
         order = np.random.default_rng([self._config.seed, 1, epoch]).permutation(self._frames * views)
@@ -73,14 +76,14 @@ class StepSampler:
 def source_pool(
     cameras: tuple[Camera, ...], target: int, training: list[int], count: int, focus: np.ndarray
 ) -> list[int]:
-    """The ``count`` training cameras nearest to a target camera, without the target itself."""
+    """Indices of the ``count`` training cameras that are nearest to a target camera. The target itself is excluded."""
     others = [camera for camera in training if camera != target]
     nearest = nearest_views(cameras[target], [cameras[camera] for camera in others], count, focus)
     return [others[i] for i in nearest]
 
 
 def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
-    """Share in [0, 1] of the step or time budget that is spent, the larger of both."""
+    """Share in [0, 1] of the budget that is spent: the larger of the spent shares of steps and time."""
     shares = [0.0]
     if config.max_steps is not None:
         shares.append(step / config.max_steps)
@@ -90,6 +93,6 @@ def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
 
 
 def rate_factor(rates: RateConfig, step: int, spent: float) -> float:
-    """Factor on all learning rates: a linear warm-up, then exponential decay to ``final``."""
+    """Factor on all learning rates: a linear warm-up, times an exponential decay to ``final``."""
     warm = min(1.0, (step + 1) / max(1, rates.warm_up))
     return float(warm * rates.final**spent)

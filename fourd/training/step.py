@@ -29,8 +29,8 @@ class StepResult:
     """Measurements of a step.
 
     Attributes:
-        terms: weighted values of the loss terms, by name.
-        psnr: of the rendered part of the picture, in dB.
+        terms: name -> weighted value of each loss term.
+        psnr: PSNR of the rendered part of the image, in dB.
     """
 
     terms: dict[str, float]
@@ -38,7 +38,7 @@ class StepResult:
 
 
 class Stepper:
-    """Trains a scene, one view of a frame or one clean plate a step."""
+    """Trains a scene. Each step renders one view of a frame, or one clean plate."""
 
     def __init__(
         self,
@@ -66,17 +66,17 @@ class Stepper:
         )
 
     def step(self, points: FramePoints, time: float, sample: StepSample, rate_factor: float, number: int) -> StepResult:
-        """Train once.
+        """Perform one training step.
 
         Args:
-            points: of the sample's frame; changed in place.
-            time: of the frame, in [0, 1].
-            sample: the views to render.
-            rate_factor: factor on all learning rates.
-            number: of the step, for schedules and errors.
+            points: points of the sample's frame. They are changed in place.
+            time: time of the frame, in [0, 1].
+            sample: the frame and views to render.
+            rate_factor: factor on all learning rates, from the schedule.
+            number: number of the step, used by schedules and in errors.
 
         Raises:
-            UserError: a loss term is not finite. Nothing is changed then.
+            UserError: a loss term is not finite. In that case models and points are unchanged.
         """
         target = self.scene.target(sample)
         evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)
@@ -98,14 +98,15 @@ class Stepper:
         return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
 
     def update_cameras(self) -> None:
-        """Give views and plates the cameras with their current corrections."""
+        """Set the cameras of views and plates to the cameras with the current corrections."""
         if self.refinement is not None:
             self.scene.set_rig(self.refinement.rig())
 
     def _render(
         self, evaluated: Sequence[OptimizedPoints], target: Target, time: float, sample: StepSample, number: int
     ) -> tuple[Tensor, RenderedStep]:
-        """The rendered colours (H, W, 3) without the background colour, and the record for the loss terms."""
+        """Render the points. Returns colours (H, W, 3) without the background colour, and the record for the loss
+        terms."""
         clouds = [each.renderable for each in evaluated]
         if self.refinement is not None:
             clouds = self.refinement.attach_camera_gradient(clouds, sample.target)
@@ -126,7 +127,7 @@ class Stepper:
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * rate_factor
         self.optimizer.step()
-        # Gradients that survive until the next step would fragment the heap.
+        # Gradients that are kept in memory until the next step would fragment the heap.
         self.optimizer.zero_grad(set_to_none=True)
         for each in evaluated:
             gradients = {
@@ -143,7 +144,7 @@ class Stepper:
 
 
 def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[Camera, Tensor]]:
-    """Cameras and mattes of the step's target and source views."""
+    """Pairs of camera and matte of the step's target and source views."""
     views = [(camera, matte)]
     if points.sources is not None:
         views += list(zip(points.sources.cameras, points.sources.mattes, strict=True))
@@ -155,5 +156,5 @@ def _require_finite(terms: dict[str, Tensor], number: int) -> None:
     if bad:
         raise UserError(
             f"step {number}: expected a finite loss, got {float(terms[bad[0]].detach())} in the term '{bad[0]}'; "
-            f"the last checkpoint is intact: resume from it with --resume and lower learning rates"
+            f"the last checkpoint is intact: resume with --resume and lower learning rates"
         )

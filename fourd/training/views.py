@@ -1,4 +1,4 @@
-"""Training images: each view of each frame, cropped to its matte, in a cache of bounded size."""
+"""Training images: views of all frames, cropped to their mattes, in a cache of bounded size."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from fourd.training.memory import array_outside_heap
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
-"""Sides of crops are multiples of this: convolutions are set up for few sizes, and freed memory fits the next crop."""
+"""The sides of crops are multiples of this. Convolutions are then set up for few sizes, and freed memory fits the next
+crop."""
 EMPTY_CROP_PX = 16
-"""Side of the crop of an empty matte."""
+"""Side of the crop for an empty matte."""
 
 
 @dataclass(frozen=True)
 class View:
-    """One camera's picture of one frame, or a crop of it.
+    """The image of one camera and frame, or a crop of this image.
 
     Attributes:
-        rgb: (H, W, 3) uint8.
+        rgb: (H, W, 3) uint8 colours.
         matte: (H, W) uint8, 255 on the object.
         camera: the camera of the crop.
-        left: first column of the crop in the whole picture.
-        top: its first row.
+        left: first column of the crop in the whole image.
+        top: first row of the crop in the whole image.
     """
 
     rgb: NDArray[np.uint8]
@@ -53,33 +54,36 @@ class View:
 
 
 class ViewStore:
-    """Views of a capture, decoded on demand; at most ``memory_mb`` of them are cached.
+    """Views of a capture. They are decoded on demand and kept in a cache of at most ``memory_mb`` MiB.
 
     Attributes:
         capture: the selected views and frames.
-        rig: the current cameras; may be replaced.
+        rig: the current cameras. The attribute may be replaced.
     """
 
     def __init__(self, capture: Capture, crop: bool, memory_mb: int) -> None:
-        """``crop``: whether views are crops around the matte, or whole pictures."""
+        """Open the store. If ``crop`` is true, views are crops around the matte; otherwise they are whole images."""
         self.capture = capture
         self.rig = Rig(capture.cameras)
         self._crop = crop
         max_bytes = memory_mb * 2**20
-        # A value larger than the cache is an error to cachetools.
+        # cachetools raises an error for a value that is larger than the cache.
         self._cache: LRUCache[tuple[int, int], View] = LRUCache(
             max_bytes, getsizeof=lambda view: min(view.nbytes, max_bytes)
         )
 
     def view(self, camera: int, frame: int) -> View:
-        """The view of a camera and frame (indices into the capture's selection)."""
+        """The view of a camera and frame, which are indices into the selected cameras and frames."""
         key = (camera, frame)
         if key not in self._cache:
             self._cache[key] = self._decode(camera, frame, None)
         return self._with_current_camera(self._cache[key], camera)
 
     def widened(self, camera: int, frame: int, margin_px: int) -> View:
-        """A view with up to ``margin_px`` more on each side, in multiples of half SIZE_STEP_PX; not cached."""
+        """A view extended by up to ``margin_px`` pixels on each side; not cached.
+
+        The margin is rounded down to a multiple of half of SIZE_STEP_PX and clipped to the image.
+        """
         view, whole = self.view(camera, frame), self.capture.cameras[camera]
         margin_px -= margin_px % (SIZE_STEP_PX // 2)
         height, width = view.matte.shape
@@ -90,7 +94,7 @@ class ViewStore:
         return self._with_current_camera(self._decode(camera, frame, window), camera)
 
     def sources(self, cameras: list[int], frame: int) -> SourceViews:
-        """The views of several cameras, padded to a common size that is a multiple of 8."""
+        """The views of several cameras, padded to a common size that is a multiple of SIZE_STEP_PX."""
         views = [self.view(camera, frame) for camera in cameras]
         height = _round_up(max(view.rgb.shape[0] for view in views))
         width = _round_up(max(view.rgb.shape[1] for view in views))
@@ -112,7 +116,8 @@ class ViewStore:
         return replace(view, camera=whole.crop(view.left, view.top, width, height))
 
     def _decode(self, camera: int, frame: int, window: tuple[int, int, int, int] | None) -> View:
-        """Decode the part (left, top, width, height) of a picture; by default the store's crop."""
+        """Decode the part ``window`` (left, top, width, height) of an image. With None, the part is the store's
+        crop."""
         rgb, matte = self.capture.image(camera, frame), self.capture.mask(camera, frame)
         whole = self.capture.cameras[camera]
         if window is None:
@@ -124,7 +129,8 @@ class ViewStore:
 
 
 def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of the matte's bounding box with a margin; a corner where it is empty."""
+    """(left, top, width, height) of the matte's bounding box with a margin. For an empty matte, it is a corner of the
+    image."""
     height, width = matte.shape
     left, top, box_width, box_height = cv2.boundingRect(matte)
     if box_width == 0:
@@ -135,7 +141,8 @@ def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def _widen(start: int, length: int, size: int) -> tuple[int, int]:
-    """Start and length of a range with a margin; the length is a multiple of SIZE_STEP_PX unless ``size`` is less."""
+    """Start and length of a range extended by a margin. The length is a multiple of SIZE_STEP_PX, but at most
+    ``size``."""
     wanted = min(size, _round_up(length + 2 * CROP_MARGIN_PX))
     return max(0, min(size - wanted, start - (wanted - length) // 2)), wanted
 

@@ -12,7 +12,7 @@ from fourd.model.kplanes import KPlanes
 
 
 def bilinear(plane: np.ndarray, x: float, y: float) -> np.ndarray:
-    """plane (C, rows, columns) at x along columns and y along rows, both in [-1, 1]."""
+    """Bilinear samples of a plane (C, rows, columns) at x along columns and y along rows, both in [-1, 1]."""
     _, rows, columns = plane.shape
     column, row = (x + 1) / 2 * (columns - 1), (y + 1) / 2 * (rows - 1)
     left, top = min(int(column), columns - 2), min(int(row), rows - 2)
@@ -29,7 +29,7 @@ def small(reduction: str = "concat", time: bool = True) -> KPlanes:
 
 @pytest.mark.parametrize("reduction", ["concat", "sum", "product"])
 def test_lookup_equals_bilinear_interpolation(reduction: str, rng: np.random.Generator) -> None:
-    """Catches swapped axes of a plane, half-cell shifts, and planes concatenated in the wrong order."""
+    """Catches swapped axes of a plane, shifts by half a sample, and planes concatenated in the wrong order."""
     field = small(reduction)
     points = rng.uniform(-1, 1, (7, 4)).astype(np.float32)
     found = field(torch.from_numpy(points)).detach().numpy()
@@ -52,7 +52,7 @@ def test_out_features_is_the_width() -> None:
 
 
 def test_time_changes_features_only_with_time_planes() -> None:
-    """Catches a time switch without effect."""
+    """Catches a config key ``time`` without effect."""
 
     def difference(field: KPlanes) -> Tensor:
         early = torch.tensor([[0.1, 0.2, 0.3, -1.0]])
@@ -77,7 +77,7 @@ def test_gradients_equal_finite_differences() -> None:
 
 
 def test_one_frame_has_valid_time_planes() -> None:
-    """Catches a division by zero for a single frame."""
+    """Catches a division by zero for a capture of one frame."""
     field = KPlanes(PlanesConfig(levels=1), (1.0, 1.0, 1.0), frame_count=1)
     assert torch.isfinite(field(torch.zeros(1, 4))).all()
 

@@ -41,7 +41,8 @@ def model(config: ModelConfig) -> PointModel:
 
 
 def test_sh_basis_is_orthonormal() -> None:
-    """Catches a wrong constant or a swapped term: the mean of Y Y^T over the sphere times 4 pi is the identity."""
+    """Catches a wrong constant or a swapped term. The mean of Y Y^T over the sphere, times 4 pi, must be the
+    identity."""
     u, phi = np.meshgrid((np.arange(400) + 0.5) / 200 - 1, (np.arange(400) + 0.5) * np.pi / 200)
     ring_radius = np.sqrt(1 - u**2)
     directions = np.stack([ring_radius * np.cos(phi), ring_radius * np.sin(phi), u], axis=-1).reshape(-1, 3)
@@ -61,7 +62,7 @@ def test_batched_projection_equals_camera_project() -> None:
 
 
 def test_samples_are_the_pixels_at_the_points() -> None:
-    """Catches a half-pixel shift: a point at a pixel's centre gets exactly that pixel."""
+    """Catches a half-pixel shift: a point at the centre of a pixel must get exactly the colour of that pixel."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     images = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1))
     row, column = 9, 20
@@ -72,7 +73,7 @@ def test_samples_are_the_pixels_at_the_points() -> None:
 
 
 def test_occluded_points_and_background_have_no_visibility() -> None:
-    """Catches ignored occlusion or matte, and sampled points behind the camera."""
+    """Catches occlusion or mattes that are ignored, and points behind the camera that are sampled."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     matte = torch.ones(1, 32, 32)
     matte[:, :, :16] = 0
@@ -92,7 +93,8 @@ def test_blend_is_a_softmax_over_visible_views() -> None:
 
 @pytest.mark.parametrize("visibility", [0.0, 1e-6, 0.9e-3])
 def test_views_of_low_visibility_have_no_weight(visibility: float) -> None:
-    """Catches colours of views in which the point is occluded, and points without colour where no view sees them."""
+    """Catches colours from views in which the point is occluded, and points without colour that are visible in no
+    view."""
     logits = torch.tensor([[0.0], [5.0]], requires_grad=True)
     colours = torch.tensor([[[0.2, 0.4, 0.6]], [[1.0, 0.0, 0.0]]])
     assert torch.equal(blend(logits, torch.tensor([[1.0], [visibility]]), colours), colours[0])
@@ -103,7 +105,8 @@ def test_views_of_low_visibility_have_no_weight(visibility: float) -> None:
 
 
 def test_occlusion_depends_on_the_point_s_own_spacing() -> None:
-    """Catches one softness for all points: a sparse wall that occludes itself, or dense points visible through it."""
+    """Catches the same softness for all points, with which sparse walls occlude themselves or dense points show through
+    walls."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     sources = SourceViews(torch.rand(1, 3, 32, 32), torch.ones(1, 32, 32), torch.full((1, 32, 32), 2.0), (camera,))
     xyz = torch.tensor([[0.0, 0, 2.1]]).expand(3, 3)
@@ -112,7 +115,7 @@ def test_occlusion_depends_on_the_point_s_own_spacing() -> None:
 
 
 def test_the_split_first_layer_equals_the_joint_layer() -> None:
-    """Catches a point half that is lost or scaled because it is computed once for all views."""
+    """Catches a wrong or missing part of the first layer that is computed once for all views."""
     head = BlendHead(6, 5, SMALL)
     features, samples = torch.rand(4, 6), torch.rand(3, 4, 5)
     concatenated = torch.cat([features.expand(3, -1, -1), samples], dim=-1)
@@ -124,7 +127,7 @@ def test_the_split_first_layer_equals_the_joint_layer() -> None:
 
 @pytest.mark.parametrize("stride", [1, 2])
 def test_a_crop_has_the_features_of_the_whole_image(stride: int) -> None:
-    """Catches normalisation over the image, with which training crops and baking differ."""
+    """Catches normalisation over the image, with which features of training crops and of whole images would differ."""
     encoder = ImageEncoder(8, stride)
     side, margin = 96 * stride, 16 * stride
     image = torch.rand(1, 3, side, side)
@@ -135,7 +138,7 @@ def test_a_crop_has_the_features_of_the_whole_image(stride: int) -> None:
 
 
 def test_features_of_half_resolution_are_aligned(rng: np.random.Generator) -> None:
-    """Catches a half-pixel shift between the image and features at half its resolution."""
+    """Catches a half-pixel shift between the image and features of half resolution."""
     xyz = torch.from_numpy(rng.uniform(-0.3, 0.3, (50, 3)).astype(np.float32))
     seen = views()
     height, width = seen.images.shape[-2:]
@@ -171,7 +174,7 @@ def test_initial_radius_and_density_follow_the_config() -> None:
     ids=lambda config: str(config)[-200:],
 )
 def test_all_parameters_have_a_gradient_under_every_switch(config: ModelConfig) -> None:
-    """Catches heads that are unused, or detached from the gradient."""
+    """Catches heads that are unused, and heads that get no gradient."""
     built = model(config)
     with torch.no_grad():
         for parameter in built.parameters():
@@ -189,7 +192,7 @@ def test_all_parameters_have_a_gradient_under_every_switch(config: ModelConfig) 
 
 
 def test_only_continuous_blending_depends_on_the_viewer() -> None:
-    """Catches blend weights that depend on the viewing direction, which cannot be baked."""
+    """Catches blend weights that depend on the viewing direction. Such weights cannot be baked."""
     xyz, sources = points(), views()
     for continuous in (False, True):
         built = model(replace(SMALL, appearance="ibr", continuous=continuous))

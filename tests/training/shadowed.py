@@ -30,20 +30,20 @@ def floor() -> tuple[Floats, Floats]:
     """Points (N, 3) of the floor and their colours (N, 3) without shadow."""
     steps = np.linspace(-1.2, 1.2, 40)
     x, y = (side.ravel() for side in np.meshgrid(steps, steps))
-    # Low frequencies, which 64 pixels at a grazing angle resolve: colours are blended from such pictures.
+    # Low frequencies only: colours are blended from images in which 64 pixels show the floor at a grazing angle.
     waves = np.stack([np.sin(4 * x), np.sin(3 * y), np.sin(2 * (x + y))], axis=1)
     xyz = np.stack([x, y, np.full_like(x, FLOOR)], axis=1)
     return xyz.astype(np.float32), (0.6 + 0.15 * waves).astype(np.float32)
 
 
 def shadow_factor(xyz: Floats, frame: int) -> Floats:
-    """(N,) shadow factor on the floor: 0.4 below the ball."""
+    """Shadow factor (N,) on the floor. Below the ball it is 0.4."""
     squared_distance = np.square(xyz[:, :2] - ball_centre(frame)[:2]).sum(axis=1)
     return (1 - 0.6 * np.exp(-squared_distance / 0.05)).astype(np.float32)
 
 
 def picture(camera: Camera, frame: int | None, *, shadow: bool = True) -> tuple[Floats, Floats]:
-    """RGB (H, W, 3) and the ball's matte (H, W); with ``frame`` None, of the empty floor."""
+    """RGB (H, W, 3) and the ball's matte (H, W). With ``frame`` None, the image shows the empty floor."""
     xyz, rgb = floor()
     if frame is not None and shadow:
         rgb = rgb * shadow_factor(xyz, frame)[:, None]

@@ -29,7 +29,7 @@ SMALL = TrainConfig(
 
 
 def full_config(seeds: Path, points: int = 1200, *, shadow: bool = False) -> TrainConfig:
-    """The same for a full scene; its background points are a grey shell, written to ``seeds``."""
+    """A small config for a full scene. The background points are a grey shell, which is written to ``seeds``."""
     xyz = 5 * sphere(points)
     write_ply(seeds, xyz, np.full((points, 3), 89, np.uint8))
     planes = PlanesConfig(levels=2, features=4, base_resolution=16, time=False)
@@ -58,5 +58,5 @@ def trained_run(capture: Path, folder: Path, config: TrainConfig = SMALL) -> Run
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The same config with another budget."""
+    """The config with a budget of ``steps`` steps."""
     return replace(config, max_steps=steps)

@@ -19,7 +19,7 @@ NAMES = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "paper"])
 def test_every_switch_trains_and_is_exported(name: str, ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a combination that crashes, or that is exported although it cannot be baked."""
+    """Catches an ablation that crashes, or that is exported although it cannot be baked."""
     config = load_overlay(with_steps(SMALL, 3), CONFIGS / f"{name}.yaml")
     assert config != with_steps(SMALL, 3), "an example without effect"
     run = trained_run(ball_capture, tmp_path / "run", config)
@@ -43,7 +43,7 @@ def parameters(name: str, ball_capture: Path, tmp_path: Path) -> set[str]:
 
 
 def test_switches_remove_their_part_of_the_model(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches an ablation that still has the part that it removes."""
+    """Catches an ablation that does not remove its part of the model."""
     both = {"blend_head", "image_encoder", "harmonics_head"}
     assert not {"blend_head", "image_encoder"} & parameters("sh_mlp_only", ball_capture, tmp_path)
     assert "harmonics_head" not in parameters("ibr_only", ball_capture, tmp_path)
@@ -54,7 +54,7 @@ def test_switches_remove_their_part_of_the_model(ball_capture: Path, tmp_path: P
 
 
 def test_the_configuration_page_is_up_to_date() -> None:
-    """Catches a changed key or default without its documentation."""
+    """Catches a changed key or default that is not documented."""
     from tools.site.configuration_page import PAGE, page
 
     assert PAGE.read_text() == page(), "run tools/site/configuration_page.py"

@@ -1,4 +1,4 @@
-"""Checkpoints are exact, atomic, and refused by other models."""
+"""Checkpoints are exact and written atomically. Loading one into another model is an error."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_round_trip_is_bit_exact(tmp_path: Path) -> None:
 
 
 def test_the_two_newest_checkpoints_are_kept(tmp_path: Path) -> None:
-    """Catches alphabetical order (step 9 after step 10), and the deletion of other files."""
+    """Catches alphabetical order, in which step 9 follows step 10, and the deletion of other files."""
     (tmp_path / "mine.safetensors").write_bytes(b"")
     (tmp_path / "00000009.points").mkdir()
     for step in (9, 10, 123456789):
@@ -108,13 +108,13 @@ def flip_a_bit(content: bytes) -> bytes:
 
 
 def zero(content: bytes) -> bytes:
-    """The result of a power failure on some file systems: the right size, without the contents."""
+    """After a power failure, some file systems have files of the right size without the contents."""
     return bytes(len(content))
 
 
 @pytest.mark.parametrize("damage", [cut_in_half, cut_last_byte, empty, flip_a_bit, zero])
 def test_damaged_checkpoints_are_skipped_with_a_note(damage: object, tmp_path: Path) -> None:
-    """Catches resuming from damaged data, and a silent fallback."""
+    """Catches resuming from damaged data, and a fallback to an older checkpoint without a note."""
     assert callable(damage)
     for step in (1, 2):
         save_checkpoint(tmp_path, step, {"a": torch.rand(100)}, {})
@@ -139,7 +139,7 @@ def test_a_folder_of_damaged_checkpoints_has_none(tmp_path: Path) -> None:
 
 
 def test_other_safetensors_files_are_refused(tmp_path: Path) -> None:
-    """Catches any safetensors file accepted as a checkpoint."""
+    """Catches other safetensors files that are accepted as checkpoints."""
     save_file({"a": torch.zeros(1)}, tmp_path / "00000001.safetensors")
     with pytest.raises(UserError, match="expected a checkpoint of format"):
         load_checkpoint(tmp_path / "00000001.safetensors")
@@ -172,7 +172,8 @@ def raise_disk_full(*_: object) -> None:
 def test_a_full_disk_leaves_previous_checkpoints_intact(
     target: str, fault: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches deleting the old checkpoint first, leftover files, and a traceback, at each place of failure."""
+    """Catches deletion of the old checkpoint before the new one is complete, leftover files, and tracebacks, for each
+    point of failure."""
     for step in (1, 2):
         save_checkpoint(tmp_path, step, {"a": torch.full((3,), float(step))}, {})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -206,7 +207,7 @@ for step in itertools.count(1):
 
 
 def test_a_kill_at_any_time_leaves_an_intact_checkpoint(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches files written in place: after kill -9 the last reported checkpoint is intact."""
+    """Catches files that are not written atomically: after kill -9 the last reported checkpoint must be intact."""
     for delay in rng.uniform(0, 0.05, 3):
         folder = tmp_path / f"{delay:.9f}"
         with subprocess.Popen(
@@ -240,7 +241,7 @@ def test_restore_loads_the_tensors_of_its_prefix() -> None:
 
 
 def test_restore_refuses_tensors_of_another_model() -> None:
-    """Catches shapes that broadcast, missing or surplus tensors, and a partly loaded module."""
+    """Catches different shapes that broadcast, missing or additional tensors, and a partly loaded module."""
     target = small_model()
     before = {name: value.clone() for name, value in target.state_dict().items()}
     tensors = {f"model.{name}": value for name, value in small_model(width=8).state_dict().items()}
@@ -277,7 +278,7 @@ def new_optimizer(model: nn.Module, fused: bool) -> torch.optim.Optimizer:
 
 @pytest.mark.parametrize("fused", [False, True])
 def test_resumed_training_is_bit_exact(fused: bool, tmp_path: Path) -> None:
-    """Catches lost Adam moments or steps, state of another parameter, and lost generator state."""
+    """Catches Adam moments or step counts that are lost or assigned to another parameter, and lost generator state."""
     torch.manual_seed(2)
     uninterrupted = small_model()
     optimizer, generator = new_optimizer(uninterrupted, fused), torch.Generator().manual_seed(3)
@@ -324,7 +325,8 @@ def test_an_optimizer_without_steps_has_no_state() -> None:
 
 @pytest.mark.parametrize("kind", ["PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64"])
 def test_numpy_generators_resume(kind: str) -> None:
-    """Catches 128-bit integers truncated or converted to float, and the lost spare half of a 32-bit draw."""
+    """Catches 128-bit integers that are truncated or converted to float, and the loss of the generator's buffered
+    32-bit number."""
     generator = np.random.Generator(getattr(np.random, kind)(7))
     generator.integers(0, 10, dtype=np.uint32)
     state = json.loads(json.dumps(pack_numpy_rng(generator)))
@@ -344,6 +346,6 @@ def test_the_default_torch_generator_resumes() -> None:
 
 
 def test_checkpoints_use_no_pickle() -> None:
-    """Loading a file from an untrusted source must execute no code."""
+    """Catches loading that executes code from an untrusted file."""
     source = Path(checkpoints.__file__).read_text()
     assert not [word for word in itertools.chain(("import pickle", "torch.load", "torch.save")) if word in source]

@@ -29,7 +29,7 @@ from tests.training.small import SMALL, full_config, quiet, train, trained_run, 
 
 
 def checkpoint_tensors(run: Path, step: int) -> dict[str, torch.Tensor]:
-    """All tensors of a checkpoint: of the models, the optimizer and the points of all frames."""
+    """All tensors of a checkpoint: models, optimizer, and the points of all frames."""
     base = run / "checkpoints" / f"{step:08d}"
     tensors = load_file(base.with_suffix(".safetensors"))
     for path in sorted(base.with_suffix(".points").glob("*.safetensors")):
@@ -41,7 +41,8 @@ def checkpoint_tensors(run: Path, step: int) -> dict[str, torch.Tensor]:
 def test_a_resumed_run_equals_an_uninterrupted_one(
     scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches state missing in checkpoints: Adam's moments, steps of points, cached radii, random numbers."""
+    """Catches state that is missing in checkpoints: Adam's moments, step counts of points, radii, or generator
+    states."""
     full = full_config(tmp_path / "shell.ply", shadow=scene == "shadow")
     config = replace(SMALL if scene == "object" else full, max_steps=9)
     uninterrupted = create_run(ball_capture, tmp_path / "whole", config)
@@ -69,7 +70,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
 def test_a_loss_that_is_not_finite_stops_training(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches training with NaN parameters, and an intact checkpoint overwritten with them."""
+    """Catches training that continues with NaN parameters, and an intact checkpoint that is overwritten with NaN."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     value = MaskTerm.value
 
@@ -84,7 +85,7 @@ def test_a_loss_that_is_not_finite_stops_training(
 
 
 def test_training_raises_the_psnr(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches steps without effect: from grey, 200 steps gain at least 0.5 dB."""
+    """Catches steps without effect: in 200 steps, PSNR must increase by at least 0.5 dB over grey points."""
     model = replace(SMALL.model, appearance="sh")
     config = replace(with_steps(SMALL, 200), checkpoint_steps=1000, model=model)
     trained_run(ball_capture, tmp_path / "run", config)
@@ -95,7 +96,7 @@ def test_training_raises_the_psnr(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_the_run_s_config_is_saved(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches settings missing in config.yaml, from which eval and export read them."""
+    """Catches settings that are missing in config.yaml, which eval and export read."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     assert open_run(run.folder).config == run.config
     assert run.config.train == SMALL
@@ -103,7 +104,7 @@ def test_the_run_s_config_is_saved(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_folders_in_use_are_refused(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a run written over a user's files, and a second run over the first."""
+    """Catches a run that overwrites a user's files, or another run."""
     (tmp_path / "diary.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a new or empty folder, got one that is not a run"):
         create_run(ball_capture, tmp_path, SMALL)
@@ -115,7 +116,7 @@ def test_folders_in_use_are_refused(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_points_from_the_user_s_files(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches bounds or points from carving when the user gives points."""
+    """Catches bounds or points that come from carving although the user gives points."""
     rng = np.random.default_rng(0)
     for frame in range(3):
         xyz = rng.normal(0, 0.2, (2000, 3)).astype(np.float32)
@@ -132,7 +133,8 @@ def test_points_from_the_user_s_files(ball_capture: Path, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_run_resumes_after_a_kill_at_any_time(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches files written in place: after kill -9 at several times the run still resumes to its end."""
+    """Catches files that are not written atomically: a run that is killed at several times must still resume and
+    finish."""
     overlay = tmp_path / "small.yaml"
     overlay.write_text(
         "points: 1500\nlayers: 8\ncheckpoint_steps: 1\nmodel: {hidden: 16, planes: {levels: 2, base_resolution: 16}}\n"

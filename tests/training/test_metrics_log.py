@@ -19,7 +19,7 @@ def records(folder: Path) -> list[dict[str, object]]:
 
 
 def test_records_are_flushed_at_once(tmp_path: Path) -> None:
-    """Catches records in a buffer that a kill loses."""
+    """Catches buffered records, which are lost if the process is killed."""
     log = MetricsLog(tmp_path / "run")
     log.scalars(10, {"psnr": 20.5, "loss/image": 1 / 3})
     assert records(tmp_path / "run") == [{"step": 10, "psnr": 20.5, "loss/image": 1 / 3}]
@@ -28,7 +28,7 @@ def test_records_are_flushed_at_once(tmp_path: Path) -> None:
 
 
 def test_nan_and_infinity_are_null(tmp_path: Path) -> None:
-    """Catches NaN and Infinity, which JSON does not have."""
+    """Catches NaN and Infinity, which are not valid JSON."""
     with MetricsLog(tmp_path) as log:
         log.scalars(1, {"psnr": float("inf"), "loss": float("nan"), "seconds": np.float32(2)})
     assert records(tmp_path) == [{"step": 1, "psnr": None, "loss": None, "seconds": 2.0}]
@@ -48,7 +48,7 @@ def test_resume_drops_later_steps_and_truncated_lines(tmp_path: Path) -> None:
 
 
 def test_a_last_record_without_line_end_is_dropped(tmp_path: Path) -> None:
-    """Catches two records on one line, where a kill truncated the line end."""
+    """Catches two records on one line after a killed run left a line without its end."""
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\n{"step": 2}')
     with MetricsLog(tmp_path, resume_step=5) as log:
         log.scalars(3, {})
@@ -74,7 +74,7 @@ def test_tensorboard_shows_scalars_and_images_and_hides_purged_steps(tmp_path: P
 
 
 def test_a_full_disk_is_a_user_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a traceback instead of one line with the folder."""
+    """Catches a traceback instead of a one-line error that names the folder."""
 
     class Full:
         closed = False

@@ -12,7 +12,7 @@ from tests.training.small import trained_run
 
 
 def test_a_shadow_is_learnt_and_the_floor_keeps_its_plate_s_colours(tmp_path: Path) -> None:
-    """Catches a shadow that is not learnt or appears in another frame, and a floor that is dark in all frames."""
+    """Catches a shadow that is not learnt or appears in the wrong frame, and a floor that is dark in all frames."""
     capture = write_shadowed_capture(tmp_path / "capture")
     run = load_run(trained_run(capture, tmp_path / "run", shadowed_config(tmp_path / "seeds.ply", 160)).folder)
     index = run.run.test[0]

@@ -1,1 +1,1 @@
-"""Cameras as a run knows them: corrections learned while training."""
+"""The cameras of a run: their selection, and corrections that are learnt while training."""

@@ -1,7 +1,8 @@
-"""A run's own calibration as files.
+"""Files of a run's own calibration.
 
-``RUN/calibration/start/`` has the cameras that training starts with, ``RUN/calibration/`` the newest ones: intri.yml
-and extri.yml of every camera of the capture, and colours.json where colours are corrected.
+``RUN/calibration/start/`` contains the cameras with which training starts. ``RUN/calibration/`` contains the newest
+cameras. Both folders have intri.yml and extri.yml with every camera of the capture, and colours.json if colours are
+corrected.
 """
 
 from __future__ import annotations
@@ -26,32 +27,33 @@ if TYPE_CHECKING:
 
 COLOURS = "colours.json"
 POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
-"""Exponents of the zoom factor by which OpenCV's distortion coefficients scale with the focal length."""
+"""If the focal length is scaled by a factor z, OpenCV's i-th distortion coefficient is scaled by z to the power
+POWERS[i]."""
 
 
 def with_start_cameras(capture: Capture, folder: Path) -> Capture:
-    """The capture with the cameras that the run in ``folder`` starts with. Raises UserError where one is missing."""
+    """The capture with the start cameras of the run in ``folder``. Raises UserError if one of them is missing."""
     start = folder / CALIBRATION / START
     if not (start / INTRINSICS_NAME).exists():
-        raise UserError(f"{start}: expected the cameras that the run starts with, got none; train in a new folder")
+        raise UserError(f"{start}: expected the start cameras of the run, got no file; train in a new folder")
     calibrations = read_calibration(start)
     cameras = []
     for name, lens, camera in zip(capture.names, capture.distorted_cameras, capture.cameras, strict=True):
         if name not in calibrations:
-            raise UserError(f"{start}: expected camera '{name}' of the capture, got none; train in a new folder")
+            raise UserError(f"{start}: expected the capture's camera '{name}', got none; train in a new folder")
         whole = replace(calibrations[name].camera(lens.width, lens.height), distortion=None)
         cameras.append(whole.resize(camera.width, camera.height))
     return capture.with_cameras(cameras)
 
 
 def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -> None:
-    """Write the calibration with ``rig``'s corrections of the capture's cameras; cameras not selected stay as given.
+    """Write the calibration with the corrected cameras of ``rig``. Cameras that are not selected are written unchanged.
 
     Args:
         folder: the run's folder.
         capture: the selected views, in the rig's order.
-        rig: corrected cameras and colours.
-        below: subfolder of ``calibration/``.
+        rig: the corrected cameras and colours.
+        below: subfolder of ``calibration/`` to write to; empty for ``calibration/`` itself.
     """
     target = folder / CALIBRATION / below
     corrected = {
@@ -75,7 +77,7 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
-    """``lens`` with the pose and focal length of ``camera``; undistorted pictures stay the same."""
+    """``lens`` with the pose and focal length of ``camera``. Undistorted images stay the same."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)
@@ -83,9 +85,10 @@ def _lens(lens: Camera, camera: Camera) -> Camera:
 
 
 def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[np.float64]:
-    """OpenCV's coefficients for a focal length scaled by ``zoom`` that displace each pixel as before.
+    """OpenCV's distortion coefficients for a focal length scaled by ``zoom``, such that each pixel has the same
+    displacement as before.
 
-    Sensor tilt is not scaled, which is exact for a zoom of 1 only.
+    The coefficients of sensor tilt are not scaled. With sensor tilt, the result is exact for a zoom of 1 only.
     """
     powers = np.array([*POWERS, 0, 0])[: len(distortion)]
     return distortion * zoom**powers

@@ -1,8 +1,8 @@
 """Learnt corrections of the cameras.
 
-The renderers have no gradient with respect to cameras: they take the corrected cameras as constants. The gradient flows
-through the points instead: a transform that is the identity in value, and whose derivative is that of the corrected
-camera, is applied to them.
+The renderers have no gradient with respect to cameras. They use the corrected cameras as constants, and the gradient
+flows through the points instead. The points are transformed by a function whose value is the identity and whose
+derivative is that of the corrected camera.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ IDENTITY = torch.eye(3, 4)
 
 @dataclass(frozen=True)
 class _GivenPose:
-    """A camera's pose before its correction: R (3, 3) and T (3,), float64; its distance from the scene's centre."""
+    """A camera's pose before its correction, R (3, 3) and T (3,) in float64, and its distance from the scene's
+    centre."""
 
     rotation: Tensor
     translation: Tensor
@@ -34,20 +35,21 @@ class _GivenPose:
 
 
 class Refinement(nn.Module):
-    """Corrections of each training camera, all zero at first.
+    """Corrections of each training camera. All are initially zero.
 
-    A pose correction is a rotation vector about the camera's centre and a translation in its frame as a share of its
-    distance; a focal correction is the logarithm of a factor; a colour correction is an affine map. Each camera has
-    parameters of its own, so that a step leaves the optimizer state of other cameras unchanged.
+    A pose correction is a rotation vector in radians, and a translation in camera coordinates as a share of the
+    camera's distance from the scene's centre. A focal correction is the logarithm of a factor. A colour correction is
+    an affine map. Each camera has its own parameters, so that a step leaves the optimizer state of other cameras
+    unchanged.
     """
 
     def __init__(
         self, config: RefineConfig, given: Sequence[Camera], training: Sequence[int], focus: NDArray[np.float64]
     ) -> None:
-        """Make the identity correction.
+        """Create corrections that are the identity.
 
         Args:
-            config: what is corrected.
+            config: selects what is corrected.
             given: all cameras of the capture.
             training: indices of the cameras that are corrected.
             focus: (3,) the scene's centre in world units.
@@ -70,7 +72,7 @@ class Refinement(nn.Module):
         ]
 
     def parameter_groups(self) -> list[dict[str, object]]:
-        """Parameter groups for the optimizer, with their learning rates."""
+        """Parameter groups with their learning rates, for the optimizer."""
         config = self.config
         rates = (
             (self.poses, config.pose_rate),
@@ -93,17 +95,18 @@ class Refinement(nn.Module):
         return Rig(tuple(cameras), colours)
 
     def attach_camera_gradient(self, clouds: Sequence[RenderablePoints], index: int) -> list[RenderablePoints]:
-        """The same points, through which the gradient also reaches the camera ``index`` that renders them."""
+        """The same points, connected so that their gradient also reaches the correction of camera ``index``, which
+        renders them."""
         if not self.config.cameras:
             return list(clouds)
         return [self._attach(cloud, index) for cloud in clouds]
 
     def recolour(self, rgb: Tensor, alpha: Tensor, index: int) -> Tensor:
-        """Composited colours (H, W, 3), premultiplied by ``alpha`` (H, W), in the colours of camera ``index``."""
+        """Map composited colours (H, W, 3), premultiplied by ``alpha`` (H, W), to the colours of camera ``index``."""
         return recolour(self._colour_map(index), rgb, alpha) if self.config.colours else rgb
 
     def penalty(self, index: int) -> Tensor:
-        """Sum of a camera's squared corrections, in units of their standard deviations; scalar."""
+        """Scalar sum of a camera's squared corrections, each divided by its standard deviation before squaring."""
         place, config = self.places[index], self.config
         total = torch.zeros(())
         if len(self.poses):
@@ -117,7 +120,7 @@ class Refinement(nn.Module):
         return total
 
     def _corrected_pose(self, index: int) -> tuple[Tensor, Tensor]:
-        """R (3, 3) and T (3,) of a camera, float64; differentiable."""
+        """The corrected R (3, 3) and T (3,) of a camera, in float64, differentiable in the correction."""
         given = self._given_poses[index]
         if not len(self.poses):
             return given.rotation, given.translation
@@ -145,13 +148,14 @@ class Refinement(nn.Module):
         return replace(cloud, xyz=xyz + (in_camera - in_camera.detach()) @ rotation.detach(), radius=radius)
 
     def _colour_map(self, index: int) -> Tensor:
-        """(3, 4) of a camera. The mean over the cameras is the identity: it belongs to the scene's colours."""
+        """A camera's affine colour map (3, 4). The mean over the cameras is kept at the identity, because a common
+        colour change belongs to the scene."""
         mean = torch.stack([tint.detach() for tint in self.tints]).mean(dim=0)
         return IDENTITY + self.tints[self.places[index]] - mean
 
 
 def _cross_product_matrix(vector: Tensor) -> Tensor:
-    """(3, 3) matrix of the cross product with ``vector`` (3,)."""
+    """The (3, 3) matrix M with M w = v x w for all w, where v is ``vector`` (3,)."""
     x, y, z = vector
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)

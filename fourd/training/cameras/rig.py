@@ -12,19 +12,19 @@ from fourd.cameras import Camera
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """All cameras of a capture's selection.
+    """All selected cameras of a capture.
 
     Attributes:
         cameras: pinhole cameras, in the capture's order.
-        colours: (V, 3, 4) affine map from the scene's colours to a camera's: ``picture = M rgb + offset``, the offset
-            in the last column; None where all cameras have the same colours.
+        colours: (V, 3, 4) affine map (M, offset) from the scene's colours to each camera's colours, ``M rgb + offset``;
+            the last column is the offset. None if all cameras have the same colours.
     """
 
     cameras: tuple[Camera, ...]
     colours: Tensor | None = None
 
     def scene_colours(self, index: int, picture: Tensor) -> Tensor:
-        """A camera's picture (3, H, W) in the scene's colours."""
+        """Map an image (3, H, W) of camera ``index`` to the scene's colours."""
         if self.colours is None:
             return picture
         matrix, offset = self.colours[index, :, :3], self.colours[index, :, 3]
@@ -32,10 +32,11 @@ class Rig:
         return torch.einsum("ij,jhw->ihw", inverse, picture - offset[:, None, None].to(picture))
 
     def camera_colours(self, index: int, rgb: Tensor, alpha: Tensor) -> Tensor:
-        """Composited colours (H, W, 3), premultiplied by ``alpha`` (H, W), in a camera's colours."""
+        """Map composited colours (H, W, 3), premultiplied by ``alpha`` (H, W), to the colours of camera ``index``."""
         return rgb if self.colours is None else recolour(self.colours[index].to(rgb), rgb, alpha)
 
 
 def recolour(colours: Tensor, rgb: Tensor, alpha: Tensor) -> Tensor:
-    """``M rgb + alpha offset`` for colours (H, W, 3) premultiplied by ``alpha`` (H, W); ``colours`` is (3, 4)."""
+    """``M rgb + alpha offset`` for colours (H, W, 3) premultiplied by ``alpha`` (H, W). ``colours`` (3, 4) is [M,
+    offset]."""
     return rgb @ colours[:, :3].T + alpha[..., None] * colours[:, 3]

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
     from fourd.training.config import TrainConfig
 
 DECODED_MB = 32
-"""Cache of decoded whole pictures. Training has a separate cache of crops."""
+"""Size of the cache of decoded whole images in MiB. Training has a separate cache of crops."""
 
 
 @dataclass(frozen=True)
 class DataSelection:
-    """Part of a capture; the fields are those of :class:`TrainConfig`."""
+    """The part of a capture that is used. Fields have the same meaning as in :class:`TrainConfig`."""
 
     views: tuple[str, ...] | None = None
     test_views: tuple[str, ...] = ()
@@ -39,7 +39,8 @@ class RunViews:
 
     Attributes:
         capture: the selected views and frames, training and test.
-        training, test: indices into ``capture.cameras``.
+        training: indices of the training cameras in ``capture.cameras``.
+        test: indices of the held-out cameras in ``capture.cameras``.
     """
 
     capture: Capture
@@ -58,10 +59,11 @@ def open_run_views(path: Path, selection: DataSelection, run: Path | None = None
     Args:
         path: the capture's folder.
         selection: views, frames and scale.
-        run: a run's folder, whose adjusted start cameras replace the capture's; None keeps the capture's.
+        run: folder of a run whose adjusted start cameras replace the capture's cameras; None keeps the capture's
+            cameras.
 
     Raises:
-        UserError: for unknown views or frames, fewer than two training views, or missing start cameras.
+        UserError: a view or frame is unknown, there are fewer than two training views, or start cameras are missing.
     """
     views = None if selection.views is None else list(selection.views)
     capture = open_capture(path, views=views, frames=selection.frames, scale=selection.image_scale, cache_mb=DECODED_MB)
@@ -70,7 +72,7 @@ def open_run_views(path: Path, selection: DataSelection, run: Path | None = None
     training = [index for index in range(len(capture.names)) if index not in test]
     if len(training) < 2:
         raise UserError(
-            f"{path}: expected at least 2 training views, got {len(training)}; hold out fewer with --test-views"
+            f"{path}: expected at least 2 training views, got {len(training)}; hold out fewer views with --test-views"
         )
     if run is not None:
         capture = with_start_cameras(capture, run)

@@ -1,9 +1,10 @@
-"""Alignment of held-out cameras to their own pictures, with a fixed scene, to evaluate scenes with refined cameras.
+"""Alignment of held-out cameras to a fixed scene by their own images, to evaluate scenes with refined cameras.
 
-A scene that was trained with corrected cameras is aligned with these, and a held-out camera, which has no correction,
-is misaligned with it. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore optimises each test camera against the frozen
-scene before it measures. This is direct image alignment with the rendered depth (Lucas and Kanade 1981; with the mean
-of both pictures' gradients: Benhimane and Malis, IROS 2004), from blurred to sharp pictures.
+A scene that is trained with refined cameras is aligned with these cameras. A held-out camera is not refined, so it is
+misaligned with the scene. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore optimises each test camera against the
+frozen scene before computing metrics. This module uses direct image alignment with the rendered depth (Lucas and Kanade
+1981), from blurred to sharp images. Image gradients are the mean of both images' gradients (Benhimane and Malis, IROS
+2004).
 """
 
 from __future__ import annotations
@@ -31,10 +32,10 @@ MAX_STEPS = 12
 INITIAL_DAMPING = 1e-3
 MAX_FRAMES = 3
 CONVERGED = 3e-5
-"""Radians, and shares of the distance: smaller steps end a level."""
+"""Optimization at a blur level ends when the step is smaller than this, in radians and shares of the distance."""
 MIN_ALPHA = 0.02
 COLOUR_REGULARISATION = 1e-3
-"""Weight of the squared difference of the colour map from the identity, relative to the pixels' mean square."""
+"""Weight, for each pixel, of the squared difference between colour map and identity in the least-squares fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +43,10 @@ class FittedView:
     """A held-out camera aligned with the scene.
 
     Attributes:
-        camera: of the whole picture.
-        colours: (3, 4) affine map from the scene's colours to the camera's; None where it was not fitted.
-        degrees: angle of the rotation from the given camera.
-        distance: of the move from the given camera, in world units.
+        camera: the aligned camera of the whole image.
+        colours: (3, 4) affine map from the scene's colours to the camera's colours; None if it was not fitted.
+        degrees: angle of the rotation between the given and the aligned camera.
+        distance: distance between the given and the aligned camera centre, in world units.
     """
 
     camera: Camera
@@ -54,21 +55,21 @@ class FittedView:
     distance: float
 
     def recolour(self, rgb: Floats, alpha: Floats) -> Floats:
-        """Rendered colours (H, W, 3), premultiplied by ``alpha`` (H, W), in the camera's colours."""
+        """Map rendered colours (H, W, 3), premultiplied by ``alpha`` (H, W), to the camera's colours."""
         return rgb if self.colours is None else _recolour(self.colours, rgb, alpha)
 
 
 def fit_test_camera(
     renderer: ModelRenderer, frames: FrameStore, index: int, layers: int, *, colours: bool
 ) -> FittedView:
-    """Fit the pose of a held-out camera to its pictures of up to three frames.
+    """Fit the pose of a held-out camera to its images of up to three frames.
 
     Args:
         renderer: the trained scene.
-        frames: its points.
-        index: of the camera; all its frames share the pose.
-        layers: number of composited points, K.
-        colours: whether to fit its colours too.
+        frames: the points of the trained scene's frames.
+        index: index of the camera. All its frames share the pose.
+        layers: maximum number K of points that are composited at each pixel.
+        colours: whether to fit the camera's colours as well.
     """
     given = renderer.views.rig.cameras[index]
     alignment = _Alignment(renderer, frames, index, layers, colours)
@@ -82,7 +83,8 @@ def fit_test_camera(
 
 @dataclass(frozen=True, eq=False)
 class _NormalEquations:
-    """At a pose: the mean squared error, J^T J (6, 6), -J^T r (6,), and the fitted colours."""
+    """The mean squared error, J^T J (6, 6), -J^T r (6,) and the fitted colours at one pose, with Jacobian J and
+    residual r."""
 
     error: float
     matrix: Array
@@ -102,9 +104,9 @@ class _Alignment:
         self.distance = float(np.linalg.norm(renderer.views.rig.cameras[index].centre - renderer.focus))
 
     def optimize(self, camera: Camera, blur_px: float) -> Camera:
-        """The camera after Levenberg-Marquardt steps on pictures blurred by ``blur_px``.
+        """Optimise the camera with Levenberg-Marquardt on images blurred by ``blur_px``.
 
-        Colours are evaluated once, for the initial camera: the steps are small.
+        The colours of the points are evaluated only once, for the initial camera, because the camera moves little.
         """
         for frame in self.selected:
             self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)
@@ -155,7 +157,8 @@ class _Alignment:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A rendered and a true picture, blurred (H, W, 3), with alpha and depth (H, W); depth is 0 outside surfaces."""
+    """A rendered and a true image (H, W, 3), both blurred, with rendered alpha and depth (H, W). Depth is 0 where there
+    is no surface."""
 
     rgb: Floats
     alpha: Floats
@@ -165,7 +168,8 @@ class _Pair:
 
 
 def _jacobian(shown: Floats, pair: _Pair, distance: float) -> Floats:
-    """(6, H, W, 3) derivative of the picture by rotation (radians) and translation (shares of ``distance``)."""
+    """Derivative (6, H, W, 3) of the image with respect to rotation (radians) and translation (shares of
+    ``distance``)."""
     height, width = pair.depth.shape
     rows, columns = np.indices((height, width)) + 0.5
     k = pair.camera.intrinsics
@@ -176,7 +180,7 @@ def _jacobian(shown: Floats, pair: _Pair, distance: float) -> Floats:
     by_x = np.stack([-x * y, 1 + x * x, -y, distance / z * one, zero, -distance / z * x])
     by_y = np.stack([-1 - y * y, x * y, x, zero, distance / z * one, -distance / z * y])
     flow_x, flow_y = k[0, 0] * by_x + k[0, 1] * by_y, k[1, 1] * by_y
-    # Brightness constancy: a pixel takes the value from where the flow comes, hence the minus.
+    # Brightness constancy: after a flow (u, v), the image changes by -(u dI/dx + v dI/dy).
     slope_x, slope_y = ((_slope(shown, axis) + _slope(pair.truth, axis)) / 2 for axis in (1, 0))
     change = -(slope_x * flow_x[..., None] + slope_y * flow_y[..., None])
     return np.where((pair.depth > 0)[..., None], change, 0).astype(np.float32)
@@ -191,7 +195,7 @@ def _blur(picture: Floats, sigma_px: float) -> Floats:
 
 
 def _fit_colours(pairs: Sequence[_Pair]) -> Floats:
-    """(3, 4) affine colour map from rendered to true pictures, by regularised least squares."""
+    """Affine colour map (3, 4) from rendered to true images, by regularised least squares."""
     matrix, right, count = np.zeros((4, 4)), np.zeros((4, 3)), 0
     for pair in pairs:
         given = np.concatenate([pair.rgb, pair.alpha[..., None]], axis=-1).reshape(-1, 4).astype(np.float64)

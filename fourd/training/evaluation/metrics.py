@@ -16,13 +16,14 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
     Args:
         prediction: (..., C), torch or NumPy, floating point.
         target: the same shape.
-        mask: weights (...) of the pixels, bool or nonnegative numbers; None for equal weights.
+        mask: (...) bool or nonnegative weights of the pixels; None for equal weights.
 
     Returns:
         A scalar tensor, differentiable in ``prediction``.
 
     Raises:
-        ValueError: shapes differ, images are integers (with a peak of 255 instead of 1), or the mask is empty.
+        ValueError: the shapes differ, the images are integers (whose peak would be 255 instead of 1), or the mask is
+            empty.
     """
     prediction, target = _images(prediction, target)
     squares = (prediction - target).square()
@@ -40,32 +41,32 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
 def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
     """Structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5, data range 1.
 
-    The mean is over channels and over the pixels whose window lies inside the image, as in
+    The result is the mean over channels and over the pixels whose window lies inside the image, as in
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
 
     Args:
-        prediction: (..., H, W, C), torch or NumPy, floating point; H and W at least 11 pixels.
+        prediction: (..., H, W, C), torch or NumPy, floating point. H and W are at least 11 pixels.
         target: the same shape.
 
     Returns:
-        A scalar tensor, differentiable in both, 1 for equal images.
+        A scalar tensor, differentiable in both images; 1 for equal images.
 
     Raises:
-        ValueError: shapes differ, images are integers, or smaller than the window.
+        ValueError: the shapes differ, or the images are integers or smaller than the window.
     """
     return structural_similarity_reference(torch.as_tensor(prediction), torch.as_tensor(target))
 
 
 def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tuple[int, int, int, int] | None:
-    """The bounding box of a matte's object, extended by ``margin`` pixels on each side within the image.
+    """The bounding box of the object in a matte, extended by ``margin`` pixels on each side and clipped to the image.
 
     Args:
         mask: (H, W) uint8 (255 = object) or bool. Pixels above 127 belong to the object, so that faint noise of a
             soft matte does not enlarge the box.
-        margin: pixels, 0 or more.
+        margin: number of pixels, 0 or more.
 
     Returns:
-        (top, bottom, left, right), bottom and right exclusive; None where no pixel belongs to the object.
+        (top, bottom, left, right), where bottom and right are exclusive; None if no pixel belongs to the object.
     """
     if mask.ndim != 2 or mask.dtype not in (np.uint8, np.bool_):
         raise ValueError(f"mask: expected (H, W) of uint8 or bool, got {mask.shape} of {mask.dtype}")

@@ -1,4 +1,5 @@
-"""Rendering of a trained scene from any camera, without gradients: for validation, evaluation and images."""
+"""Rendering of a trained scene from any camera, without gradients. Used for validation, evaluation and ``fourd
+render``."""
 
 from __future__ import annotations
 
@@ -20,13 +21,13 @@ from fourd.training.views import ViewStore
 
 @dataclass(frozen=True)
 class RenderedView:
-    """A rendered view, all float32.
+    """A rendered view. All arrays are float32.
 
     Attributes:
-        rgb: (H, W, 3) on black, clamped to [0, 1].
-        alpha: (H, W).
-        depth: (H, W) in world units.
-        foreground: (H, W) the part of alpha that belongs to the foreground.
+        rgb: (H, W, 3) colours on black, clamped to [0, 1].
+        alpha: (H, W) opacity in [0, 1].
+        depth: (H, W) depth in world units.
+        foreground: (H, W) the contribution of foreground points to alpha.
     """
 
     rgb: NDArray[np.float32]
@@ -36,15 +37,16 @@ class RenderedView:
 
 
 class ModelRenderer:
-    """Renders frames of a scene; source views are the training cameras nearest to the viewer."""
+    """Renders frames of a scene. Source views are the training cameras nearest to the viewer."""
 
     def __init__(self, scene: TrainingScene, training: list[int], focus: NDArray[np.float64]) -> None:
-        """Make a renderer.
+        """Create a renderer.
 
         Args:
-            scene: the models and pictures.
+            scene: the scene, with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) the point where angles between cameras are measured.
+            focus: (3,) point in world units, the vertex of the angles between cameras by which nearest cameras are
+                chosen.
         """
         self.scene = scene
         self.training = training
@@ -56,7 +58,7 @@ class ModelRenderer:
 
     @property
     def background(self) -> StaticBackground | None:
-        """The background of a full scene; None of an object."""
+        """The background of a full scene; None for an object."""
         return self.scene.background
 
     def render(
@@ -65,23 +67,24 @@ class ModelRenderer:
         """Render a frame.
 
         Args:
-            points: of the frame.
+            points: points of the frame.
             frame: index into the selected frames.
             camera: the viewing camera.
-            layers: number of composited points, K.
-            exclude: a source camera that is not used, so that a training view is not blended from itself.
+            layers: maximum number K of points that are composited at each pixel.
+            exclude: index of a camera that is not used as a source view, so that a training view is not blended from
+                itself.
         """
         return render_view(self.evaluate(points, frame, camera, exclude), camera, layers)
 
     def evaluate(
         self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None
     ) -> list[RenderablePoints]:
-        """The renderable points of a frame for ``camera``; arguments as for :meth:`render`."""
+        """The renderable points of a frame for ``camera``. The arguments are those of :meth:`render`."""
         return self.scene.evaluate_frame(points, frame, camera, self._nearest(camera, exclude))
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
         """Render the background of a full scene alone, without shadows."""
-        assert isinstance(self.scene, FullScene), "an object scene has no background"
+        assert isinstance(self.scene, FullScene), "expected a full scene, got an object, which has no background"
         points = self.scene.evaluate_background(camera, self._nearest(camera, exclude))
         return render_view([points], camera, layers)
 
@@ -93,7 +96,7 @@ class ModelRenderer:
 
 
 def render_view(clouds: Sequence[RenderablePoints], camera: Camera, layers: int) -> RenderedView:
-    """Render points whose colours were evaluated for ``camera`` or for one near it."""
+    """Render points whose colours were evaluated for ``camera`` or for a nearby camera."""
     with torch.no_grad():
         render = composite(clouds, camera, layers)
     rgb, foreground = render.features[..., :3].clamp(0, 1), render.features[..., 3]

@@ -14,12 +14,13 @@ from fourd.training.losses.lpips import LPIPS
 
 BOX_MARGIN_PX = 8
 MIN_SIDE_PX = 11
-"""Smaller images have no SSIM and LPIPS."""
+"""Smallest side of images for which SSIM and LPIPS are computed: the SSIM window is 11 pixels wide."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Quality of an image; psnr in dB; ssim and lpips are None for small images, lpips also without its weights."""
+    """Scores of an image. ``psnr`` is in dB. ``ssim`` and ``lpips`` are None for small images. ``lpips`` is also None
+    without network weights."""
 
     psnr: float
     ssim: float | None
@@ -28,7 +29,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class ViewScores:
-    """Scores of one held-out picture: of the whole image, and of the matte's bounding box with a margin of 8 pixels."""
+    """Scores of one held-out image: for the whole image, and for the matte's bounding box with a margin of 8 pixels."""
 
     camera: str
     frame: int
@@ -38,7 +39,7 @@ class ViewScores:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Scores of all pictures, and their means."""
+    """Scores of all images, and their means."""
 
     pictures: list[ViewScores]
     image: Scores
@@ -58,7 +59,8 @@ class Evaluation:
 def score_view(
     prediction: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], lpips: LPIPS | None
 ) -> tuple[Scores, Scores | None]:
-    """Scores of an image (H, W, 3) in [0, 1], whole and in the matte's bounding box; None for an empty matte."""
+    """Scores of an image (H, W, 3) in [0, 1]: for the whole image, and for the matte's bounding box. The second is None
+    for an empty matte."""
     predicted, expected = torch.from_numpy(prediction), torch.from_numpy(truth)
     box = mask_box(matte, margin=BOX_MARGIN_PX)
     if box is None:
@@ -69,7 +71,7 @@ def score_view(
 
 
 def summarize(pictures: Iterator[ViewScores] | list[ViewScores]) -> Evaluation:
-    """Means over pictures; PSNR is the mean of dB values, as papers report it."""
+    """Means over images. The mean PSNR is the mean of the values in dB, as is usual in papers."""
     scored = list(pictures)
     boxes = [picture.box for picture in scored if picture.box is not None]
     return Evaluation(scored, _mean([picture.image for picture in scored]), _mean(boxes) if boxes else None)

@@ -1,4 +1,4 @@
-"""Background opacity term: a background without holes from viewpoints between the training cameras."""
+"""Background opacity term: penalises holes in the background as seen from viewpoints between the training cameras."""
 
 from __future__ import annotations
 
@@ -17,17 +17,20 @@ from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""More points than overlap on a floor at a grazing angle. Where too few layers end before the transmittance is 0, the
-gradient enlarges the discs, of which fewer fit into the layers."""
+"""Number of composited points at a pixel: more than overlap on a floor at a grazing angle. With too few layers, the
+transmittance after the last layer is not 0. The gradient would then enlarge the discs, so that even more of them
+overlap."""
 MAX_LATERAL_OFFSET = 0.15
-"""Distance of a viewpoint from the line between two cameras, at most, as a share of the line's length."""
+"""Maximum distance of a viewpoint from the line between two cameras, as a share of the line's length."""
 RNG_STREAM = 4
-"""Second entry of the seeds of viewpoints, which no other draw of a run has."""
+"""RNG stream number of this loss: ``default_rng([seed, RNG_STREAM, step])``. No other random sampling of a run uses
+it."""
 
 
 @dataclass(frozen=True, eq=False)
 class BackgroundOpacityTerm:
-    """Mean squared transmittance of the background from an interpolated viewpoint, in steps whose target is a plate."""
+    """Mean squared transmittance of the background from an interpolated viewpoint. Applies to steps whose target is a
+    plate."""
 
     weight: float
     background: StaticBackground
@@ -46,7 +49,8 @@ class BackgroundOpacityTerm:
 
 
 def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int, rng: np.random.Generator) -> Camera:
-    """A camera like ``camera``, at a random point near the line to another, cropped to at most ``side_px`` square."""
+    """``camera`` moved to a random point near the line to a random other camera, and cropped to at most ``side_px`` x
+    ``side_px`` pixels."""
     line = others[int(rng.integers(len(others)))].centre - camera.centre
     offset = rng.normal(size=3)
     offset *= MAX_LATERAL_OFFSET * np.linalg.norm(line) * rng.random() / np.linalg.norm(offset)
@@ -57,9 +61,9 @@ def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int
 
 
 def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
-    """Mean of (1 - alpha)^2 of a background's picture, differentiable in its model alone.
+    """Mean of (1 - alpha)^2 over the image of a background, differentiable in the background's model alone.
 
-    Positions get no gradient: the plates determine them.
+    Positions get no gradient, because the plates determine them.
     """
     points = background.points
     rows = visible_points([points], viewer, LAYERS, hidden_weight)[0]

@@ -15,7 +15,7 @@ HUBER_DELTA = 0.1
 
 @dataclass(frozen=True)
 class ImageTerm:
-    """Mean squared error, or Huber loss, of the colours."""
+    """Mean squared error or Huber loss of the colours."""
 
     penalty: Literal["mse", "huber"]
     name: str = "image"

@@ -1,7 +1,7 @@
 """LPIPS, the learned perceptual distance (Zhang et al. 2018), version 0.1 on VGG-16.
 
-The network is defined here because torchvision has no build for some machines. The weights come from files of the user:
-torchvision's VGG-16 and the linear heads of the ``lpips`` package.
+The network is defined here because torchvision has no build for some machines. The user provides the weights as files:
+torchvision's VGG-16, and the linear heads of the ``lpips`` package.
 """
 
 from __future__ import annotations
@@ -21,32 +21,33 @@ from torch.nn import functional
 
 from fourd.errors import UserError
 
-# Channels of VGG-16's convolutions, with pooling between the groups.
+# Output channels of VGG-16's convolutions. There is a pooling layer between two groups.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# ImageNet mean and standard deviation of the heads' training data, for inputs in [-1, 1].
+# Mean and standard deviation of ImageNet for inputs in [-1, 1], with which the heads were trained.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-# Sides below 16 pixels are empty after four poolings.
+# Images smaller than 16 pixels vanish after four poolings.
 MIN_SIDE_PX = 16
 SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"
+FIX = "pass VGG-16 weights with --lpips-weights"
 
-# Names of torchvision, or of a whole network saved from the lpips package.
+# Weight names in files of torchvision, or in a whole network saved with the lpips package.
 _FEATURE_KEY = re.compile(r"(?:features|net\.slice[1-5])\.(\d+)\.(weight|bias)")
 _HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
 
 
 class LPIPS(nn.Module):
-    """Perceptual distance between images: 0 if equal, near 1 if very different.
+    """Perceptual distance between images: 0 if they are equal, near 1 if they are very different.
 
-    The weights are frozen; the distance is differentiable in the images.
+    The weights are frozen. The distance is differentiable in the images.
     """
 
     shift: Tensor
     scale: Tensor
 
     def __init__(self, weights: Mapping[str, Tensor]) -> None:
-        """``weights`` has the names and shapes of :func:`expected_shapes`."""
+        """Create the network. Names and shapes of ``weights`` are those of :func:`expected_shapes`."""
         super().__init__()
         stages: list[nn.Module] = []
         inputs = 3
@@ -73,15 +74,15 @@ class LPIPS(nn.Module):
         """The distance between two images, or between the pairs of two batches.
 
         Args:
-            prediction: (H, W, 3) or (B, 3, H, W), floating point in [0, 1]. Sides below 16 pixels, for which the
-                published network is undefined, are extended to 16 by repeating the border.
+            prediction: (H, W, 3) or (B, 3, H, W), floating point in [0, 1]. Sides below 16 pixels are extended to 16 by
+                repeating the border, because the published network is undefined for them.
             target: the same shape.
 
         Returns:
-            A scalar for (H, W, 3), (B,) for batches.
+            A scalar for images (H, W, 3), or (B,) for batches.
 
         Raises:
-            ValueError: the shapes differ, or are neither of these.
+            ValueError: the shapes differ, or are neither (H, W, 3) nor (B, 3, H, W).
         """
         if prediction.shape != target.shape:
             raise ValueError(f"target: expected the prediction's shape {tuple(prediction.shape)}, got {target.shape}")
@@ -107,20 +108,20 @@ class LPIPS(nn.Module):
 
 
 def load_lpips(path: Path | None) -> LPIPS | None:
-    """LPIPS with weights from files. Nothing is downloaded, and no code in a file is executed.
+    """LPIPS with weights from files. No file is downloaded, and no code in a file is executed.
 
     Args:
         path: a file (.pth, .pt or .safetensors), or a folder with such files named ``vgg16*``, ``vgg.*`` or
-            ``*lpips*``. They contain VGG-16 under torchvision's names (``features.0.weight``), the heads under those of
-            the lpips package (``lin0.model.1.weight``), or both; missing parts come from the default locations:
-            torch.hub's ``checkpoints/vgg16-397923af.pth``, and the heads in the installed lpips or torchmetrics. None
-            uses the default locations alone.
+            ``*lpips*``. The files contain VGG-16 under torchvision's names (``features.0.weight``), the heads under the
+            names of the lpips package (``lin0.model.1.weight``), or both. Missing parts are read from the default
+            locations: VGG-16 from torch.hub's ``checkpoints/vgg16-397923af.pth``, the heads from the installed package
+            lpips or torchmetrics. With None, only the default locations are used.
 
     Returns:
         The network on the CPU, or None if ``path`` is None and a part is missing.
 
     Raises:
-        UserError: ``path`` is missing, a file cannot be read, or names or shapes are not those of VGG-16.
+        UserError: ``path`` does not exist, a file cannot be read, or names or shapes of weights are wrong.
     """
     files = [] if path is None else _files_of(path)
     weights: dict[str, Tensor] = {}
@@ -138,12 +139,13 @@ def load_lpips(path: Path | None) -> LPIPS | None:
     raise UserError(
         f"{path}: expected the weights of VGG-16 (features.N.weight) and of LPIPS's heads (linN.model.1.weight), "
         f"got none for {_abbreviate(missing)}; put {VGG_NAME} and the lpips package's weights/v0.1/vgg.pth "
-        f"in one folder and name it with --lpips-weights"
+        f"in one folder and pass the folder with --lpips-weights"
     )
 
 
 def expected_shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of all weights: ``features.N.weight|bias`` with torchvision's numbers, and ``linN``."""
+    """Names and shapes of all weights: ``features.N.weight`` and ``features.N.bias`` with torchvision's layer numbers,
+    and ``linN``."""
     shapes: dict[str, tuple[int, ...]] = {}
     inputs = 3
     widths = [width for group in GROUPS for width in group]
@@ -156,7 +158,8 @@ def expected_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def _feature_numbers() -> list[int]:
-    """torchvision's layer numbers of the convolutions: a ReLU follows each, and a pooling each group."""
+    """torchvision's layer numbers of the convolutions. A ReLU follows each convolution, and a pooling follows each
+    group."""
     numbers, number = [], 0
     for group in GROUPS:
         numbers += [number + 2 * index for index in range(len(group))]
@@ -168,13 +171,13 @@ def _files_of(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise UserError(f"{path}: expected a file or folder with weights, got none; fix --lpips-weights")
+        raise UserError(f"{path}: expected a file or folder with weights, got no such path; fix --lpips-weights")
     names = [entry for entry in sorted(path.iterdir()) if entry.is_file() and entry.suffix in SUFFIXES]
     files = [file for file in names if re.fullmatch(r"vgg16(?!_?bn).*|vgg|.*lpips.*", file.stem.lower())]
     if not files:
         raise UserError(
             f"{path}: expected files named vgg16*, vgg.* or *lpips* ({', '.join(SUFFIXES)}), got none; "
-            f"name the files with the weights by --lpips-weights"
+            f"pass the file with the weights with --lpips-weights"
         )
     return files
 
@@ -184,14 +187,15 @@ def _default_vgg_files() -> list[Path]:
 
 
 def _default_head_files() -> list[Path]:
-    """The heads in installed packages, which are not imported."""
+    """Paths of the heads in installed packages. The packages are not imported."""
     inside = {"lpips": "weights/v0.1/vgg.pth", "torchmetrics": "functional/image/lpips_models/vgg.pth"}
     specs = [(importlib.util.find_spec(package), rest) for package, rest in inside.items()]
     return [Path(spec.origin).parent / rest for spec, rest in specs if spec is not None and spec.origin]
 
 
 def _read(file: Path) -> dict[str, Tensor]:
-    """The weights of LPIPS in a file, as float32 under the names of :func:`expected_shapes`; shapes are checked."""
+    """The weights of LPIPS in a file, as float32, under the names of :func:`expected_shapes`. Raises UserError if a
+    shape is wrong."""
     shapes = expected_shapes()
     found: dict[str, Tensor] = {}
     for key, value in _load(file).items():
@@ -199,17 +203,16 @@ def _read(file: Path) -> dict[str, Tensor]:
         if name is None:
             continue
         shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-        if shape != shapes.get(name):
-            raise UserError(
-                f"{file}: expected the shape {shapes.get(name, 'of no such layer')} for '{key}', got {shape}; "
-                f"name weights of VGG-16 (not of another network) with --lpips-weights"
-            )
-        # A copy releases the file's other 470 MB, the classifier.
+        if name not in shapes:
+            raise UserError(f"{file}: expected layers of VGG-16, got the unknown layer '{key}'; {FIX}")
+        if shape != shapes[name]:
+            raise UserError(f"{file}: '{key}': expected shape {shapes[name]}, got {shape}; {FIX}")
+        # A copy lets the file's other tensors, 470 MB of VGG-16's classifier, be freed.
         found[name] = value.detach().to(torch.float32, copy=True)
     if not found:
         raise UserError(
             f"{file}: expected names like features.0.weight or lin0.model.1.weight, got none; "
-            f"name torchvision's VGG-16 or LPIPS's heads with --lpips-weights"
+            f"pass torchvision's VGG-16 or LPIPS's heads with --lpips-weights"
         )
     return found
 
@@ -221,7 +224,7 @@ def _load(file: Path) -> Mapping[str, Tensor]:
         content = torch.load(file, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(file))
     except (OSError, SafetensorError, RuntimeError, EOFError, ValueError, UnpicklingError) as error:
         reason = str(error).strip().partition("\n")[0]
-        raise UserError(f"{file}: expected a file of tensors, got '{reason}'; fetch the file again") from error
+        raise UserError(f"{file}: expected a file of tensors, got '{reason}'; download the file again") from error
     if not isinstance(content, Mapping):
         raise UserError(
             f"{file}: expected a state dict of tensors, got {type(content).__name__}; save the network's state_dict()"
@@ -246,7 +249,7 @@ def _batch(images: Tensor) -> Tensor:
 
 
 def _normalize(features: Tensor) -> Tensor:
-    """Normalise over channels; the clamp keeps the gradient finite where all channels are 0."""
+    """Normalise over channels. The clamp keeps the gradient finite where all channels are 0."""
     length = features.square().sum(dim=1, keepdim=True).clamp_min(1e-20).sqrt()
     return features / (length + 1e-10)
 

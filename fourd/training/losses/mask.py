@@ -1,4 +1,4 @@
-"""Mask term: rendered alpha against the matte (4K4D, eq. 8)."""
+"""Mask term: the difference between rendered alpha and matte (4K4D, eq. 8)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class MaskTerm:
-    """Mean squared difference between the foreground's rendered alpha and its matte."""
+    """Mean squared difference between the rendered alpha of the foreground and the matte."""
 
     weight: float
     name: str = "mask"

@@ -1,4 +1,4 @@
-"""Refinement term: small corrections of the target camera."""
+"""Refinement term: penalises large corrections of the target camera."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True, eq=False)
 class RefinementTerm:
-    """Squared corrections of the target camera, in units of their standard deviations."""
+    """Sum of the target camera's squared corrections, each divided by its standard deviation before squaring."""
 
     weight: float
     refinement: Refinement

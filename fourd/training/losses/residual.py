@@ -1,4 +1,4 @@
-"""Residual term: small displacements."""
+"""Residual term: penalises large displacements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class ResidualTerm:
-    """Mean square of the learnt displacement's components, in units of the point spacing."""
+    """Mean square of the components of the learnt displacement, in units of the point spacing."""
 
     weight: float
     spacing: float

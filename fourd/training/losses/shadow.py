@@ -1,4 +1,4 @@
-"""Shadow term: no shadow where no picture gives evidence of one."""
+"""Shadow term: penalises shadows, so that there are none without evidence in the images."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from fourd.training.background import StaticBackground
 from fourd.training.losses.term import RenderedStep
 
 STRIDE = 8
-"""A step evaluates every STRIDE-th point of the background, seen by the target or not."""
+"""The term is evaluated on every STRIDE-th background point, whether or not the point is visible in the target view."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowTerm:
-    """Mean squared difference of the shadow factors from 1, in steps whose target is a frame."""
+    """Mean of (f - 1)^2 over the shadow factors f. Applies to steps whose target is a frame."""
 
     weight: float
     background: StaticBackground

@@ -1,4 +1,4 @@
-"""Similarity term: 1 - SSIM, in place of LPIPS where its weights are missing."""
+"""Similarity term: 1 - SSIM. It replaces LPIPS if the LPIPS weights are missing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WINDOW_PX = 11
 
 @dataclass(frozen=True)
 class SimilarityTerm:
-    """1 - SSIM of pictures that hold at least one window."""
+    """1 - SSIM. Applies to images that are at least as large as the SSIM window."""
 
     weight: float
     name: str = "ssim"

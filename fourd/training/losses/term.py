@@ -1,4 +1,4 @@
-"""What a loss term is, and the record of a rendered step that terms evaluate."""
+"""The interface of a loss term, and the record of a rendered step on which terms are evaluated."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from fourd.training.schedule import StepSample
 
 @dataclass(frozen=True)
 class RenderedStep:
-    """What a step rendered, and what it is compared with. Pictures are float32 in [0, 1].
+    """The rendered image of a step, and the ground truth with which it is compared. Images are float32 in [0, 1].
 
     Attributes:
-        number: the step's number.
-        time: of the frame, in [0, 1].
-        sample: the step's frame and views.
-        prediction: (H, W, 3) the rendered picture on the step's background colour.
-        truth: (H, W, 3) the true picture on the same colour.
-        coverage: (H, W) alpha of the first cloud: the foreground, or the background where the target is a plate.
-        matte: (H, W) true alpha of the foreground; None where the target is a plate.
+        number: the number of the step.
+        time: time of the frame, in [0, 1].
+        sample: the frame and views of the step.
+        prediction: (H, W, 3) rendered image on the step's background colour.
+        truth: (H, W, 3) true image on the same background colour.
+        coverage: (H, W) rendered alpha of the foreground, or of the background if the target is a plate.
+        matte: (H, W) true alpha of the foreground; None if the target is a plate.
         displacement: (M, 3) learnt displacement of the visible points in world units; None without a residual field.
     """
 
@@ -41,19 +41,19 @@ class LossTerm(Protocol):
 
     @property
     def name(self) -> str:
-        """Name in metrics and errors."""
+        """Name of the term in metrics and errors."""
 
     @property
     def weight(self) -> float:
-        """Factor on :meth:`value` in the loss."""
+        """Factor by which :meth:`value` is multiplied in the loss."""
 
     def applies_to(self, step: RenderedStep) -> bool:
-        """Whether the step has what the term needs."""
+        """Whether the step contains the data that the term needs."""
 
     def value(self, step: RenderedStep) -> Tensor:
-        """The unweighted value, a differentiable scalar."""
+        """The value before weighting, a differentiable scalar."""
 
 
 def weighted_values(terms: Iterable[LossTerm], step: RenderedStep) -> dict[str, Tensor]:
-    """Weighted values of the terms that apply to a step, by name; the loss is their sum."""
+    """Name -> weighted value of each term that applies to a step. The loss is the sum of the values."""
     return {term.name: term.weight * term.value(step) for term in terms if term.applies_to(step)}

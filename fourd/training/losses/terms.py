@@ -1,4 +1,4 @@
-"""The list of loss terms of each kind of scene."""
+"""Lists of the loss terms for each kind of scene."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from fourd.training.losses.term import LossTerm
 def common_terms(
     config: TrainConfig, spacing: float, lpips: LPIPS | None, refinement: Refinement | None
 ) -> tuple[LossTerm, ...]:
-    """Terms of every scene. The order decides the order of the gradients' sums, so new terms go last.
+    """Loss terms that are used in every scene. New terms go last, because the order of the terms determines the order
+    in which gradients are summed.
 
     Args:
-        config: of the run.
-        spacing: mean distance between neighbouring points of the foreground.
-        lpips: the network of the perceptual term; without it, SSIM replaces that term.
-        refinement: camera corrections, if they are learnt.
+        config: training config of the run.
+        spacing: mean distance between neighbouring foreground points in world units.
+        lpips: network of the perceptual term; with None, SSIM replaces the perceptual term.
+        refinement: camera corrections; None if they are not learnt.
     """
     weights = config.loss
     terms: list[LossTerm] = [ImageTerm(weights.image)]
@@ -39,7 +40,7 @@ def common_terms(
 
 
 def full_scene_terms(config: TrainConfig, background: StaticBackground) -> tuple[LossTerm, ...]:
-    """Terms of the background of a full scene, which follow the common ones."""
+    """Additional loss terms of a full scene. They follow the common terms."""
     terms: list[LossTerm] = []
     if config.background.joint and background.model.shadow is not None:
         terms.append(ShadowTerm(config.loss.shadow, background, background.model.shadow))

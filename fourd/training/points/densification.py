@@ -15,22 +15,24 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 NEIGHBOURS = 3
-"""A new point lies midway between its parent and one of this many neighbours, and so close to the surface."""
+"""Number of nearest neighbours of a parent. A new point lies midway between its parent and one of them, and thus close
+to the surface."""
 
 
 @dataclass(frozen=True)
 class Densification:
-    """Numbers of points that a densification round added and removed."""
+    """Numbers of points that were added and removed in one densification."""
 
     added: int
     removed: int
 
 
 def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
-    """Add a step's gradient of the positions (M, 3) to the history of points ``rows`` (M,).
+    """Add a step's gradient (M, 3) with respect to positions to the gradient history of the points ``rows`` (M,).
 
-    The magnitude is the gradient's norm times the point's spacing, the change of the loss for a move by one spacing: it
-    has no unit, so that near and far points compare (after the view-space gradient of Kerbl et al. 2023, sec. 5.2).
+    The magnitude is the gradient's norm times the point's spacing. It is the change of the loss if the point moves by
+    one spacing. It has no unit, so that magnitudes of near and far points can be compared. (Kerbl et al. 2023, sec.
+    5.2, use the view-space gradient for this purpose.)
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude
@@ -39,7 +41,7 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
 
 
 def unobserved_points(points: FramePoints, patience: int) -> Tensor:
-    """(N,) bool, points that existed for at least ``patience`` steps of the cloud and had no gradient in any."""
+    """(N,) bool, whether each point is at least ``patience`` steps old and never had a gradient."""
     return (points.visible_steps == 0) & (points.age - points.created_at >= patience)
 
 
@@ -47,13 +49,14 @@ def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed
     """Split the points with the largest mean gradient magnitudes and remove unobserved points, in place.
 
     At most ``config.share`` of the points are split, and the count stays below ``config.growth`` times the initial
-    count. New points get the mean parameters of their two parents, initial optimizer state and no history.
+    count. New points get the mean parameters of their two parents, initial optimizer state and an empty gradient
+    history.
 
     Args:
         points: the cloud.
-        config: limits.
-        unobserved: (N,) bool, points to remove, except permanent ones.
-        seed: of the choice among neighbours.
+        config: limits of densification.
+        unobserved: (N,) bool, the points to remove. Permanent points are kept.
+        seed: seed of the random choice among neighbours.
     """
     count = points.xyz.shape[0]
     kept = torch.nonzero(~unobserved | points.is_permanent)[:, 0]
@@ -74,14 +77,15 @@ def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed
 
 
 def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
-    """Reduce spacing and radius of points whose neighbours are closer since the split."""
+    """Reduce spacing and radius of points whose neighbours are closer than before the split."""
     spacing = torch.minimum(points.spacing[rows], torch.from_numpy(point_spacings(points.xyz.numpy(), rows)))
     points.radius[rows] *= spacing / points.spacing[rows]
     points.spacing[rows] = spacing
 
 
 def _choose_partners(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Pairs of each parent and one of its nearest kept points; a pair that is chosen from both sides counts once."""
+    """Pairs of a parent and one of its nearest kept points, chosen at random. If two parents choose each other, the
+    pair is included once."""
     _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEIGHBOURS + 2)))
     drawn = np.asarray(near)[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
     pairs = torch.stack([parents, kept[torch.from_numpy(drawn)]], 1)

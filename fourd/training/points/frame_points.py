@@ -1,4 +1,4 @@
-"""The points of one frame, or of the background: optimised parameters, optimizer state and gradient history."""
+"""The points of one frame or of the background: their optimised parameters, optimizer state and gradient history."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HISTORY = {
     "age": "age",
     "initial_count": "first",
 }
-"""Attributes of the gradient history, and their names in files."""
+"""Names of the gradient history's attributes, which are also their names in files."""
 
 
 @dataclass
@@ -28,18 +28,18 @@ class FramePoints:
     """N points, float32 except where noted.
 
     Attributes:
-        spacing: (N,) distance to neighbouring points in world units, the unit of radii.
-        radius: (N,) world units, from the last evaluation; for occlusion tests.
-        density: (N,) in (0, 1), likewise.
-        parameters: optimised tensors by name: "xyz" (N, 3) in world units, explicit "sh" (N, 48), and "rgb" (N, 3) of
-            a background.
-        optimizer: Adam's state of the parameters.
-        gradient_sum: (N,) sum of gradient magnitudes, see ``accumulate_gradient_magnitudes``.
-        visible_steps: (N,) number of steps with a gradient.
-        created_at: (N,) the cloud's age when the point was created.
-        is_permanent: (N,) bool, points that stay although no step sees them.
-        age: scalar, steps of the cloud.
-        initial_count: scalar, number of points at the start of training.
+        spacing: (N,) distance to neighbouring points in world units. Radii are multiples of it.
+        radius: (N,) radii in world units from the last evaluation, used by occlusion tests.
+        density: (N,) densities in (0, 1) from the last evaluation, used by occlusion tests.
+        parameters: name -> optimised tensor: "xyz" (N, 3) in world units; "sh" (N, 48) if SH is explicit; "rgb" (N, 3)
+            for a background.
+        optimizer: Adam's state for the parameters.
+        gradient_sum: (N,) sum of gradient magnitudes; see ``accumulate_gradient_magnitudes``.
+        visible_steps: (N,) number of steps in which the point had a gradient.
+        created_at: (N,) the value of ``age`` when the point was created.
+        is_permanent: (N,) bool, whether densification keeps the point although it has no gradient.
+        age: scalar, number of steps in which the cloud was trained.
+        initial_count: scalar, number of points before training.
     """
 
     spacing: Tensor
@@ -67,9 +67,9 @@ class FramePoints:
         Args:
             xyz: (N, 3) positions.
             spacing: (N,) distances to neighbouring points.
-            radius: of all points, in spacings.
-            explicit_sh: whether SH coefficients are optimised, from zero.
-            rgb: (N, 3) initial colours of a background's points.
+            radius: radius of all points, in spacings.
+            explicit_sh: whether SH coefficients are optimised. They are initially zero.
+            rgb: (N, 3) initial colours of the points of a background; None for other points.
         """
         count = xyz.shape[0]
         parameters = {"xyz": xyz.clone()}
@@ -87,9 +87,10 @@ class FramePoints:
         )
 
     def keep_and_insert(self, kept: Tensor, parents: Tensor | None = None, partners: Tensor | None = None) -> None:
-        """Keep points ``kept`` (K,) alone and append new ones midway between pairs of points, in place.
+        """Remove all points except ``kept``, and append new points midway between pairs of points, in place.
 
-        New points have the mean of both parameters, and spacing, radius and density of the first.
+        A new point has the mean parameters of its pair, and the spacing, radius and density of the first point of the
+        pair.
 
         Args:
             kept: (K,) indices.
@@ -112,7 +113,7 @@ class FramePoints:
         self.is_permanent = torch.cat([self.is_permanent[kept], self.is_permanent[first]])
 
     def tensors(self) -> dict[str, Tensor]:
-        """All tensors by their names in files."""
+        """All tensors, by their names in files."""
         named = {name: getattr(self, name) for name in ("spacing", "radius", "density")}
         named["steps"] = self.optimizer.steps
         named.update({stored: getattr(self, name) for name, stored in HISTORY.items()})
@@ -122,7 +123,7 @@ class FramePoints:
 
     @classmethod
     def from_tensors(cls, named: Mapping[str, Tensor]) -> FramePoints:
-        """The inverse of :meth:`tensors`. Files without a gradient history get an empty one."""
+        """Create points from the output of :meth:`tensors`. If there is no gradient history, it is empty."""
         history = _empty_history(named["steps"].shape[0])
         history.update({name: named[stored] for name, stored in HISTORY.items() if stored in named})
         return cls(
@@ -135,7 +136,7 @@ class FramePoints:
         )
 
     def copy_outside_heap(self) -> FramePoints:
-        """A copy in memory of its own, for points that stay in memory for many steps."""
+        """A copy outside the heap, for points that stay in memory for many steps."""
         return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
 
     @property

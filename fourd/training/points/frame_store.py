@@ -1,4 +1,4 @@
-"""Points of all frames, in a cache of bounded size over files."""
+"""Points of all frames, stored in files, with a memory cache of bounded size."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from fourd.training.points.scratch import Scratch
 
 
 class FrameStore:
-    """Points of all frames; frames out of use are in files, so that memory does not grow with the frame count."""
+    """Points of all frames. The least recently used frames are stored in files, so that memory does not grow with the
+    number of frames."""
 
     def __init__(
         self, scratch: Scratch, frames: int, make: Callable[[int], FramePoints], memory_mb: int, saved: Path | None
@@ -23,11 +24,11 @@ class FrameStore:
         """Open a store.
 
         Args:
-            scratch: holds points that leave memory between checkpoints.
+            scratch: folder for the points that are removed from memory between checkpoints.
             frames: number of frames.
-            make: gives the initial points of a frame.
-            memory_mb: bound on the points in memory; one frame's points may exceed it.
-            saved: a folder written by :meth:`save`, from which points are read.
+            make: function from a frame's index to its initial points.
+            memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed it.
+            saved: folder written by :meth:`save` from which points are read; None for initial points.
         """
         self._scratch = scratch
         self._make = make
@@ -38,24 +39,24 @@ class FrameStore:
 
     @property
     def cached_count(self) -> int:
-        """Number of frames in memory."""
+        """Number of frames whose points are in memory."""
         return len(self._cache)
 
     def get(self, frame: int) -> FramePoints:
-        """The points of a frame; changes in place are kept if they are made before the next call."""
+        """The points of a frame. In-place changes are kept if they are made before the next call of this method."""
         if frame not in self._cache:
             self._cache[frame] = self._load(frame).copy_outside_heap()
         return self._cache[frame]
 
     def save(self, folder: Path) -> None:
-        """Write every frame below ``folder``, one at a time."""
+        """Write the points of every frame to ``folder``, one frame at a time."""
         for frame in range(self.frames):
             with atomic_path(folder / _file_name(frame)) as temporary:
                 self._write(frame, temporary)
         self._saved = folder
 
     def _write(self, frame: int, target: Path) -> None:
-        """Write the points in memory, or copy the newest file without reading it."""
+        """Write a frame's points if they are in memory; otherwise copy their newest file."""
         file = self._newest_file(frame)
         if frame in self._cache:
             save_file(self._cache[frame].tensors(), target)
@@ -69,12 +70,12 @@ class FrameStore:
         if file is None:
             return self._make(frame)
         named = load_file(file)
-        if "spacing" not in named:  # a file of an older version
+        if "spacing" not in named:  # file written by an older version
             named["spacing"] = self._make(frame).spacing
         return FramePoints.from_tensors(named)
 
     def _newest_file(self, frame: int) -> Path | None:
-        """The file with the frame's points; None for a frame that was never written."""
+        """The file with the frame's points; None if the frame was never written."""
         folder = self._scratch.folder if frame in self._spilled else self._saved
         return None if folder is None else folder / _file_name(frame)
 
@@ -84,10 +85,10 @@ class FrameStore:
 
 
 class _SpillingCache(LRUCache[int, FramePoints]):
-    """Least-recently-used cache that hands evicted points to ``spill``."""
+    """Least-recently-used cache that passes evicted points to ``spill``."""
 
     def __init__(self, max_bytes: int, spill: Callable[[int, FramePoints], None]) -> None:
-        # A value larger than the cache is an error to cachetools.
+        # cachetools raises an error for a value that is larger than the cache.
         super().__init__(max_bytes, getsizeof=lambda points: min(points.nbytes, max_bytes))
         self._spill = spill
 

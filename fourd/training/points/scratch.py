@@ -1,4 +1,5 @@
-"""Scratch folders: one for each user of a run, so that training, eval, render, export and view can run side by side."""
+"""Scratch folders. Every command that uses a run has its own, so that train, eval, render, export and view can run at
+the same time."""
 
 from __future__ import annotations
 
@@ -15,14 +16,14 @@ if sys.platform != "win32":
     import fcntl
 
 LOCK_SUFFIX = ".lock"
-"""NAME.lock is locked while the process that uses the folder NAME lives."""
+"""The file NAME.lock is locked while the process that uses the folder NAME is running."""
 
 
 class Scratch:
     """A new folder below ``parent`` that no other process or object uses.
 
-    The folder is removed with this object, or when the process exits. A process that is killed leaves its folder; the
-    next Scratch below the same ``parent`` removes it.
+    The folder is removed when this object is deleted or the process exits. If the process is killed, its folder remains
+    until the next Scratch with the same ``parent`` is created.
     """
 
     def __init__(self, parent: Path) -> None:
@@ -33,12 +34,12 @@ class Scratch:
         self._remove = weakref.finalize(self, _remove, self.folder, lock)
 
     def close(self) -> None:
-        """Remove the folder; later calls do nothing."""
+        """Remove the folder. Further calls do nothing."""
         self._remove()
 
 
 def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
-    """A new name and its locked file, below ``parent``, which is created if necessary."""
+    """A new folder name and its locked lock file in ``parent``. ``parent`` is created if necessary."""
     while True:
         name = f"{os.getpid()}-{secrets.token_hex(4)}"
         path = parent / f"{name}{LOCK_SUFFIX}"
@@ -46,8 +47,8 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
         try:
             stream = path.open("xb")
         except FileNotFoundError:
-            continue  # another process removed the empty parent in between
-        # Another process may have taken the file for a leftover before it was locked.
+            continue  # another process has removed the empty parent
+        # Before the file was locked, another process may have removed it as the lock of a dead process.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()
@@ -56,16 +57,16 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
 def _remove(folder: Path, lock: BinaryIO) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     if sys.platform == "win32":
-        lock.close()  # open files cannot be removed there
+        lock.close()  # on Windows, open files cannot be removed
     with contextlib.suppress(OSError):
         folder.with_name(f"{folder.name}{LOCK_SUFFIX}").unlink(missing_ok=True)
     lock.close()
     with contextlib.suppress(OSError):
-        folder.parent.rmdir()  # succeeds when no other scratch folder is left
+        folder.parent.rmdir()  # succeeds only if there is no other scratch folder
 
 
 def _remove_leftovers(parent: Path) -> None:
-    """Remove folders whose process is dead: those with a lock file that is not locked."""
+    """Remove the scratch folders of dead processes. Their lock files are not locked."""
     for path in parent.glob(f"*{LOCK_SUFFIX}"):
         with contextlib.suppress(OSError), path.open("rb+") as stream:
             if _try_lock(stream):
@@ -74,7 +75,7 @@ def _remove_leftovers(parent: Path) -> None:
 
 
 def _try_lock(stream: BinaryIO) -> bool:
-    """Lock an open file until it is closed; False where another process or object holds the lock."""
+    """Lock an open file until it is closed. Returns False if another process or object holds the lock."""
     if sys.platform == "win32":
         import msvcrt
 

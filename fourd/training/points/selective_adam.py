@@ -1,4 +1,4 @@
-"""Adam on selected rows of tensors: the points that a step does not see keep their parameters and their state."""
+"""Adam on selected rows of tensors. Points that are not visible in a step keep their parameters and optimizer state."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from fourd.training.memory import tensor_outside_heap
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
 EPSILONS = {"rgb": 1e-6}
-"""Epsilon by parameter name, where it is not EPSILON. Most points' own colours have almost no influence on the picture:
-with a smaller epsilon, gradients that are noise would make them a random walk."""
+"""Parameter name -> epsilon, for parameters with another epsilon than EPSILON. The own colours of most points have
+almost no influence on the image. With a smaller epsilon, their noisy gradients would cause a random walk of these
+colours."""
 
 
 @dataclass
 class SelectiveAdam:
-    """State of Adam (Kingma and Ba 2015) with a step count for each row. N rows.
+    """State of Adam (Kingma and Ba 2015) for N rows, with a step count for each row.
 
     Attributes:
-        moments: parameter name -> (2, N, C) first and second moments.
-        steps: (N,) float32, updates of each row.
+        moments: parameter name -> first and second moments (2, N, C).
+        steps: (N,) float32, number of updates of each row.
     """
 
     moments: dict[str, Tensor]
@@ -31,7 +32,7 @@ class SelectiveAdam:
 
     @classmethod
     def initial(cls, parameters: Mapping[str, Tensor]) -> SelectiveAdam:
-        """State before the first step for parameters (N, C)."""
+        """Initial state for parameters (N, C)."""
         count = next(iter(parameters.values())).shape[0]
         moments = {name: torch.zeros(2, *value.shape) for name, value in parameters.items()}
         return cls(moments, torch.zeros(count))
@@ -46,9 +47,9 @@ class SelectiveAdam:
         """Update ``rows`` of the parameters in place.
 
         Args:
-            parameters: name -> (N, C).
-            rows: (M,) indices, each at most once.
-            gradients: name -> (M, C); parameters without one keep their values.
+            parameters: name -> parameters (N, C).
+            rows: (M,) indices of the rows to update, without duplicates.
+            gradients: name -> gradients (M, C). Parameters without a gradient keep their values.
             rates: name -> learning rate in the parameter's units, a number or (M, 1).
         """
         self.steps[rows] += 1
@@ -62,7 +63,7 @@ class SelectiveAdam:
             parameters[name][rows] -= rates[name] * first / (1 - BETAS[0] ** steps) / scale
 
     def keep_rows(self, kept: Tensor, new_count: int) -> None:
-        """Keep the state of rows ``kept`` (K,), and append initial state for ``new_count`` rows."""
+        """Keep only the state of the rows ``kept`` (K,), and append initial state for ``new_count`` rows."""
         for name, moments in self.moments.items():
             new = torch.zeros(2, new_count, moments.shape[2])
             self.moments[name] = tensor_outside_heap(torch.cat([moments[:, kept], new], dim=1))

@@ -1,4 +1,4 @@
-"""The silhouette constraint: an object's points stay inside its mattes."""
+"""The silhouette constraint, which keeps an object's points inside its mattes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fourd.training.points.frame_points import FramePoints
 def revert_moves_out_of_silhouettes(
     points: FramePoints, rows: Tensor, before: Tensor, views: Sequence[tuple[Camera, Tensor]]
 ) -> None:
-    """Revert the moves of points that left the silhouette of a view.
+    """Revert the moves of those points that left the silhouette in a view.
 
-    Points that were outside before the move may move on, and views that do not contain a point do not constrain it.
+    A point that was already outside the silhouette is not reverted. A view does not constrain points outside its image.
 
     Args:
-        points: the cloud, changed in place.
-        rows: (M,) points that moved.
-        before: (M, 3) their positions before the move.
+        points: the cloud. Positions are changed in place.
+        rows: (M,) indices of the points that moved.
+        before: (M, 3) positions of these points before the move.
         views: pinhole cameras with their mattes (H, W) in [0, 1].
     """
     moved = points.xyz[rows]
@@ -35,7 +35,8 @@ def revert_moves_out_of_silhouettes(
 
 
 def _is_inside(xyz: Tensor, camera: Camera, matte: Tensor, outside_image: bool) -> Tensor:
-    """(N,) whether the matte is at least 0.5 at points (N, 3); ``outside_image`` for points not in the image."""
+    """(N,) bool, whether the matte is at least 0.5 at each of the points (N, 3). Points outside the image get the value
+    ``outside_image``."""
     pixels, depth = project_points(xyz, (camera,))
     size = torch.tensor([matte.shape[1], matte.shape[0]], dtype=pixels.dtype)
     grid = (2 * pixels / size - 1)[:, None]

@@ -1,4 +1,4 @@
-"""Distances between neighbouring points, the unit of their radii."""
+"""Distances between neighbouring points. Radii of points are multiples of them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ from scipy.spatial import cKDTree
 
 NEIGHBOURS = 4
 DEFAULT_SPACING = 0.01
-"""World units, for clouds of too few points."""
+"""Spacing, in world units, of clouds that have too few points to measure it."""
 MAX_SAMPLES = 4096
 MEAN_NEIGHBOUR_DISTANCE = 1.2
-"""Mean distance to the four nearest neighbours of points spread evenly over a surface, in units of their spacing."""
+"""Mean distance to the four nearest neighbours, in units of the spacing, for points that are spread evenly over a
+surface."""
 
 
 def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = None) -> NDArray[np.float32]:
-    """(M,) spacing at the points ``rows`` (M,) of (N, 3), or at all of them, as if spread evenly over a surface."""
+    """(M,) spacing at the points ``rows`` (M,) of the points (N, 3), or at all points if ``rows`` is None.
+
+    The spacing is estimated as if the points were spread evenly over a surface.
+    """
     queried = xyz if rows is None else xyz[rows]
     if len(xyz) <= NEIGHBOURS:
         return np.full(len(queried), DEFAULT_SPACING, np.float32)
@@ -24,9 +28,10 @@ def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = Non
 
 
 def mean_spacing(xyz: NDArray[np.float32]) -> float:
-    """Mean spacing at the first 4,096 of points (N, 3).
+    """Mean spacing at the first 4,096 of the points (N, 3).
 
-    The nearest neighbour alone would depend on how evenly the points are spread.
+    Four neighbours are used, because the distance to the nearest neighbour alone would depend on how evenly the points
+    are spread.
     """
     if len(xyz) <= NEIGHBOURS + 1:
         return DEFAULT_SPACING

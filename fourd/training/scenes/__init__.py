@@ -1,4 +1,3 @@
-"""Kinds of scenes: objects on black, and full scenes with a static background.
-
-:class:`fourd.training.scenes.scene.TrainingScene` is the interface; the rest of training works with either kind.
+"""Kinds of scenes: objects on black, and full scenes with a static background. Their common interface is
+:class:`fourd.training.scenes.scene.TrainingScene`. The rest of training works with both kinds.
 """

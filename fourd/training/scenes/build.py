@@ -1,4 +1,4 @@
-"""The choice between the kinds of scenes."""
+"""Creation of a scene of either kind."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fourd.training.views import ViewStore
 def build_scene(
     config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None
 ) -> TrainingScene:
-    """A full scene where there is a background, else an object."""
+    """A full scene if there is a background, otherwise an object."""
     if background is None:
         return ObjectScene(config, model, views)
     return FullScene(config, model, views, background)

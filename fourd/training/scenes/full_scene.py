@@ -1,4 +1,4 @@
-"""Full scenes: the foreground of the mattes before a static background, which the clean plates show."""
+"""Full scenes: the foreground given by the mattes, in front of a static background given by the clean plates."""
 
 from __future__ import annotations
 
@@ -28,16 +28,17 @@ from fourd.training.schedule import StepSample
 from fourd.training.views import View, ViewStore
 
 RNG_STREAM = 3
-"""Second entry of the seeds of densification, which no other draw of a run has."""
+"""RNG stream number of densification: ``default_rng([seed, RNG_STREAM, frame, age])``. No other random sampling of a
+run uses it."""
 BACKGROUND_SEED = 2**31
-"""Takes the place of the frame in the seed of the background's densification; no frame has this index."""
+"""Number used instead of a frame index in the seed of the background's densification. No frame has this index."""
 
 
 class FullScene:
     """A foreground and a static background; see :class:`fourd.training.scenes.scene.TrainingScene`.
 
-    Steps render either a frame or a clean plate. With ``config.background.joint`` the background is part of a frame's
-    picture; without it a frame's step trains the foreground alone.
+    A step renders either a frame or a clean plate. If ``config.background.joint`` is true, a frame is rendered with the
+    background. Otherwise a step on a frame trains the foreground alone.
     """
 
     resident_bytes = FULL_RESIDENT_BYTES
@@ -120,7 +121,7 @@ class FullScene:
     def evaluate_background(
         self, camera: Camera, sources: list[int], shadow_time: float | None = None
     ) -> RenderablePoints:
-        """All points of the background; ``shadow_time`` is the time of the shadows on it, None for no shadows."""
+        """All points of the background, with the shadows at ``shadow_time``, or without shadows if it is None."""
         model, points = self.background.model, self.background.points
         with torch.no_grad():
             plates = None if model.config.appearance == "sh" else self.background.sources(sources)
@@ -159,10 +160,10 @@ class FullScene:
 
 
 def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of a square window in the picture, smaller where the picture is.
+    """(left, top, width, height) of a square window in the image. Its sides are clipped to the size of the image.
 
-    ``position`` (x, y) in [0, 1) places the window's centre anywhere in the picture; the window is then moved inside,
-    so that corners are drawn as often as the middle.
+    ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. The window is then moved inside
+    the image. Corners of the image are therefore rendered as often as its middle.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

@@ -1,4 +1,4 @@
-"""Scenes of an object on black: the content of the mattes."""
+"""Scenes of an object, which is the content of the mattes, on black."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class ObjectScene:
     def evaluate_visible(
         self, points: FramePoints, rows: Tensor, time: float, sample: StepSample, camera: Camera, step: int
     ) -> OptimizedPoints:
-        """The points ``rows`` (M,) of a frame, for training."""
+        """Evaluate the points ``rows`` (M,) of a frame for training."""
         sources = None
         if self.config.model.appearance != "sh":
             views = self.views.sources(sample.sources, sample.frame)
@@ -83,7 +83,7 @@ class ObjectScene:
         pass
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
-        """An object's points are neither split nor removed."""
+        """Do nothing: the points of an object are neither split nor removed."""
 
     def clear_caches(self) -> None:
         pass

@@ -1,4 +1,5 @@
-"""The interface of a scene: everything in training and rendering that differs between objects and full scenes."""
+"""The interface of a scene. It covers everything in training and rendering that differs between objects and full
+scenes."""
 
 from __future__ import annotations
 
@@ -27,15 +28,16 @@ from fourd.training.views import View, ViewStore
 
 @dataclass(frozen=True)
 class Target:
-    """The picture that a step is trained on.
+    """The ground-truth image of a training step.
 
     Attributes:
-        camera: of the rendered part of the picture.
-        rgb: (H, W, 3) in [0, 1], premultiplied by ``known``.
-        matte: (H, W) alpha of the foreground; None where the target is a plate.
-        known: (H, W) where ``rgb`` is known: an object's matte, a whole picture, or the seen part of a plate.
-        fills_picture: whether the scene fills the picture. If so, pixels that are not known are excluded from the
-            loss; otherwise they show the background colour.
+        camera: camera of the rendered part of the image.
+        rgb: (H, W, 3) colours in [0, 1], premultiplied by ``known``.
+        matte: (H, W) alpha of the foreground; None if the target is a plate.
+        known: (H, W) in [0, 1], 1 where ``rgb`` is known: the matte of an object, all of an image, or the part of a
+            plate in which the background is visible.
+        fills_picture: whether the scene fills the image. If true, unknown pixels are excluded from the loss. Otherwise
+            they have the step's background colour.
     """
 
     camera: Camera
@@ -52,10 +54,10 @@ class OptimizedPoints:
     Attributes:
         cloud: the whole cloud.
         rows: (M,) indices of the visible points.
-        parameters: their optimised tensors by name, leaves that gather gradients.
-        evaluated: geometry and features.
-        colour: (M, 3) RGB.
-        sources: the source views of the colours; None without image-based colour.
+        parameters: name -> optimised tensor of the visible points, a leaf whose gradient is computed.
+        evaluated: geometry and features of the visible points.
+        colour: (M, 3) RGB of the visible points.
+        sources: the source views from which colours are blended; None without image-based colour.
     """
 
     cloud: FramePoints
@@ -71,27 +73,27 @@ class OptimizedPoints:
 
 
 class TrainingScene(Protocol):
-    """An object or a full scene."""
+    """Interface of both kinds of scenes: objects and full scenes."""
 
     @property
     def models(self) -> Mapping[str, PointModel]:
-        """All models by the prefix of their tensors in checkpoints, the foreground's first."""
+        """All models by the prefix of their tensors in checkpoints. The foreground's model is first."""
 
     @property
     def static_clouds(self) -> Mapping[str, FramePoints]:
-        """Points that all frames share, by the name of their file in checkpoints."""
+        """Clouds of points that all frames share, by the name of their file in checkpoints."""
 
     @property
     def views(self) -> ViewStore:
-        """The training pictures."""
+        """The store of training images."""
 
     @property
     def background(self) -> StaticBackground | None:
-        """The static background; None of an object."""
+        """The static background; None for an object."""
 
     @property
     def resident_bytes(self) -> int:
-        """Target for the process's resident size while training."""
+        """Target for the process's resident size while training, in bytes."""
 
     def loss_terms(self, lpips: LPIPS | None, refinement: Refinement | None) -> tuple[LossTerm, ...]:
         """Terms of the training loss."""
@@ -100,29 +102,32 @@ class TrainingScene(Protocol):
         """Replace the cameras of views and plates."""
 
     def target(self, sample: StepSample) -> Target:
-        """The picture that a step is trained on."""
+        """The ground-truth image of a step."""
 
     def evaluate_step(
         self, points: FramePoints, time: float, sample: StepSample, camera: Camera, step: int
     ) -> list[OptimizedPoints]:
-        """The visible points of the clouds in a step's picture; the foreground's are first."""
+        """The visible points of each cloud that is rendered in a step. The foreground comes first."""
 
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> float | Tensor:
-        """Learning rate of the positions in world units, one or (M, 1); ``factor`` is that of the schedule."""
+        """Learning rate of the positions in world units, a number or (M, 1). ``factor`` is the schedule's factor on all
+        rates."""
 
     def finish_step(self) -> None:
         """Called after each update of the parameters."""
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
-        """Split and remove points after a step, when a round is due. ``spent`` is the spent share of the budget."""
+        """Split and remove points after a step if densification is due. ``spent`` is the share of the budget that is
+        spent."""
 
     def clear_caches(self) -> None:
-        """Drop what a resumed run does not have."""
+        """Drop cached data that a resumed run does not have."""
 
     def evaluate_frame(
         self, points: FramePoints, frame: int, camera: Camera, sources: list[int]
     ) -> list[RenderablePoints]:
-        """All points of a frame (index into the selection), the foreground's first, colours from ``sources``."""
+        """All points of frame ``frame`` (an index into the selected frames), foreground first. Colours are blended from
+        the source views of the cameras ``sources``."""
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
-        """The true picture (H, W, 3) in [0, 1] that a rendering of a view is compared with."""
+        """The true image (H, W, 3) in [0, 1] with which a rendering of the view is compared."""

@@ -40,7 +40,7 @@ OFF = RefineConfig()
 
 
 def _cloud(rng: np.random.Generator, camera: Camera, count: int = 60) -> RenderablePoints:
-    """Points at distinct depths in front of ``camera``, so that small changes keep their order."""
+    """Points in front of ``camera`` whose depths differ so much that small camera changes do not change their order."""
     depths = 1.6 + 0.8 * rng.permutation(count)[:, None] / count
     in_camera = np.hstack([rng.uniform(-0.4, 0.4, (count, 2)), depths])
     xyz = torch.from_numpy((in_camera - camera.translation) @ camera.rotation)
@@ -62,7 +62,8 @@ def _set(refinement: Refinement, place: int, pose: NDArray[np.float64], zoom: fl
 
 
 def test_camera_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a wrong sign, frame or Jacobian of the pose's gradient, and a zoom without effect on radii in pixels."""
+    """Catches a wrong sign, coordinate frame or Jacobian in the pose's gradient, and a zoom without effect on radii in
+    pixels."""
     cameras = ring_cameras(3, 24)
     refinement = Refinement(EVERYTHING, cameras, [0, 1, 2], np.zeros(3)).double()
     pose, zoom = rng.normal(0, 0.1, 6), 0.05
@@ -91,7 +92,7 @@ def test_camera_gradients_equal_finite_differences(rng: np.random.Generator) -> 
 
 
 def test_zero_corrections_are_exactly_the_identity(rng: np.random.Generator) -> None:
-    """Catches cameras, points, radii or colours whose last bit changes when refinement is switched on."""
+    """Catches identity corrections that change cameras, points, radii or colours by as little as one bit."""
     cameras = ring_cameras(4, 24)
     refinement = Refinement(EVERYTHING, cameras, [0, 1, 3], np.zeros(3))
     rig = refinement.rig()
@@ -113,7 +114,8 @@ def test_zero_corrections_are_exactly_the_identity(rng: np.random.Generator) -> 
 
 
 def test_colour_corrections_have_mean_identity_and_are_inverted_in_sources(rng: np.random.Generator) -> None:
-    """Catches a colour shift of the scene that all cameras compensate, and the forward map applied to sources."""
+    """Catches a colour shift of the scene that is compensated by all cameras, and source views to which the forward
+    instead of the inverse map is applied."""
     refinement = Refinement(EVERYTHING, ring_cameras(4, 24), [0, 2, 3], np.zeros(3))
     with torch.no_grad():
         for tint in refinement.tints:
@@ -132,7 +134,7 @@ def test_colour_corrections_have_mean_identity_and_are_inverted_in_sources(rng: 
 def test_a_resumed_refined_run_equals_an_uninterrupted_one(
     scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches corrections or optimizer state missing in checkpoints, and stale cameras."""
+    """Catches corrections or optimizer state that are missing in checkpoints, and cameras that are not updated."""
     config = SMALL if scene == "object" else full_config(tmp_path / "shell.ply")
     config = replace(config, max_steps=9, refine=EVERYTHING)
     uninterrupted = create_run(ball_capture, tmp_path / "whole", config)
@@ -157,7 +159,8 @@ def test_a_resumed_refined_run_equals_an_uninterrupted_one(
 
 
 def test_a_loaded_run_uses_its_corrected_cameras(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches rendering or export with the given cameras, and calibration files that differ from the corrections."""
+    """Catches rendering or export with the uncorrected cameras, and calibration files that differ from the corrected
+    cameras."""
     run = trained_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
     trained = load_run(run.folder)
     cameras = trained.run.capture.cameras
@@ -180,7 +183,7 @@ def test_a_loaded_run_uses_its_corrected_cameras(ball_capture: Path, tmp_path: P
 
 
 def test_a_written_calibration_gives_the_same_cameras(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches focal lengths at the wrong scale, and cameras that are lost because they are not selected."""
+    """Catches focal lengths at the wrong image scale, and unselected cameras that are missing in the files."""
     half = open_capture(ball_capture, views=["01", "02", "05"], scale=0.5)
     moved = list(
         perturb_cameras(dict(zip(half.names, half.cameras, strict=True)), 2, 0.1, np.random.default_rng(0)).values()
@@ -195,13 +198,13 @@ def test_a_written_calibration_gives_the_same_cameras(ball_capture: Path, tmp_pa
         for name in ("intrinsics", "rotation", "translation"):
             assert np.allclose(getattr(camera, name), getattr(other, name), rtol=0, atol=1e-12)
     assert list(read_calibration(tmp_path / "calibration" / "start")) == [f"{index:02d}" for index in range(8)]
-    with pytest.raises(UserError, match=r"start: expected the cameras that the run starts with, got none; train in"):
+    with pytest.raises(UserError, match=r"start: expected the start cameras of the run, got no file; train in"):
         with_start_cameras(half, tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12])
 def test_distortion_scales_with_the_focal_length(count: int, rng: np.random.Generator) -> None:
-    """Catches a written calibration whose undistorted pictures differ from those of training."""
+    """Catches a written calibration whose undistorted images differ from those of training."""
     distortion = rng.normal(0, 0.02, count)
     k = np.array([[400.0, 0, 320], [0, 420, 240], [0, 0, 1]])
     zoomed = np.diag([1.05, 1.05, 1.0]) @ k
@@ -216,7 +219,7 @@ def test_distortion_scales_with_the_focal_length(count: int, rng: np.random.Gene
 
 
 def test_a_held_out_camera_is_aligned(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a fit that diverges, changes the scene, or reports another move than its own."""
+    """Catches a fit that diverges, changes the scene, or reports a wrong rotation or distance."""
     config = replace(with_steps(SMALL, 60), checkpoint_steps=1000)
     run = trained_run(ball_capture, tmp_path / "run", config)
     trained = load_run(run.folder)
@@ -240,7 +243,7 @@ def test_a_held_out_camera_is_aligned(ball_capture: Path, tmp_path: Path) -> Non
 
 
 def test_refinement_is_off_by_default() -> None:
-    """Catches a default that changes good calibrations."""
+    """Catches a default config that changes the cameras."""
     assert [OFF.cameras, OFF.colours] == [False, False]
     assert TrainConfig().refine == OFF
     with pytest.raises(ValueError, match="rotation_deg: expected more than 0, got 0"):
@@ -292,7 +295,7 @@ def test_a_run_without_start_cameras_is_refused(ball_capture: Path, tmp_path: Pa
     """Catches a run that is resumed or exported with the given cameras."""
     run = create_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
     shutil.rmtree(run.folder / "calibration")
-    with pytest.raises(UserError, match=r"calibration/start: expected the cameras that the run starts with, got none"):
+    with pytest.raises(UserError, match=r"calibration/start: expected the start cameras of the run, got no file"):
         open_run(run.folder)
 
 

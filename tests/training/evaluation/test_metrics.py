@@ -20,14 +20,14 @@ def pair(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[np.ndarray, 
 
 
 def test_psnr_equals_skimage(rng: np.random.Generator) -> None:
-    """Catches a logarithm of the root, a natural logarithm, or a mean by channel."""
+    """Catches a logarithm of the root mean square, a natural logarithm, or a mean over the PSNR of channels."""
     first, second = pair(rng, (13, 17, 3))
     assert float(psnr(second, first)) == pytest.approx(peak_signal_noise_ratio(first, second, data_range=1), rel=1e-9)
     assert math.isinf(float(psnr(first, first)))
 
 
 def test_psnr_is_over_masked_pixels_alone(rng: np.random.Generator) -> None:
-    """Catches a division by all pixels, or by pixels instead of values."""
+    """Catches a division by the number of all pixels, or by the number of pixels instead of values."""
     first, second = pair(rng, (13, 17, 3))
     mask = rng.random((13, 17)) < 0.4
     mask[3, 4] = True
@@ -58,7 +58,7 @@ def test_ssim_of_a_batch_is_the_mean(rng: np.random.Generator) -> None:
 
 
 def test_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a detached term: both metrics are used as losses."""
+    """Catches a metric without gradient. Both metrics are used as losses."""
     first, second = (torch.from_numpy(image) for image in pair(rng, (12, 13, 2)))
     weights = torch.from_numpy(rng.random((12, 13)))
     assert torch.autograd.gradcheck(lambda image: ssim(image, second), first.clone().requires_grad_())
@@ -67,7 +67,7 @@ def test_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
 
 
 def test_invalid_images_are_refused() -> None:
-    """Catches scores of images with values up to 255, and of shapes that broadcast."""
+    """Catches scores of images with values up to 255, and of images whose different shapes broadcast."""
     image = np.zeros((20, 20, 3))
     with pytest.raises(ValueError, match="floating point"):
         psnr(image.astype(np.uint8), image.astype(np.uint8))

@@ -13,7 +13,7 @@ from torch import Tensor
 from fourd.errors import UserError
 from fourd.training.losses.lpips import LPIPS, expected_shapes, load_lpips
 
-# torchvision's layers: (number, inputs, outputs), None for a pooling.
+# torchvision's layers as (number, input channels, output channels). None is a pooling layer.
 PUBLISHED: list[tuple[int, int, int] | None] = [
     (0, 3, 64), (2, 64, 64), None,
     (5, 64, 128), (7, 128, 128), None,
@@ -48,7 +48,7 @@ def weights() -> tuple[dict[str, Tensor], dict[str, Tensor]]:
 
 @pytest.fixture(scope="module")
 def folder(weights: tuple[dict[str, Tensor], dict[str, Tensor]], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of downloaded weights, one file of each format."""
+    """A folder of downloaded weights: one .pth file and one .safetensors file."""
     path = tmp_path_factory.mktemp("weights")
     save_file(weights[0], path / "vgg16-397923af.safetensors")
     torch.save(weights[1], path / "vgg.pth")
@@ -112,7 +112,7 @@ def test_equals_a_numpy_implementation(
 
 
 def test_names_and_shapes_are_as_published(weights: tuple[dict[str, Tensor], dict[str, Tensor]]) -> None:
-    """Catches a wrong layer number in the table for the validation of files."""
+    """Catches a wrong layer number in the table that is used for the validation of files."""
     given = {
         name.replace(".model.1.weight", ""): tuple(value.shape) for name, value in (weights[0] | weights[1]).items()
     }
@@ -120,7 +120,7 @@ def test_names_and_shapes_are_as_published(weights: tuple[dict[str, Tensor], dic
 
 
 def test_batches_are_compared_pair_by_pair(network: LPIPS, rng: np.random.Generator) -> None:
-    """Catches a mean over the batch, and (H, W, 3) read as (3, H, W)."""
+    """Catches a mean over the batch, and images (H, W, 3) that are treated as (3, H, W)."""
     first, second = (torch.from_numpy(rng.random((2, 3, 20, 24)).astype(np.float32)) for _ in range(2))
     batched = network(first, second)
     separate = [network(a.permute(1, 2, 0), b.permute(1, 2, 0)) for a, b in zip(first, second, strict=True)]
@@ -132,7 +132,7 @@ def test_batches_are_compared_pair_by_pair(network: LPIPS, rng: np.random.Genera
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 40), (15, 15)])
 def test_small_images_are_extended_by_their_border(network: LPIPS, size: tuple[int, int]) -> None:
-    """Catches the crash of a pooling with empty output."""
+    """Catches a crash of a pooling layer with empty output."""
     torch.manual_seed(0)
     image, other = torch.rand(*size, 3), torch.rand(*size, 3)
     rows, columns = (torch.arange(max(side, 16)).clamp_max(side - 1) for side in size)
@@ -141,7 +141,7 @@ def test_small_images_are_extended_by_their_border(network: LPIPS, size: tuple[i
 
 
 def test_gradients_reach_the_image_alone(network: LPIPS) -> None:
-    """Catches trainable weights, and the infinite gradient of a root at 0 (all channels 0)."""
+    """Catches trainable weights, and the infinite gradient of the square root where all channels are 0."""
     dark = {name: value.clone() for name, value in network.state_dict().items()}
     for name in dark:
         if name.endswith("bias"):
@@ -170,7 +170,7 @@ def test_wrong_image_shapes_are_refused(network: LPIPS) -> None:
 def test_one_file_may_contain_the_whole_network_under_the_package_s_names(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], network: LPIPS, tmp_path: Path
 ) -> None:
-    """Catches refusal of a state dict of the lpips network in half precision with additional keys."""
+    """Catches an error for a valid file: a half-precision state dict of the lpips network with additional keys."""
     starts = (0, 4, 9, 16, 23, 30)
     whole: dict[str, Tensor] = {"scaling_layer.shift": torch.zeros(1, 3, 1, 1)}
     for name, value in weights[0].items():
@@ -188,11 +188,11 @@ def test_one_file_may_contain_the_whole_network_under_the_package_s_names(
 def test_default_locations_are_found(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a search that needs both parts in one location, or that imports the package."""
+    """Catches a search that finds weights only if both parts are in one location, or that imports the package."""
     assert load_lpips(None) is None
     checkpoints = tmp_path / "hub" / "checkpoints"
     checkpoints.mkdir(parents=True)
-    # torchvision's own file has torch's older format, which cannot be memory-mapped.
+    # torchvision's file has torch's older format, which cannot be memory-mapped.
     torch.save(weights[0], checkpoints / "vgg16-397923af.pth", _use_new_zipfile_serialization=False)
     assert load_lpips(None) is None
     package = tmp_path / "site" / "lpips"
@@ -209,7 +209,7 @@ def test_default_locations_are_found(
 def test_invalid_weights_are_one_line(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], folder: Path, tmp_path: Path
 ) -> None:
-    """Catches messages without the file or the fix."""
+    """Catches error messages that do not name the file, or have several lines."""
     cases: dict[str, tuple[Path, str]] = {}
     cases["missing"] = (tmp_path / "no.pth", "expected a file or folder with weights")
     (tmp_path / "empty").mkdir()
@@ -217,9 +217,9 @@ def test_invalid_weights_are_one_line(
     cases["one part"] = (folder / "vgg.pth", "got none for features.0.weight")
     alex = {"lin0.model.1.weight": torch.rand(1, 64, 1, 1), "lin1.model.1.weight": torch.rand(1, 192, 1, 1)}
     torch.save(alex, tmp_path / "alex.pth")
-    cases["another network"] = (tmp_path / "alex.pth", r"expected the shape \(1, 128, 1, 1\) for 'lin1")
+    cases["another network"] = (tmp_path / "alex.pth", r"'lin1.model.1.weight': expected shape \(1, 128, 1, 1\), got")
     save_file({"features.1.weight": torch.rand(3)}, tmp_path / "bn.safetensors")
-    cases["another layout"] = (tmp_path / "bn.safetensors", "of no such layer")
+    cases["another layout"] = (tmp_path / "bn.safetensors", "got the unknown layer 'features.1.weight'")
     save_file({"other": torch.rand(3)}, tmp_path / "other.safetensors")
     cases["unknown names"] = (tmp_path / "other.safetensors", "expected names like features.0.weight")
     (tmp_path / "cut.pth").write_bytes((folder / "vgg.pth").read_bytes()[:3000])
@@ -249,7 +249,7 @@ class Attack:
 
 @pytest.mark.parametrize("zipped", [True, False])
 def test_a_file_that_would_execute_code_is_refused(zipped: bool, tmp_path: Path) -> None:
-    """Catches torch.load without weights_only."""
+    """Catches torch.load without weights_only, which would execute the code."""
     torch.save(
         {"lin0.model.1.weight": Attack(tmp_path / "ran")}, tmp_path / "evil.pth", _use_new_zipfile_serialization=zipped
     )

@@ -31,7 +31,7 @@ def rendered(side: int = 16) -> RenderedStep:
 
 
 def test_terms_equal_their_formulas() -> None:
-    """Catches a term that compares other pictures, or forgets its unit."""
+    """Catches a term that compares the wrong images, or is not divided by its unit."""
     step = rendered()
     assert step.matte is not None
     assert step.displacement is not None
@@ -49,7 +49,7 @@ def test_terms_equal_their_formulas() -> None:
 
 
 def test_terms_need_what_they_compare() -> None:
-    """Catches a crash on plates, which have no matte, on models without displacement, and on small pictures."""
+    """Catches a crash for plates (which have no matte), for models without displacement, and for small images."""
     step = replace(rendered(side=10), matte=None, displacement=None)
     terms = (ImageTerm("mse"), SimilarityTerm(1.0), MaskTerm(1.0), ResidualTerm(1.0, 0.1))
     assert list(weighted_values(terms, step)) == ["image"]
@@ -63,13 +63,13 @@ def test_values_are_weighted() -> None:
 
 
 def test_weight_zero_switches_a_term_off() -> None:
-    """Catches terms that are evaluated for nothing."""
+    """Catches the evaluation of terms with weight 0."""
     config = TrainConfig(loss=LossConfig(stand_in=0, mask=0))
     assert [term.name for term in common_terms(config, 0.1, None, None)] == ["image", "residual"]
 
 
 def test_lpips_replaces_ssim() -> None:
-    """Catches two perceptual terms at once, and none."""
+    """Catches a loss with both perceptual terms, or with neither."""
     network = LPIPS({name: torch.zeros(shape) for name, shape in expected_shapes().items()})
     with_network = [term.name for term in common_terms(TrainConfig(), 0.1, network, None)]
     without = [term.name for term in common_terms(TrainConfig(), 0.1, None, None)]

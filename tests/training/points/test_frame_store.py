@@ -31,7 +31,7 @@ def test_tensors_round_trip() -> None:
 
 
 def test_changes_survive_eviction_from_the_cache(tmp_path: Path) -> None:
-    """Catches changes lost when a frame leaves memory, and a cache that holds every frame."""
+    """Catches changes that are lost when a frame is evicted from memory, and a cache that keeps every frame."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 20, lambda frame: fresh(20_000, frame), 2, None)
     for frame in range(20):
         store.get(frame).xyz[0] = frame
@@ -40,7 +40,7 @@ def test_changes_survive_eviction_from_the_cache(tmp_path: Path) -> None:
 
 
 def test_a_saved_store_is_a_snapshot(tmp_path: Path) -> None:
-    """Catches a checkpoint that shares files with the scratch folder."""
+    """Catches checkpoint files that are hard links to files of the scratch folder."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 3, lambda frame: fresh(10, frame), 16, None)
     store.get(1).xyz[0] = 7
     store.save(tmp_path / "saved")
@@ -51,7 +51,7 @@ def test_a_saved_store_is_a_snapshot(tmp_path: Path) -> None:
 
 
 def test_saving_copies_the_newest_file_of_an_evicted_frame(tmp_path: Path) -> None:
-    """Catches a checkpoint with the previous or initial points of frames that are not in memory."""
+    """Catches a checkpoint with outdated or initial points of frames that are not in memory."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 6, lambda frame: fresh(20_000, frame), 1, None)
     for turn in (1, 2):
         for frame in range(5):
@@ -64,7 +64,8 @@ def test_saving_copies_the_newest_file_of_an_evicted_frame(tmp_path: Path) -> No
 
 
 def test_numbers_of_visible_points_are_rounded_up() -> None:
-    """Catches a missing visible point, and hidden points selected before heavier ones."""
+    """Catches a visible point that is not selected, and hidden points selected instead of points with larger
+    weights."""
     weight = torch.rand(3 * COUNT_STEP + 5, generator=torch.Generator().manual_seed(1))
     rows = select_heaviest(weight, 0.5)
     assert rows.tolist() == sorted(set(rows.tolist()))
@@ -75,7 +76,7 @@ def test_numbers_of_visible_points_are_rounded_up() -> None:
 
 
 def test_points_do_not_leave_a_silhouette() -> None:
-    """Catches stray points beside the object, and frozen points that were outside the matte before."""
+    """Catches points that leave the object, and points that are frozen because they were already outside the matte."""
     camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), np.eye(3), np.zeros(3), 20, 20)
     matte = torch.zeros(20, 20)
     matte[5:15, 5:15] = 1

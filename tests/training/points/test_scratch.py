@@ -1,4 +1,4 @@
-"""Scratch folders: several users of one run at the same time, and what dead processes leave."""
+"""Scratch folders: several processes that use one run at the same time, and folders of dead processes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def folders(parent: Path) -> list[Path]:
 
 
 def test_two_stores_of_one_run_do_not_read_each_others_frames(tmp_path: Path) -> None:
-    """Catches eval that renders the frames which export, or another checkpoint's view, wrote to the same folder."""
+    """Catches a shared folder: eval would render frames that export or view wrote from another checkpoint."""
     stores = [FrameStore(Scratch(tmp_path), 5, lambda frame, run=run: points(run), 1, None) for run in (1.0, 2.0)]
     for frame in range(5):
         for run, store in enumerate(stores, 1):
@@ -60,7 +60,7 @@ def test_a_folder_goes_with_its_owner(tmp_path: Path) -> None:
 
 
 def test_leftovers_of_a_dead_process_are_removed_and_those_of_a_living_one_kept(tmp_path: Path) -> None:
-    """Catches frames of a running process that are deleted, and those of a killed one that stay forever."""
+    """Catches the deletion of frames of a running process, and frames of a killed process that are never deleted."""
     parent = tmp_path / "scratch"
     living = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(parent), "living"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

@@ -35,7 +35,8 @@ def test_all_rows_selected_equals_torch_adam() -> None:
 
 
 def test_each_row_counts_its_own_steps() -> None:
-    """Catches a bias correction by the steps of other rows, and rows that old momentum moves."""
+    """Catches a bias correction with the step count of other rows, and unselected rows that are moved by old
+    momentum."""
     parameters = {"xyz": torch.rand(6, 3)}
     before = parameters["xyz"].clone()
     optimizer = SelectiveAdam.initial(parameters)
@@ -51,7 +52,7 @@ def test_each_row_counts_its_own_steps() -> None:
 
 
 def test_rates_differ_by_row() -> None:
-    """Catches a rate of one row that is applied to all."""
+    """Catches the learning rate of one row applied to all rows."""
     parameters = {"xyz": torch.zeros(2, 3)}
     optimizer = SelectiveAdam.initial(parameters)
     rates = torch.tensor([[0.1], [0.3]])
@@ -60,7 +61,7 @@ def test_rates_differ_by_row() -> None:
 
 
 def test_kept_rows_keep_their_state_and_new_rows_start_anew() -> None:
-    """Catches state that moves to another row when points are removed."""
+    """Catches state that is assigned to another row when points are removed."""
     parameters = {"xyz": torch.rand(4, 3)}
     optimizer = SelectiveAdam.initial(parameters)
     optimizer.step(parameters, torch.tensor([1, 3]), {"xyz": gradients(2, 1)[0]}, {"xyz": 0.01})
@@ -72,7 +73,7 @@ def test_kept_rows_keep_their_state_and_new_rows_start_anew() -> None:
 
 
 def test_gradients_that_are_noise_do_not_move_colours(rng: np.random.Generator) -> None:
-    """Catches speckle: tiny gradients of alternating sign that a tiny epsilon turns into full steps."""
+    """Catches speckle caused by too small an epsilon: it turns tiny gradients of alternating sign into full steps."""
     parameters = {"rgb": torch.full((2, 3), 0.5)}
     optimizer = SelectiveAdam.initial(parameters)
     for _ in range(300):
