@@ -13,7 +13,7 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CONTRACTED_RADIUS = 2.0
-"""Radius that infinity maps to; inside radius 1 the contraction is the identity."""
+"""Radius of the ball: points at infinity map to it. The contraction is the identity within radius 1."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Contraction:
 
     Attributes:
         centre: world point at the centre.
-        radius: world units; points within it are only translated and scaled.
+        radius: radius of the inner region in world units; points inside it are only translated and scaled.
     """
 
     centre: tuple[float, float, float]
@@ -41,7 +41,7 @@ class Contraction:
 
 
 def contraction_around(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> Contraction:
-    """The contraction about the viewing centre ``focus`` (3,) whose inner region reaches the farthest camera."""
+    """Create a contraction about the viewing centre ``focus`` (3,) whose inner region contains all cameras."""
     distances = [float(np.linalg.norm(camera.centre - focus)) for camera in cameras]
     x, y, z = (float(value) for value in focus)
     return Contraction((x, y, z), max(*distances, 1e-6))

@@ -16,18 +16,19 @@ Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
 FAR_QUANTILE = 0.8
-"""Quantile of the distances of a cell's points that represents the cell: nearer objects before the far wall are
-ignored."""
+"""Quantile of the distances in a cell that is taken as the cell's distance, so that objects in front of the far wall
+are ignored."""
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
-    """A grid of directions around a point: rows by elevation, columns by azimuth.
+    """A grid of directions around a point. Rows are elevations and columns are azimuths.
 
     Attributes:
-        centre: (3,) world point.
-        R_world_sphere: (3, 3) rotation; the third axis points up.
-        rows, columns: number of cells.
+        centre: (3,) world point from which the directions start.
+        R_world_sphere: (3, 3) rotation from the grid's axes to the world; the third axis points up.
+        rows: number of rows.
+        columns: number of columns.
     """
 
     centre: Array
@@ -36,7 +37,7 @@ class DirectionGrid:
     columns: int
 
     def cells(self, xyz: Array) -> tuple[NDArray[np.intp], Array]:
-        """Flat cells (N,) and distances (N,) of world points (N, 3)."""
+        """Flat cell indices (N,) of world points (N, 3), and their distances (N,) from the centre."""
         local = (xyz - self.centre) @ self.R_world_sphere
         distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
         elevation = np.arcsin(np.clip(local[:, 2] / distance, -1, 1))
@@ -46,7 +47,7 @@ class DirectionGrid:
         return row * self.columns + column, distance
 
     def directions(self) -> Array:
-        """(rows * columns, 3) unit vectors in the world: cell centres, offset by half a cell in odd rows."""
+        """(rows * columns, 3) unit vectors in the world at the cells' centres; odd rows are offset by half a cell."""
         elevation = ((np.arange(self.rows) + 0.5) / self.rows - 0.5) * np.pi
         azimuth = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) * 2 * np.pi
         e, a = np.meshgrid(elevation, azimuth, indexing="ij")
@@ -56,7 +57,7 @@ class DirectionGrid:
 
 
 def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: int = 1) -> DirectionGrid:
-    """A grid around a world point (3,) with columns of one degree; its up axis is the cameras' mean up direction."""
+    """Create a grid around a world point (3,) with one column per degree and the cameras' mean up direction as up."""
     up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
@@ -69,12 +70,12 @@ def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: in
 def summarize_cells(
     cells: NDArray[np.intp], distance: Array, rgb: NDArray[np.uint8], count: int
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Summarise points (N,) per cell.
+    """Compute a distance and a colour for each cell from the points in it.
 
     Returns:
-        known (count,) bool: whether the cell has points;
-        inverse (count,): inverse of the FAR_QUANTILE of their distances, 0 without points;
-        rgb (count, 3): mean colour of the points at or beyond this distance.
+        known: (count,) bool, whether the cell has points.
+        inverse: (count,) inverse of the cell's distance, the FAR_QUANTILE of its points; 0 without points.
+        rgb: (count, 3) mean colour of the points at or beyond the cell's distance.
     """
     order = np.lexsort((distance, cells))
     sorted_cells = cells[order]
@@ -93,13 +94,13 @@ def summarize_cells(
 def interpolate_harmonic(
     grid: DirectionGrid, known: NDArray[np.bool_], values: Array, horizontal_weight: float
 ) -> Array:
-    """Interpolate values (cells, C) harmonically: unknown cells become the weighted mean of their neighbours.
+    """Interpolate harmonically: each unknown cell gets the weighted mean of its neighbours.
 
     Args:
-        grid: the cells.
-        known: (cells,) bool; these values are kept.
-        values: (cells, C).
-        horizontal_weight: weight of horizontal neighbours; vertical ones have weight 1.
+        grid: the grid of directions.
+        known: (cells,) bool, which values are kept.
+        values: (cells, C) values; those of unknown cells are ignored.
+        horizontal_weight: weight of horizontal neighbours; vertical neighbours have weight 1.
     """
     number = np.arange(grid.rows * grid.columns).reshape(grid.rows, grid.columns)
     level = (number.ravel(), np.roll(number, -1, axis=1).ravel())

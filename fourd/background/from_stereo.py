@@ -1,4 +1,7 @@
-"""Background points from clean plates by stereo: sparse features, consistent depth maps, even sampling."""
+"""Background points from clean plates by stereo.
+
+Sparse features initialise depth maps, depths that disagree between plates are removed, and the surfaces are sampled.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from fourd.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 MIN_SHARE = 0.1
-"""Minimum share of the plates' visible cells with a measured depth."""
+"""Minimum share of the plates' visible depth-map pixels that have a measured depth."""
 
 
 def seed_from_stereo(
@@ -26,26 +29,26 @@ def seed_from_stereo(
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
-    """Create coloured points of a static background, about one per equal area of the pictures.
+    """Create coloured points of a static background with an even density in the plates.
 
-    Features of the plates are matched along epipolar lines and triangulated by COLMAP with fixed cameras. They and
-    their dominant planes initialise a depth map of each plate (PatchMatch). Depths that other plates confirm and
-    none contradicts are kept. The same input and seed give the same points.
+    COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The features
+    and the dominant planes through them initialise the depth map of each plate, which PatchMatch optimises. A depth is
+    kept if another plate confirms it and no plate contradicts it. The same input and seed give the same points.
 
     Args:
-        plates: at least two.
-        points: requested number, at least 1; fewer if the plates show less.
-        fill: whether depths are extrapolated to areas that no two plates match.
+        plates: clean plates of at least two cameras.
+        points: requested number of points, at least 1. Plates with few visible pixels give fewer.
+        fill: whether to extrapolate depth into areas without a stereo match.
         seed: random seed.
         workers: number of processes.
-        log: reports the numbers of points found.
+        log: reports the number of features and of points.
         track: progress callback.
 
     Returns:
-        the points in random order: every prefix is a uniform sample.
+        the points in random order, so that the first N are a uniform sample for every N.
 
     Raises:
-        ValueError: for fewer than two plates or no points.
+        ValueError: if there are fewer than two plates or ``points`` is less than 1.
         UserError: if the plates overlap too little to measure depths.
     """
     if len(plates) < 2 or points < 1:
@@ -69,6 +72,6 @@ def seed_from_stereo(
 
 def _overlap_error(minimum: str, got: str) -> UserError:
     return UserError(
-        f"plates: expected at least {minimum} to match between two of them, got {got}; walls without texture and "
-        "cameras far apart cannot be triangulated: provide your own points: --background FILE.ply"
+        f"plates: expected at least {minimum} to match between two of them, got {got}; depths cannot be triangulated "
+        "on walls without texture or with cameras far apart; provide your own points with --background FILE.ply"
     )

@@ -1,4 +1,4 @@
-"""Detection of non-static backgrounds: pictures compared with the clean plates outside the mattes."""
+"""Detection of backgrounds that are not static, by comparison of images with clean plates outside the mattes."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from fourd.capture import Capture
 from fourd.capture.layout import sample_indices
 
 FRAMES = 6
-"""Frames compared per camera, evenly spaced over the capture."""
+"""Number of frames per camera that are compared; they are evenly spaced over the capture."""
 MAX_DIFFERENCE = 24.0
-"""Tolerated colour difference in levels of 255, after blurring and exposure compensation."""
+"""Largest colour difference of an unchanged pixel in 8-bit levels, after blurring and exposure compensation."""
 BLUR_PX = 2.0
 MARGIN = 1 / 50
-"""Distance kept from the matte, beside which there are soft edges and shadows; relative to the longer side."""
+"""Width of the band around the matte that is not compared, as a fraction of the image's longer side. The band
+contains soft edges and shadows."""
 MAX_CHANGED_SHARE = 0.02
-"""Share of the visible background that may change; more is not noise."""
+"""Largest share of the visible background that may differ because of noise."""
 
 
 def find_changing_backgrounds(
     capture: Capture, cameras: Sequence[int], plates: Sequence[PlateView]
 ) -> dict[str, float]:
-    """Find the cameras whose background differs from the plate by more than 2% of its area in some frame.
+    """Find the cameras whose background differs from the plate in more than 2% of its area in at least one frame.
 
     Args:
-        capture: pictures with mattes.
-        cameras: indices of the cameras of ``plates``.
+        capture: a capture with mattes.
+        cameras: index of each plate's camera in the capture.
         plates: clean plates.
 
     Returns:
-        the largest changed share in [0, 1] over the compared frames, by camera name.
+        the changed share of the background in [0, 1] by camera name, in the frame with the largest change.
     """
     shares = {
         plate.name: max(
@@ -45,7 +46,7 @@ def find_changing_backgrounds(
 
 
 def _changed_share(capture: Capture, camera: int, frame: int, plate: PlateView) -> float:
-    """Share of the visible background that differs from the plate in a frame."""
+    """Share in [0, 1] of the visible background that differs from the plate in a frame."""
     reach = max(1, round(MARGIN * max(plate.seen.shape)))
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     compared = (cv2.dilate(capture.mask(camera, frame), square) == 0) & plate.seen

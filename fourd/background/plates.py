@@ -22,7 +22,7 @@ from fourd.progress import Log
 Picture = NDArray[np.uint8]
 
 USER_FOLDER = "bgs"
-"""Folder of a capture for plates of the user, CAM.png or .jpg, with the same lens distortion as the pictures."""
+"""Folder in a capture for the user's plates, CAM.png or CAM.jpg, with the same lens distortion as the frames."""
 MIN_SEEN_SHARE = 0.5
 MIN_CAMERAS = 2
 
@@ -33,9 +33,9 @@ class PlateView:
 
     Attributes:
         name: name of the camera.
-        camera: undistorted pinhole camera of the picture.
-        rgb: (H, W, 3) uint8; undefined in holes.
-        seen: (H, W) bool; False in holes and outside the lens's field of view.
+        camera: pinhole camera of the undistorted plate.
+        rgb: (H, W, 3) uint8 colours; undefined in holes.
+        seen: (H, W) bool, whether the background is visible; False in holes and outside the lens's field of view.
     """
 
     name: str
@@ -45,22 +45,22 @@ class PlateView:
 
 
 def has_plate(path: Path, name: str) -> bool:
-    """Whether a capture's folder has a clean plate of a camera, from the user or made by fourd."""
+    """Whether a capture's folder contains a clean plate of a camera, provided by the user or made by fourd."""
     return name in find_pictures(path / USER_FOLDER) or (path / FOLDER / f"{name}.png").exists()
 
 
 def read_plates(
     capture: Capture, cameras: Sequence[int], log: Log = lambda line: None, made: Path | None = None
 ) -> tuple[PlateView, ...]:
-    """Read the plates of some of a capture's cameras, undistorted and at the size of ``capture.cameras``.
+    """Read the plates of some of a capture's cameras; undistort and resize them to match ``capture.cameras``.
 
-    The user's ``bgs/CAM.png`` or ``.jpg`` has priority. It has the full size and the lens distortion of the
-    pictures; pixels that are not opaque are holes. Otherwise ``.fourd/plates/CAM.png`` is read, in the format of
-    fourd.matting.plates.
+    A plate of the user, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, has priority. It has the full size and the lens distortion
+    of the frames, and pixels that are not opaque are holes. Otherwise ``.fourd/plates/CAM.png`` is read, which has the
+    format of fourd.matting.plates.
 
     Args:
         capture: the capture.
-        cameras: indices of the cameras, at least two.
+        cameras: indices of at least two cameras.
         log: reports plates that are mostly holes.
         made: folder of plates in fourd's format, instead of the capture's ``.fourd/plates``.
 
@@ -68,7 +68,7 @@ def read_plates(
         one view per camera, in the order of ``cameras``.
 
     Raises:
-        UserError: if a camera has no plate, a file is unreadable or has another size, or fewer than two cameras see
+        UserError: if a camera has no plate, a file is unreadable or has the wrong size, or fewer than two plates show
             background.
     """
     files = _files(capture, [capture.names[index] for index in cameras], made or capture.path / FOLDER)
@@ -82,27 +82,27 @@ def read_plates(
     if seeing < MIN_CAMERAS:
         raise UserError(
             f"{capture.path}: expected clean plates of at least {MIN_CAMERAS} cameras that show background, got "
-            f"{seeing}; use more cameras, or add pictures of the empty stage as {USER_FOLDER}/CAM.png"
+            f"{seeing}; use more cameras, or add images of the empty scene as {USER_FOLDER}/CAM.png"
         )
     poor = [name for name, share in shares.items() if share < MIN_SEEN_SHARE]
     if poor:
         log(
-            f"{capture.path}: more than half of the clean plate of {', '.join(poor)} is a hole, where the subject is "
-            f"in every frame; add a picture of the empty stage as {USER_FOLDER}/CAM.png"
+            f"{capture.path}: more than half of the clean plate of {', '.join(poor)} is a hole, because the subject "
+            f"covers this area in every frame; add an image of the empty scene as {USER_FOLDER}/CAM.png"
         )
     return views
 
 
 @dataclass(frozen=True)
 class _File:
-    """Path of a plate, and whether fourd made it; plates made by fourd are undistorted."""
+    """Path of a plate, and whether fourd made the plate. Plates made by fourd are undistorted."""
 
     path: Path
     made: bool
 
 
 def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _File]:
-    """The plate file of each camera."""
+    """The plate file of each camera, by camera name."""
     provided = find_pictures(capture.path / USER_FOLDER)
     files = {}
     for name in names:
@@ -113,16 +113,17 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
             files[name] = _File(made, True)
     missing = [name for name in names if name not in files]
     if missing:
-        more = f" (and of {len(missing) - 1} more cameras)" if len(missing) > 1 else ""
+        rest = len(missing) - 1
+        more = f" (and of {rest} more camera{'s' * (rest > 1)})" if rest else ""
         raise UserError(
-            f"{folder / missing[0]}.png: expected the clean plate of camera '{missing[0]}', got none "
-            f"there or in {USER_FOLDER}{more}; make them: fourd matte {capture.path}"
+            f"{folder / missing[0]}.png: expected the clean plate of camera '{missing[0]}'{more}, got no such file "
+            f"here or in {USER_FOLDER}; make clean plates: fourd matte {capture.path}"
         )
     return files
 
 
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
-    """The cameras with lens distortion, at the full size of the pictures."""
+    """The cameras by name, with lens distortion and at the full size of the frames."""
     whole = open_capture(capture.path, views=names, frames="0:1", mattes=False)
     calibrations = read_calibration(capture.path)
     return {
@@ -133,7 +134,7 @@ def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """A picture in memory in the role of a camera's only frame."""
+    """An image in memory that is read as the only frame of a camera."""
 
     path: Path
     picture: Picture
@@ -152,11 +153,12 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
     if (width, height) != (lens.width, lens.height):
         fix = f"remove it and run: fourd matte {capture.path}" if file.made else "export it again at that size"
         raise UserError(
-            f"{file.path}: expected {lens.width} x {lens.height} pixels, as the pictures of camera '{name}' have, "
+            f"{file.path}: expected {lens.width} x {lens.height} pixels like the frames of camera '{name}', "
             f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # Pixels outside the lens's field of view are black and opaque in plates made by fourd.
+        # In plates made by fourd, pixels outside the lens's field of view are black and opaque. Undistortion of an
+        # opaque matte finds them.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)
@@ -172,7 +174,7 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
 def _undistort(
     capture: Capture, name: str, lens: Camera, path: Path, rgb: Picture, matte: Picture
 ) -> tuple[Picture, Picture]:
-    """Undistort a plate and a matte with the code that undistorts the capture's frames."""
+    """Undistort a plate and its matte with the code that undistorts the capture's frames."""
     footage = Footage(_Still(path, rgb), Mattes(_Still(path, matte), is_generated=False), (lens.width, lens.height))
     alone = Capture(capture.path, [name], [lens], [footage], ["plate"], [0], 1, scale=1.0, cache_mb=0)
     return alone.image(0, 0), alone.mask(0, 0)

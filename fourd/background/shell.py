@@ -1,4 +1,4 @@
-"""Background shell: points in directions that no plate shows, so that no view ends in empty space."""
+"""Background shell: points in the directions that no plate shows, so that rendered views have no empty areas."""
 
 from __future__ import annotations
 
@@ -15,28 +15,29 @@ from fourd.ply import ColouredPoints
 Array = NDArray[np.float64]
 
 HORIZONTAL_WEIGHT = 6.0
-"""Smoothness weight of horizontal over vertical neighbours: floors, walls and skies vary less along the horizon."""
+"""Weight of horizontal neighbours in the interpolation; vertical neighbours have weight 1. Floors, walls and skies
+vary less along the horizon."""
 SMALL_GAP_DEG = 1.5
-"""Gaps up to this size are the normal spacing of points and are closed."""
+"""Size in degrees up to which a gap counts as the normal spacing between points and is closed."""
 RIM_FACTOR = 0.985
-"""Factor on the known inverse distance at the shell's rim."""
+"""Factor on the known inverse distances where the shell overlaps known points, so that it lies slightly behind them."""
 NEAR_GAP_DEG = 15.0
-"""Farther than this from known cells, one cell in sixteen gets a point."""
+"""Angle in degrees from the nearest known cell beyond which only one cell in sixteen gets a point."""
 OCCLUSION_RATIO = 0.9
-"""A shell point at less than this share of the depth seen by a camera would occlude it."""
+"""A shell point occludes a known point if its depth is less than this fraction of the known point's depth."""
 DEPTH_CELL_PX = 6.0
 
 
 def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
-    """Build points in directions without background points; distances and colours are extrapolated.
+    """Build points in the directions that have no background points.
 
     Inverse distance and colour are interpolated harmonically between the known directions, with a larger weight along
-    the horizon. The up direction is the cameras' mean. Points that would occlude known points in a camera are dropped.
+    the horizon. Up is the cameras' mean up direction. Points that would occlude known points in a camera are dropped.
 
     Args:
         points: background points from the plates.
         cameras: cameras of the scene.
-        centre: (3,) world point at the centre of the directions.
+        centre: (3,) world point from which the directions start.
     """
     sphere = direction_grid(cameras, centre)
     cells, distance = sphere.cells(points.xyz.astype(np.float64))
@@ -45,18 +46,18 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
     chosen = _select_cells(sphere, known)
-    # The shell overlaps the known points behind them: no slit opens between the two when seen off centre.
+    # The rim of the shell lies behind known points. Without this overlap, other viewpoints would show a slit.
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Space nearer than the cameras is seen by some of them; gaps there are only sparse points.
+    # Space nearer than the cameras is visible to some of them, so gaps there come from sparse points and need no shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
 
 
 def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
-    """Share in [0, 1] of the sphere of directions around ``centre`` that has points; small gaps count as covered."""
+    """Share in [0, 1] of the directions around ``centre`` that have points; small gaps count as covered."""
     sphere = direction_grid(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))
     known = np.zeros(sphere.rows * sphere.columns, bool)
@@ -68,7 +69,7 @@ def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[
 
 
 def viewing_centre(cameras: Sequence[Camera]) -> Array:
-    """(3,) world point nearest to the cameras' optical axes; the mean camera centre if the axes are parallel."""
+    """World point (3,) nearest to the cameras' optical axes; the mean camera centre if the axes are parallel."""
     centres = np.stack([camera.centre for camera in cameras])
     projectors = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])
     normal = projectors.sum(axis=0)
@@ -78,8 +79,10 @@ def viewing_centre(cameras: Sequence[Camera]) -> Array:
 
 
 def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Cells that get a shell point: unknown cells and a rim of known ones, at an even density over the sphere, sparser
-    far from known cells."""
+    """Select the cells that get a shell point: unknown cells and a rim of known cells.
+
+    The density is even over the sphere, but lower far from known cells.
+    """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
     wider[[0, -1]] = True
@@ -89,13 +92,13 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
     step = np.where(degrees > NEAR_GAP_DEG, 4 * step, step)
     level = np.where(degrees > NEAR_GAP_DEG, row % 4 == 0, True)
-    # Every other of the sparse rows is offset by half a step: a hexagonal layout covers best.
+    # Every second sparse row is offset by half a step. This hexagonal layout covers the sphere most evenly.
     offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
     return np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
 
 
 def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
-    """(rows, columns) known cells with small gaps closed, and the distance of each cell to the known ones, degrees."""
+    """Known cells (rows, columns) after closing small gaps, and each cell's angle in degrees to the nearest known."""
     known = _dilate_rows(sphere, known)
     # Three copies side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
@@ -106,7 +109,7 @@ def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArra
 
 
 def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(rows, columns) known cells, dilated along each row to a constant angle: cells narrow towards the poles."""
+    """Known cells (rows, columns), dilated along each row by a constant angle, since cells narrow towards the poles."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):
         elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
@@ -117,7 +120,7 @@ def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.
 
 
 def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """(N,) bool: which of the points (N, 3) occlude some of the points ``seen`` (M, 3) in a camera."""
+    """(N,) bool: which points (N, 3) occlude at least one of the points ``seen`` (M, 3) in a camera."""
     hides = np.zeros(len(xyz), np.bool_)
     for camera in cameras:
         columns = int(camera.width / DEPTH_CELL_PX) + 1
@@ -132,7 +135,7 @@ def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.
 
 
 def _depth_cells(xyz: Array, camera: Camera, columns: int) -> tuple[NDArray[np.intp], Array]:
-    """Cells (N,) of a coarse depth map that points project to, -1 outside the picture, and their depths (N,)."""
+    """Cells (N,) of a coarse depth map that points project to, and depths (N,); the cell is -1 outside the image."""
     pixels, depth = camera.project(xyz)
     inside = (depth > 1e-6) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
     place = np.where(inside[:, None], pixels / DEPTH_CELL_PX, 0).astype(np.intp)

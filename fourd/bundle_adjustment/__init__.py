@@ -1,1 +1,1 @@
-"""Bundle adjustment of the given cameras to the pictures, before carving."""
+"""Bundle adjustment of the given cameras with feature matches between images, before carving."""

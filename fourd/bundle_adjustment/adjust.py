@@ -1,4 +1,8 @@
-"""Camera adjustment from pictures: feature matching and bundle adjustment, repeated with narrower epipolar bands."""
+"""Adjustment of cameras from images.
+
+Features are matched, and bundle adjustment is repeated with matches in increasingly narrow bands around the epipolar
+lines.
+"""
 
 from __future__ import annotations
 
@@ -32,11 +36,13 @@ from fourd.progress import Track
 
 MAX_FRAMES = 2
 MIN_FEATURES = 20
-"""Per camera; a camera with fewer keeps its given calibration."""
+"""Minimum number of features per camera; a camera with fewer features keeps its given calibration."""
 INLIER_SCALES = 4.0
 """Features with a reprojection error above this multiple of the robust scale are outliers."""
 FINAL_BAND_PX = 3.0
+"""Half width of the epipolar band in the last adjustment."""
 FINAL_SCALE_PX = 1.0
+"""Scale of the Cauchy loss in the last two adjustments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,9 +50,10 @@ class Adjustment:
     """Result of a camera adjustment.
 
     Attributes:
-        cameras: adjusted cameras, in the order of the given ones.
+        cameras: adjusted cameras in the order of the given cameras.
         features: (V,) number of inlier features of each camera.
-        before_px, after_px: median reprojection error of the inliers; NaN if there are none.
+        before_px: median reprojection error of the inliers in the given cameras, in pixels; NaN without inliers.
+        after_px: median reprojection error of the inliers in the adjusted cameras, in pixels; NaN without inliers.
     """
 
     cameras: tuple[Camera, ...]
@@ -56,18 +63,18 @@ class Adjustment:
 
 
 def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, band: float, track: Track) -> Adjustment:
-    """Adjust some of a capture's cameras with the feature matches of two frames.
+    """Adjust some of a capture's cameras with feature matches from two frames.
 
     Args:
-        capture: undistorted pictures and an approximate calibration.
+        capture: undistorted images and an approximate calibration.
         cameras: indices of the cameras to adjust.
         prior: standard deviations of the given calibration.
-        band: maximum distance of a match from the epipolar lines of the given cameras, as a share of a picture's
-            longer side.
+        band: maximum distance of a match from the epipolar lines of the given cameras, as a fraction of the longer
+            side of an image.
         track: progress callback.
 
     Returns:
-        the cameras in the order of ``cameras``; those with too few matches keep their given calibration.
+        the cameras in the order of ``cameras``. Cameras with too few matches keep their given calibration.
     """
     given = tuple(capture.cameras[index] for index in cameras)
     frames = []
@@ -79,7 +86,7 @@ def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, ba
 
 
 def adjust_to_matches(given: Sequence[Camera], frames: Sequence[FrameMatches], prior: Prior, band: float) -> Adjustment:
-    """Adjust cameras to the feature matches of some frames; see :func:`adjust_cameras`."""
+    """Adjust cameras to feature matches; the arguments are those of :func:`adjust_cameras`."""
     wide = band * max(max(camera.width, camera.height) for camera in given)
     cameras, tracks, after = tuple(given), build_tracks(frames, given, wide), float("nan")
     for band_px, scale_px in ((wide, wide / 4), (wide / 2, FINAL_SCALE_PX), (FINAL_BAND_PX, FINAL_SCALE_PX)):
@@ -98,7 +105,11 @@ def _adjust_once(
     band_px: float,
     scale_px: float,
 ) -> tuple[tuple[Camera, ...], Observations, float]:
-    """One bundle adjustment from ``start``: the cameras, the inlier features, and their median error in pixels."""
+    """Run one bundle adjustment from the cameras ``start``.
+
+    Returns:
+        the adjusted cameras, the inlier features, and the inliers' median reprojection error in pixels.
+    """
     xyz, is_wide = triangulate_points(tracks, start)
     tracks = tracks.of_points(is_wide)
     xyz = xyz[is_wide]

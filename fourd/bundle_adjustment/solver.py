@@ -1,8 +1,8 @@
 """Bundle adjustment with a prior on the given calibration.
 
-Levenberg-Marquardt with the points eliminated by the Schur complement (Triggs et al., Bundle Adjustment: A Modern
-Synthesis, 2000, sec. 6.1). The cost is the reprojection error under a Cauchy loss plus a Gaussian prior on each
-camera's correction. The prior fixes the gauge: without it all cameras could rotate, translate and scale together.
+The solver is Levenberg-Marquardt; the Schur complement eliminates the points (Triggs et al., Bundle Adjustment: A
+Modern Synthesis, 2000, sec. 6.1). The cost is the reprojection error under a Cauchy loss plus a Gaussian prior on each
+camera's correction. The prior fixes the gauge: without a prior, all cameras could rotate, translate and scale together.
 """
 
 from __future__ import annotations
@@ -21,10 +21,14 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 
 ROTATION, POSITION, LOG_FOCAL = slice(0, 3), slice(3, 6), 6
+"""Indices of a camera's parameters in its block of the equations."""
 PARAMETERS = 7
+"""Number of parameters per camera."""
 MAX_STEPS = 40
 MIN_RELATIVE_DECREASE = 1e-5
+"""Relative decrease of the cost per step below which the solver stops."""
 DAMPING = 1e-3
+"""Initial damping of Levenberg-Marquardt."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +36,11 @@ class Prior:
     """Standard deviations of the given calibration.
 
     Attributes:
-        rotation: radians; 0 keeps all rotations fixed.
-        position: (V,) world units per camera; 0 keeps all positions fixed.
-        focal: of the logarithm of the focal length; 0 keeps all focal lengths fixed.
-        pixel: of a feature's position, pixels. Larger than the measured third of a pixel: errors of features on one
-            surface are correlated, and a smaller value bends rings of cameras.
+        rotation: standard deviation of rotations in radians; 0 keeps all rotations fixed.
+        position: (V,) standard deviation of each camera's position in world units; 0 keeps all positions fixed.
+        focal: standard deviation of the logarithm of the focal length; 0 keeps all focal lengths fixed.
+        pixel: standard deviation of a feature's position in pixels. The measured value is a third of a pixel, but the
+            errors of features on one surface are correlated, and a small value bends rings of cameras.
     """
 
     rotation: float
@@ -57,15 +61,15 @@ def solve(
     """Minimise the robust reprojection error over cameras and points.
 
     Args:
-        given: cameras at the centre of the prior.
+        given: cameras with the given calibration, the mean of the prior.
         start: initial cameras.
         tracks: observed features.
-        xyz: (P, 3) initial points, world units.
-        prior: standard deviations about ``given``.
-        scale_px: scale of the Cauchy loss, pixels.
+        xyz: (P, 3) initial world points.
+        prior: standard deviations of the given calibration.
+        scale_px: scale of the Cauchy loss in pixels.
 
     Returns:
-        the cameras, where those without features stay as given, and the points (P, 3).
+        the cameras and the points (P, 3). Cameras without features keep their given calibration.
     """
     state = _State(tuple(start), xyz)
     damping, cost = DAMPING, _cost(state, given, tracks, prior, scale_px)
@@ -86,22 +90,22 @@ def solve(
 
 
 def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz: Array) -> Array:
-    """(M,) reprojection error of each feature, pixels; infinite behind the camera."""
+    """Reprojection error (M,) of each feature in pixels; infinite for points behind the camera."""
     residual, in_camera = _residuals(_State(tuple(cameras), xyz), tracks)
     return np.where(in_camera[:, 2] > 0, np.linalg.norm(residual, axis=1), np.inf)
 
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """Normal equations in blocks.
+    """The normal equations, stored as blocks.
 
     Attributes:
-        cameras: (V, 7, 7) camera blocks.
-        points: (P, 3, 3) point blocks.
-        coupling: (M, 7, 3) camera-point block of each feature.
-        rhs_cameras: (V, 7) right-hand side of the cameras.
-        rhs_points: (P, 3) right-hand side of the points.
-        tracks: the features.
+        cameras: (V, 7, 7) diagonal blocks of the cameras.
+        points: (P, 3, 3) diagonal blocks of the points.
+        coupling: (M, 7, 3) block that couples the camera and the point of each feature.
+        rhs_cameras: (V, 7) right-hand side of the cameras' equations.
+        rhs_points: (P, 3) right-hand side of the points' equations.
+        tracks: the M features.
     """
 
     cameras: Array
@@ -113,7 +117,7 @@ class _System:
 
     @classmethod
     def at(cls, state: _State, given: Sequence[Camera], tracks: Observations, prior: Prior, scale_px: float) -> _System:
-        """Linearise the cost at a state."""
+        """Linearise the cost at a state and build the normal equations."""
         residual, in_camera = _residuals(state, tracks)
         weight = _weights(residual, in_camera, prior, scale_px)
         by_camera, by_point = _jacobians(state, tracks, in_camera)
@@ -132,7 +136,10 @@ class _System:
         return cls(cameras, blocks, np.swapaxes(weighted, 1, 2) @ by_point, rhs_cameras, rhs_points, tracks)
 
     def step(self, state: _State, damping: float) -> _State:
-        """The state after a Levenberg-Marquardt step; ``damping`` scales the added diagonal."""
+        """Compute the state after a Levenberg-Marquardt step.
+
+        The diagonal of the normal equations is multiplied by 1 + ``damping``.
+        """
         views, points = len(self.cameras), len(self.points)
         cameras = self.cameras * (1 + damping * np.eye(PARAMETERS))
         inverse = np.linalg.inv(self.points * (1 + damping * np.eye(3)) + 1e-12 * np.eye(3))
@@ -159,7 +166,7 @@ def _sparse_blocks(
 
 
 def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
-    """Residuals (M, 2), projection minus feature in pixels, and the points in camera coordinates (M, 3)."""
+    """Residuals (M, 2) in pixels, projection minus feature, and the features' points in camera coordinates (M, 3)."""
     rotation, centre, k = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("rotation", "centre", "intrinsics")
@@ -171,7 +178,7 @@ def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
 
 
 def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[Array, Array]:
-    """Jacobians of the projections: with respect to the cameras (M, 2, 7) and to the points (M, 2, 3)."""
+    """Jacobians of the projections with respect to the cameras (M, 2, 7) and to the points (M, 2, 3)."""
     k, rotation = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("intrinsics", "rotation")
@@ -181,14 +188,14 @@ def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[A
     zero = np.zeros_like(z)
     flat = np.stack([np.stack([1 / z, zero, -x / z**2], -1), np.stack([zero, 1 / z, -y / z**2], -1)], 1)
     by_position = k[:, :2, :2] @ flat
-    # d(exp(w) p)/dw = -[p]x
+    # The derivative of exp(w) p with respect to w at w = 0 is -[p]x.
     cross_matrix = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1), np.stack([y, -x, zero], -1)], 1)
     by_log_focal = np.einsum("mij,mj->mi", k[:, :2, :2], in_camera[:, :2] / z[:, None])[..., None]
     return np.concatenate([by_position @ cross_matrix, -by_position, by_log_focal], axis=2), by_position @ rotation
 
 
 def _update_camera(camera: Camera, change: Array) -> Camera:
-    """Translate a camera in its own frame, rotate it about its centre, and scale its focal length."""
+    """Translate a camera along its own axes, rotate it about its centre, and scale its focal length."""
     rotation = cv2.Rodrigues(change[ROTATION])[0] @ camera.rotation
     centre = camera.centre + camera.rotation.T @ change[POSITION]
     intrinsics = camera.intrinsics.copy()
@@ -197,7 +204,7 @@ def _update_camera(camera: Camera, change: Array) -> Camera:
 
 
 def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
-    """(V, 7) parameter changes from the given cameras to these."""
+    """Parameter changes (V, 7) from the cameras ``given`` to ``cameras``."""
     rows = []
     for camera, before in zip(cameras, given, strict=True):
         rotation = cv2.Rodrigues(camera.rotation @ before.rotation.T)[0].ravel()
@@ -207,7 +214,10 @@ def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
 
 
 def _prior_precision(prior: Prior, views: int) -> Array:
-    """(V, 7) inverse variances of the prior; fixed parameters get 1, which keeps the equations solvable."""
+    """Inverse variances (V, 7) of the prior.
+
+    Fixed parameters get the value 1, because the equations would be singular with 0.
+    """
     deviation = np.ones((views, PARAMETERS))
     deviation[:, ROTATION] = prior.rotation
     deviation[:, POSITION] = prior.position[:, None]
@@ -217,7 +227,7 @@ def _prior_precision(prior: Prior, views: int) -> Array:
 
 
 def _free(prior: Prior) -> NDArray[np.bool_]:
-    """(7,) bool: which parameters of a camera are free."""
+    """(7,) bool: whether a camera parameter is optimised."""
     free = np.zeros(PARAMETERS, bool)
     free[ROTATION], free[POSITION], free[LOG_FOCAL] = (
         prior.rotation > 0,
@@ -228,7 +238,7 @@ def _free(prior: Prior) -> NDArray[np.bool_]:
 
 
 def _weights(residual: Array, in_camera: Array, prior: Prior, scale_px: float) -> Array:
-    """(M,) weights of the squared errors: Cauchy weight over the feature variance; 0 behind a camera."""
+    """Weights (M,) of the squared errors: the Cauchy weight divided by the features' variance; 0 behind the camera."""
     weight = 1 / (1 + np.square(residual).sum(axis=1) / scale_px**2) / prior.pixel**2
     return np.where(in_camera[:, 2] > 1e-6, weight, 0)
 

@@ -1,4 +1,4 @@
-"""Feature tracks across cameras, and their triangulation."""
+"""Feature tracks across cameras, and the triangulation of these tracks."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Observations:
     """M observed features of P points.
 
     Attributes:
-        camera: (M,) index of the camera.
-        point: (M,) index of the point.
-        pixel: (M, 2) position, pixels.
+        camera: (M,) index of each feature's camera.
+        point: (M,) index of each feature's point.
+        pixel: (M, 2) position of each feature in pixels.
     """
 
     camera: Index
@@ -36,16 +36,16 @@ class Observations:
 
     @property
     def points(self) -> int:
-        """Number of points; their indices are 0 to P - 1 without gaps."""
+        """Number P of points; every index from 0 to P - 1 is used."""
         return int(self.point.max()) + 1 if len(self.point) else 0
 
     def of_points(self, kept: NDArray[np.bool_]) -> Observations:
-        """The features of the points selected by ``kept`` (P,) bool; points are renumbered."""
+        """Select the features of the points in ``kept`` (P,) bool and renumber the points."""
         rows = kept[self.point]
         return Observations(self.camera[rows], (np.cumsum(kept) - 1)[self.point[rows]], self.pixel[rows])
 
     def select(self, rows: NDArray[np.bool_]) -> Observations:
-        """The features selected by ``rows`` (M,) bool; points with fewer than two features are dropped."""
+        """Select features by ``rows`` (M,) bool, then drop and renumber points with fewer than two features."""
         camera, point, pixel = self.camera[rows], self.point[rows], self.pixel[rows]
         enough = np.bincount(point, minlength=self.points) >= 2
         return Observations(camera, point, pixel).of_points(enough)
@@ -56,8 +56,8 @@ class FrameMatches:
     """Features and matches of one frame.
 
     Attributes:
-        features: of each camera.
-        matches: (M, 2) feature indices per pair of cameras.
+        features: the features of each camera.
+        matches: (M, 2) indices of matching features for each pair of cameras.
     """
 
     features: tuple[Features, ...]
@@ -65,9 +65,9 @@ class FrameMatches:
 
 
 def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Connect matches within ``band_px`` of their epipolar lines into tracks across cameras.
+    """Connect matches within ``band_px`` of their epipolar lines to tracks across cameras.
 
-    Where a track has several features in one camera, these features are dropped.
+    If a track has several features in one camera, these features are dropped.
     """
     parts, points = [], 0
     for frame in frames:
@@ -82,7 +82,7 @@ def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band
 
 
 def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float) -> Observations:
-    """The tracks of one frame: connected components of the graph of matches."""
+    """Build the tracks of one frame as connected components of the graph of matches."""
     features = frame.features
     counts = [len(each.xy) for each in features]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
@@ -96,14 +96,14 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
     graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(total, total))
     _, label = connected_components(graph, directed=False)
     camera = np.repeat(np.arange(len(features)), counts)
-    # A wrong match merges two points into one track: cameras that see both have two features in it.
-    _, entry, times = np.unique(label * len(features) + camera, return_inverse=True, return_counts=True)
+    # A wrong match merges the tracks of two points. The merged track has two features in each camera that sees both.
+    _, inverse, occurrences = np.unique(label * len(features) + camera, return_inverse=True, return_counts=True)
     xy = np.concatenate([each.xy for each in features])
-    return Observations(camera, label.astype(np.intp), xy).select(times[entry] == 1)
+    return Observations(camera, label.astype(np.intp), xy).select(occurrences[inverse] == 1)
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """(M,) larger distance of two matched features (M, 2) from each other's epipolar lines, pixels."""
+    """Distance (M,) in pixels of matched features from each other's epipolar lines, the larger one of each match."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix
@@ -113,11 +113,11 @@ def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other
 
 
 def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple[Array, NDArray[np.bool_]]:
-    """Triangulate each track linearly, as the point nearest to its rays.
+    """Triangulate each track as the point with the least sum of squared distances to the track's rays.
 
     Returns:
-        points (P, 3), world units, and (P,) bool: whether the rays of the point span about 2 degrees or more.
-        Points with smaller angles have no defined position.
+        world points (P, 3), and (P,) bool, whether the rays of a point span about 2 degrees or more. The positions of
+        points with smaller angles are undefined.
     """
     origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
     rays = _ray_directions(tracks, cameras)
@@ -127,7 +127,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
     sums = np.zeros((tracks.points, 3))
     np.add.at(sums, tracks.point, rays)
-    # The mean of unit rays is shorter the wider their angle: cos(angle / 2) for two of them.
+    # The wider the angle between unit vectors, the shorter is their mean: for two vectors it is cos(angle / 2) long.
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)
@@ -136,7 +136,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
 
 
 def _ray_directions(tracks: Observations, cameras: Sequence[Camera]) -> Array:
-    """(M, 3) unit directions of the features' rays in the world."""
+    """Unit vectors (M, 3) along the features' rays in the world."""
     R_world_pixel = np.stack([camera.rotation.T @ np.linalg.inv(camera.intrinsics) for camera in cameras])
     pixels = np.column_stack([tracks.pixel, np.ones(len(tracks.pixel))])
     rays = np.einsum("mij,mj->mi", R_world_pixel[tracks.camera], pixels)

@@ -1,4 +1,4 @@
-"""Space carving: from a capture's masks to initial points, their colours and the scene bounds."""
+"""Space carving: creates initial points with colours and the scene bounds from a capture's masks."""
 
 from fourd.carving.bounds import Bounds, find_bounds, hull_bounds
 from fourd.carving.carve import CarvedFrame, carve_frame

@@ -1,4 +1,4 @@
-"""The scene's bounding box, estimated from the cameras and the masks."""
+"""Estimation of the scene's bounding box from the cameras and the masks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 COARSE_CELLS = 48
-"""Cells along the hull's longest side when its box is measured: an error of 2% of that side, below the margin."""
+"""Number of cells along the hull's longest side for the measurement of its bounding box. The error is 2% of this side,
+which is less than the margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class Bounds:
 
     Attributes:
         lower: (3,) float64 corner with the smallest coordinates.
-        upper: (3,) float64 corner with the largest; greater than ``lower`` on every axis.
+        upper: (3,) float64 corner with the largest coordinates; greater than ``lower`` on every axis.
 
     Raises:
         ValueError: if a corner is not three finite numbers or the box is empty.
@@ -56,16 +57,16 @@ class Bounds:
         return self.upper - self.lower
 
     def union(self, other: Bounds) -> Bounds:
-        """The smallest box that contains both."""
+        """The smallest box that contains this box and another one."""
         return Bounds(np.minimum(self.lower, other.lower), np.maximum(self.upper, other.upper))
 
     def padded(self, share: float) -> Bounds:
-        """The box, grown on all six faces by ``share`` of its longest side."""
+        """The box, enlarged on each face by ``share`` times its longest side."""
         pad = share * float(self.extent.max())
         return Bounds(self.lower - pad, self.upper + pad)
 
     def contains(self, xyz: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-        """(N,) bool: which of the points (N, 3) lie inside."""
+        """(N,) bool: whether a point (N, 3) lies inside the box."""
         return np.all((xyz >= self.lower) & (xyz <= self.upper), axis=1)
 
 
@@ -78,18 +79,20 @@ def find_bounds(
     max_frames: int = 120,
     track: Track = untracked,
 ) -> Bounds:
-    """Find the bounding box of the visual hulls over the capture's frames, with a margin.
+    """Find a bounding box, with a margin, of the visual hulls of the capture's frames.
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it.
-        least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
-        margin: padding on every face, as a share of the longest side.
-        max_frames: upper limit of frames read; they are evenly spaced and include the first and the last.
+        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
+            inside their silhouettes.
+        least_views: share in (0, 1]. A point is in the hull only if at least this share of all views see it, and at
+            least 3 views, or all views if there are fewer.
+        margin: padding on each face, as a fraction of the longest side.
+        max_frames: maximum number of frames that are read. They are evenly spaced and include the first and the last.
         track: progress callback.
 
     Raises:
-        UserError: if the hull of a frame is empty; names the views that disagree most.
+        UserError: if the hull of a frame is empty. The message names the views that disagree most.
     """
     frames = sample_indices(capture.frame_count, max_frames)
     box: Bounds | None = None
@@ -117,13 +120,13 @@ def hull_bounds(
     names: Sequence[str] | None = None,
     label: str = "masks",
 ) -> Bounds:
-    """Find the bounding box of one frame's visual hull, to 2% of its longest side, without a margin.
+    """Find the bounding box of one frame's visual hull without a margin.
 
-    The search starts in a cube that is centred on the point nearest to all optical axes and
-    contains all cameras. The cube grows if the hull touches its faces.
+    The error is at most 2% of the longest side. The search starts in a cube that is centred on the point nearest to all
+    optical axes and contains all cameras. The cube is enlarged if the hull touches its faces.
 
     Raises:
-        UserError: if the hull is empty; names the views that disagree most.
+        UserError: if the hull is empty. The message names the views that disagree most.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
@@ -141,10 +144,10 @@ def hull_bounds(
 
 
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
-    """Find the point (3,) nearest to all optical axes, and its distance to the farthest camera.
+    """Find the point (3,) nearest to all optical axes, and the distance from this point to the farthest camera.
 
-    Almost parallel axes do not intersect. A weak prior resolves that case: a point in front of
-    the rig, at four times the rig's spread. It moves the result by 0.1% in other cases.
+    If the axes are almost parallel, the nearest point is undefined. A weak prior then determines the result: a point in
+    front of the cameras at four times their spread. In other cases the prior moves the result by 0.1%.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -162,9 +165,9 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
 
 
 def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | None, label: str) -> UserError:
-    """Build the error for an empty hull; it names the views that remove most of the other views' hull.
+    """Build the error for an empty hull, which names the views that remove most of the other views' hull.
 
-    ``half`` is half the side of the search cube, world units.
+    ``half`` is half the side of the search cube in world units.
     """
     labels = list(names) if names is not None else [f"view {i}" for i in range(len(views.views))]
     blank = [name for name, view in zip(labels, views.views, strict=True) if view.distance.max() < 0]
@@ -176,16 +179,16 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
     worst = sorted(range(len(labels)), key=lambda i: (-shares[i], i))[:3]
     removals = ", ".join(f"{labels[i]} (removes {100 * shares[i]:.0f}% of the others' hull)" for i in worst)
     return UserError(
-        f"{label}: expected a visual hull with agreement {views.agreement:g} of the views, got an empty one; "
+        f"{label}: expected a visual hull at agreement {views.agreement:g} of the views, got an empty hull; "
         f"these views disagree most: {removals}; fix their masks or calibration, leave them out, or lower the agreement"
     )
 
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
-    """Per view, the share in [0, 1] of the hull of all other views that this view removes.
+    """Compute for each view the share in [0, 1] of the other views' hull that this view removes.
 
-    If the hull of the other views is empty, their agreement is lowered until it is not.
-    The search cube is centred on the origin; ``half`` is half its side, world units.
+    If the hull of the other views is empty, ``agreement`` is lowered until the hull is not empty. The search cube is
+    centred on the origin, and ``half`` is half its side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):
@@ -201,7 +204,11 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
 
 
 def _candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
-    """Cells (3, N) that may contain the object, refined until their extent is COARSE_CELLS cells; and their side."""
+    """Find cells that may contain the object, refined until COARSE_CELLS cells span their extent.
+
+    Returns:
+        centres (3, N) of the cells, and the side of a cell.
+    """
     size = half / 4
     cells = root_cells(np.full(3, -half), np.full(3, half), size)
     while cells.shape[1]:

@@ -1,4 +1,4 @@
-"""Carving of one frame: from masks to points spread evenly over the surface of the visual hull."""
+"""Carving of one frame: masks give a visual hull, and points are spread evenly over its surface."""
 
 from __future__ import annotations
 
@@ -17,13 +17,15 @@ from fourd.carving.surface import choose_cell_side, project_to_surface, surface_
 
 @dataclass(frozen=True, eq=False)
 class CarvedFrame:
-    """Points on the surface of one frame's visual hull, in random order: every prefix is a uniform sample.
+    """Points on the surface of one frame's visual hull.
+
+    The points are in random order, so that the first M are a uniform sample for every M.
 
     Attributes:
-        xyz: (N, 3) float32, world units.
+        xyz: (N, 3) float32 world points.
         normals: (N, 3) float32 outward unit normals of the hull.
-        voxel_size: side of the finest cells, world units.
-        spacing: mean distance between neighbouring points, world units.
+        voxel_size: side of the finest cells in world units.
+        spacing: mean distance between neighbouring points in world units.
     """
 
     xyz: NDArray[np.float32]
@@ -46,24 +48,25 @@ def carve_frame(
 ) -> CarvedFrame:
     """Carve one frame's visual hull and spread points evenly over its surface.
 
-    Cells are subdivided from coarse to fine and dropped once they certainly contain no
-    surface. At the finest level the surface has more cells than points are requested;
-    the cell centres are projected onto the surface, to a tenth of a cell, and thinned.
+    Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. At the finest level,
+    the surface has more cells than the requested number of points. The cell centres are projected onto the surface, to
+    a tenth of a cell, and thinned to the requested number.
 
     Args:
-        masks: mattes (H, W) uint8, 255 = object, one per camera.
+        masks: mattes (H, W) uint8, one per camera; 255 is the object.
         cameras: undistorted pinhole cameras.
-        bounds: search box; see :func:`find_bounds`.
+        bounds: search box, for example from :func:`find_bounds`.
         points: number of points to return, at least 1.
-        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it; with 20
-            views, 0.95 tolerates one wrong view.
-        least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
-        seed: random seed of the order of the points; the same input and seed give the same bits.
+        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
+            inside their silhouettes. With 20 views, 0.95 tolerates one wrong view.
+        least_views: share in (0, 1]. A point is in the hull only if at least this share of all views see it, and at
+            least 3 views, or all views if there are fewer.
+        seed: random seed of the points' order. The same input and seed give bitwise equal results.
         names: camera names for messages.
         label: name of the masks for messages.
 
     Raises:
-        UserError: if the hull is empty; names the views that disagree most.
+        UserError: if the hull is empty. The message names the views that disagree most.
         ValueError: if counts or shapes do not match, or a share is outside (0, 1].
     """
     if points < 1:
@@ -83,7 +86,7 @@ def carve_frame(
 
 
 def _surface_candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:
-    """At least ``points`` surface points (N, 3) with normals, from cells of about ``size``."""
+    """Find at least ``points`` surface points (N, 3) and their normals (N, 3) from cells of side about ``size``."""
     lower, upper = bounds.lower - views.origin, bounds.upper - views.origin
     xyz = normals = np.zeros((3, 0), dtype=np.float32)
     for _ in range(4 if size > 0 else 0):

@@ -1,4 +1,4 @@
-"""Colours of surface points, averaged over the views that see them."""
+"""Colours of surface points, averaged over the views that see the points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side of a depth-map cell in point spacings: wide enough that points of the nearest surface leave no holes."""
+"""Side of a depth-map cell as a multiple of the point spacing. Cells are so wide that each cell on the nearest surface
+contains a point."""
 
 
 def colour_points(
@@ -22,22 +23,21 @@ def colour_points(
     images: Sequence[NDArray[np.uint8]],
     cameras: Sequence[Camera],
 ) -> NDArray[np.uint8]:
-    """Colour points (N, 3) with the weighted mean of the views that see them.
+    """Colour each point with the weighted mean of its colours in the views that see it.
 
-    A view sees a point if the point faces it and lies at most a few point spacings behind
-    the nearest point in the same cell of a depth map. The weight is the fourth power of the
-    cosine between normal and view direction, which suppresses silhouette edges, where
-    pixels mix with the background.
+    A view sees a point if the point faces the camera and lies at most a few point spacings behind the nearest point in
+    the same cell of a coarse depth map. The weight is the fourth power of the cosine between normal and view direction.
+    It suppresses silhouette edges, where pixels mix with the background.
 
     Args:
         xyz: (N, 3) world points.
         normals: (N, 3) outward unit normals.
-        spacing: distance between neighbouring points, world units.
-        images: RGB uint8 (H, W, 3), one per camera.
+        spacing: distance between neighbouring points in world units.
+        images: RGB images (H, W, 3) uint8, one per camera.
         cameras: undistorted pinhole cameras.
 
     Returns:
-        (N, 3) uint8 RGB.
+        (N, 3) uint8 RGB colours.
     """
     total = np.zeros((len(xyz), 3), dtype=np.float32)
     weights = np.full((len(xyz), 1), 1e-12, dtype=np.float32)
@@ -55,7 +55,7 @@ def colour_points(
 
 
 def _project(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
-    """Pixels x, y (N,) and depth (N,) of world points (N, 3) in float32."""
+    """Pixel coordinates x and y (N,) and depths (N,) of world points (N, 3) in float32."""
     matrix = camera.intrinsics @ camera.rotation
     offset = camera.intrinsics @ camera.translation
     x, y, depth = matrix.astype(np.float32) @ xyz.T + offset.astype(np.float32)[:, None]
@@ -70,7 +70,7 @@ def _view_cosine(xyz: Floats, normals: Floats, camera: Camera) -> Floats:
 
 
 def _is_unoccluded(x: Floats, y: Floats, depth: Floats, camera: Camera, spacing: float) -> NDArray[np.bool_]:
-    """(N,) bool: which points are within three cell widths of the nearest depth in their depth-map cell."""
+    """(N,) bool: whether a point is at most three cell widths behind the nearest point in its depth-map cell."""
     if depth.size == 0:
         return np.zeros(0, dtype=np.bool_)
     focal = float(np.sqrt(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))

@@ -1,10 +1,9 @@
-"""The visual hull as a signed distance, and the cells that may contain its surface.
+"""The visual hull as a signed distance, and a search for the cells that may contain its surface.
 
-Each soft matte becomes a signed distance image (pixels, positive inside) that is zero where
-the bilinearly sampled matte is one half. The distance of a world point in a view is this
-value times depth / focal length. The distance to the hull is an order statistic over the
-views that see the point: the minimum if all must agree, or the (k + 1)-th smallest if k
-views may be wrong. Views that do not see a point do not count.
+Each soft matte is converted to a signed distance image in pixels. The distance is positive inside the silhouette and
+zero where the bilinearly sampled matte is one half. A view's distance of a world point is the value at its projection
+times depth / focal length. The distance to the hull is an order statistic over the views that see the point. It is the
+minimum if all views must agree, or the (k + 1)-th smallest distance if k views may be wrong.
 """
 
 from __future__ import annotations
@@ -20,16 +19,18 @@ from fourd.cameras import Array, Camera
 from fourd.carving.silhouette import Floats, SilhouetteView, sample
 
 CHUNK = 1 << 15
-"""Cells processed at once: their arrays of 128 kB stay in the L2 cache."""
+"""Number of cells that are processed together, so that each array has 128 kB and stays in the L2 cache."""
 
 SLACK_PIXELS = np.float32(0.75)
-"""Added to a cell's radius when it is classified by its centre: the matte's ramp (0.5) and bilinear rounding."""
+"""Tolerance in pixels that is added to a cell's radius when the cell is classified by the distance at its centre. It
+covers the matte's soft edge (0.5 pixels) and the rounding of bilinear sampling."""
 
 SLACK_FACTOR = np.float32(1.03)
-"""The 5x5 distance transform has errors of up to 2%."""
+"""Factor on a cell's radius when the cell is classified. The 5x5 distance transform has errors of up to 2%."""
 
 MIN_VIEWS = 3
-"""Two views rarely prove a surface: any two silhouettes intersect wherever their rays do."""
+"""Minimum number of views that must see a point. Two views are not enough, because any two silhouettes whose rays
+intersect have a common volume."""
 
 DIAGONAL = float(np.sqrt(3) / 2)
 """Ratio of half the diagonal of a cell to its side."""
@@ -40,9 +41,10 @@ class Silhouettes:
     """All silhouettes of one frame, and how many of them may disagree.
 
     Attributes:
-        origin: (3,) float64 world point; all cells and points are relative to it.
-        views: the silhouettes, in the order of the cameras.
-        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it.
+        origin: (3,) float64 world point; the coordinates of all cells and points are relative to this point.
+        views: the silhouettes in the order of the cameras.
+        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
+            inside their silhouettes.
         needed: minimum number of views that must see a point.
     """
 
@@ -60,14 +62,16 @@ class Silhouettes:
         agreement: float,
         least_views: float,
     ) -> Silhouettes:
-        """Build the silhouettes of ``masks`` as seen by ``cameras``.
+        """Build the silhouettes from ``masks`` and their ``cameras``.
 
         Raises:
-            ValueError: if the counts differ, a mask's size is not its camera's, there are fewer
-                than two views, or a share is outside (0, 1].
+            ValueError: if the numbers of masks and cameras differ, a mask and its camera differ in size, there are
+                fewer than two views, or a share is outside (0, 1].
         """
         if len(masks) != len(cameras) or len(masks) < 2:
-            raise ValueError(f"masks: expected one per camera and at least 2, got {len(masks)} for {len(cameras)}")
+            raise ValueError(
+                f"masks: expected one per camera and at least 2, got {len(masks)} masks for {len(cameras)} cameras"
+            )
         for name, share in (("agreement", agreement), ("least_views", least_views)):
             if not 0 < share <= 1:
                 raise ValueError(f"{name}: expected a share in (0, 1], got {share}")
@@ -76,25 +80,27 @@ class Silhouettes:
         return Silhouettes(origin, views, agreement, needed)
 
     def without(self, index: int) -> Silhouettes:
-        """The same views except one; ``needed`` stays, up to the number of remaining views."""
+        """Remove one view; ``needed`` is reduced if fewer views than that remain."""
         remaining = self.views[:index] + self.views[index + 1 :]
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Number of the ``seen`` views that may disagree, elementwise."""
+        """Number of views that may disagree if ``seen`` views see a point; elementwise."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool: which cells (3, N) of side ``size`` may intersect the object. False is certain."""
+        """(N,) bool: whether a cell (3, N) of side ``size`` may intersect the object; if False, it certainly does
+        not."""
         return np.concatenate([self._classify(chunk, size)[0] for chunk in chunks(cells)])
 
     def may_contain_surface(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool: which cells (3, N) of side ``size`` may intersect the surface. False is certain."""
+        """(N,) bool: whether a cell (3, N) of side ``size`` may intersect the surface; if False, it certainly does
+        not."""
         classes = [self._classify(chunk, size) for chunk in chunks(cells)]
         return np.concatenate([maybe & ~inside for maybe, inside in classes])
 
     def _classify(self, cells: Floats, size: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Per cell (3, N): whether it may intersect the object, and whether it lies certainly inside."""
+        """Two (N,) bool arrays: whether a cell (3, N) may intersect the object, and whether it is certainly inside."""
         maybe = np.zeros(cells.shape[1], dtype=np.bool_)
         inside = np.zeros(cells.shape[1], dtype=np.bool_)
         alive = np.arange(cells.shape[1])
@@ -113,23 +119,23 @@ class Silhouettes:
         return maybe, inside
 
     def distance(self, xyz: Floats) -> tuple[Floats, NDArray[np.int16]]:
-        """Signed distance to the hull at points (3, N), and the view that determines it.
+        """Signed distance to the hull at points (3, N), and the view that determines this distance.
 
         Returns:
-            distance (N,) in world units, positive inside, -inf where too few views see the point;
-            deciding (N,) index of the view owners silhouette gives the distance, -1 where too few views see the point.
+            distance: (N,) distance in world units, positive inside; -inf if too few views see the point.
+            deciding: (N,) index of the view whose silhouette gives the distance; -1 if too few views see the point.
         """
         parts = [self._rank_views(chunk, np.inf) for chunk in chunks(xyz)]
         return np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts])
 
     def surface_slab(self, cells: Floats, size: float) -> tuple[Floats, Floats, NDArray[np.int16]]:
-        """Select the cells (3, N) owners centres lie within half a side of the surface.
+        """Select the cells (3, N) whose centres are at most half of ``size``, the side of a cell, from the surface.
 
-        A slab as thick as a cell contains one centre per squared side of surface at any
-        slope of the surface. The count therefore measures area, and the density is even.
+        At any slope of the surface, a slab of this thickness contains on average one cell centre per ``size ** 2`` of
+        surface area. The number of cells therefore measures the area, and their density is even.
 
         Returns:
-            the cell centres (3, M), and the two results of :meth:`distance` for them.
+            the cell centres (3, M), and their distances and deciding views as in :meth:`distance`.
         """
         kept, distance, deciding = [], [], []
         for chunk in chunks(cells):
@@ -141,7 +147,11 @@ class Silhouettes:
         return np.concatenate(kept, axis=1), np.concatenate(distance), np.concatenate(deciding)
 
     def _rank_views(self, xyz: Floats, outside: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int16]]:
-        """Indices of the points (3, N) at most ``outside`` outside the surface, their distances and deciding views."""
+        """Compute distances and deciding views of points (3, N); drop points more than ``outside`` outside the hull.
+
+        Returns:
+            the indices of the remaining points, their distances, and their deciding views.
+        """
         kept = int(self.tolerated_outliers(np.array(len(self.views)))) + 1
         lowest = np.full((kept, xyz.shape[1]), np.inf, dtype=np.float32)
         owners = np.full((kept, xyz.shape[1]), -1, dtype=np.int16)
@@ -174,7 +184,7 @@ class Silhouettes:
 
 
 def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Signed distance (N,) of one view in world units at points (3, N), and whether the view sees them (N,)."""
+    """Signed distances (N,) of points (3, N) in one view in world units, and (N,) bool, whether the view sees them."""
     x, y, z = view.project(xyz)
     value = sample(view.distance, x, y, cv2.INTER_LINEAR)
     value *= z
@@ -183,7 +193,7 @@ def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np
 
 
 def root_cells(lower: Array, upper: Array, size: float) -> Floats:
-    """Centres (3, N) float32 of cubes of side ``size`` that cover the box; the grid is centred on the box."""
+    """Centres (3, N) float32 of cubes of side ``size`` that cover a box; the grid of cubes is centred on the box."""
     counts = np.maximum(1, np.ceil((upper - lower) / size - 1e-6)).astype(int)
     middle = (lower + upper) / 2
     axes = [middle[i] + (np.arange(counts[i]) - (counts[i] - 1) / 2) * size for i in range(3)]
@@ -191,33 +201,33 @@ def root_cells(lower: Array, upper: Array, size: float) -> Floats:
 
 
 def refine(cells: Floats, size: float) -> tuple[Floats, float]:
-    """The eight children (3, 8 N) of each cell, siblings adjacent, and their side."""
+    """Subdivide each cell into eight; return the centres (3, 8 N), with siblings next to each other, and the side."""
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), dtype=np.float32)
     steps = corners.reshape(3, 1, 8) * np.float32(size / 4)
     return (cells[:, :, None] + steps).reshape(3, -1), size / 2
 
 
 def chunks(cells: Floats) -> Iterator[Floats]:
-    """The columns of ``cells`` (3, N) in contiguous chunks of CHUNK; one empty chunk if N is 0."""
+    """Yield the columns of ``cells`` (3, N) in contiguous chunks of CHUNK columns; one empty chunk if N is 0."""
     for begin in range(0, max(cells.shape[1], 1), CHUNK):
         yield np.ascontiguousarray(cells[:, begin : begin + CHUNK])
 
 
 def interleaved_order(count: int) -> list[int]:
-    """0 .. count - 1 in an order whose successive indices are far apart on a ring of cameras.
+    """The numbers 0 to count - 1 in an order in which successive cameras of a ring are far apart.
 
-    Views from different angles reject most cells, so early rejection needs few views.
+    In this order, the first few views come from different angles and reject most cells.
     """
     return sorted(range(count), key=lambda index: (index * 0.6180339887) % 1)
 
 
 def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts: NDArray[np.int16]) -> None:
-    """Add one view's classification of spheres of ``radius`` around ``cells`` (3, N) to ``counts`` (5, N).
+    """Classify spheres of ``radius`` around ``cells`` (3, N) in one view and add the result to ``counts`` (5, N).
 
-    The rows count the views in which the sphere is: fully seen and all background, fully seen
-    and all object, fully seen, possibly partly seen, possibly partly seen and partly object.
-    The last row rejects spheres that many image borders cut: no view sees all of such a
-    sphere, but the seen part is background.
+    Each row of ``counts`` counts views. Row 0: the sphere is fully seen and only background. Row 1: fully seen and only
+    object. Row 2: fully seen. Row 3: perhaps partly seen. Row 4: perhaps partly seen and perhaps partly object. Row 4
+    rejects spheres that are cut by many image borders: no view sees such a sphere fully, but all parts that are seen
+    are background.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)
@@ -236,7 +246,7 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
 
 
 def _insert(lowest: Floats, owners: NDArray[np.int16], value: Floats, index: np.int16) -> None:
-    """Insert ``value`` (N,) of view ``index`` into the ascending lists ``lowest`` (K, N), in place."""
+    """Insert the values (N,) of view ``index`` in place into the ascending columns of ``lowest`` (K, N)."""
     owner = np.full(value.shape, index, dtype=np.int16)
     for rank in range(lowest.shape[0]):
         less = value < lowest[rank]

@@ -1,4 +1,4 @@
-"""The interface to a capture that carving depends on; tests and importers can implement it."""
+"""The interface through which carving reads a capture; tests and importers can implement it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class MaskSource(Protocol):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Camera names, in the order of ``cameras``."""
+        """Camera names in the order of ``cameras``."""
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -32,15 +32,15 @@ class MaskSource(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """Frame numbers in the capture."""
+        """Number of each frame in the capture; the first one need not be 0."""
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
-        """Matte (H, W) uint8, 255 = object."""
+        """Matte (H, W) uint8; 255 is the object."""
 
     def image(self, camera: int, frame: int) -> NDArray[np.uint8]:
-        """RGB picture (H, W, 3) uint8."""
+        """RGB image (H, W, 3) uint8."""
 
 
 def frame_masks(capture: MaskSource, frame: int) -> list[NDArray[np.uint8]]:
-    """Masks of all cameras for one frame."""
+    """The masks of all cameras in one frame."""
     return [capture.mask(camera, frame) for camera in range(len(capture.cameras))]

@@ -1,4 +1,7 @@
-"""Carving of a whole capture: one PLY per frame and the scene bounds, streaming and resumable."""
+"""Carving of a whole capture: writes one PLY per frame and the scene bounds.
+
+Frames are processed one at a time, and an interrupted run can be resumed.
+"""
 
 from __future__ import annotations
 
@@ -32,13 +35,15 @@ VERSION = 2
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Remaining work below which worker processes are not started: their start takes some seconds."""
+"""Estimated duration of the remaining frames in seconds, below which no worker processes are started. Starting them
+takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
+"""Files in a capture whose sizes and times are part of the key: a change to them invalidates carved points."""
 
 
 @dataclass(frozen=True)
 class CarveSettings:
-    """Settings of carving; see :func:`fourd.carving.carve_frame`. The field names are keys in bounds.json."""
+    """Settings of carving, described in :func:`fourd.carving.carve_frame`. The field names are keys in bounds.json."""
 
     points: int = 65536
     agreement: float = 0.95
@@ -57,25 +62,27 @@ def carve_capture(
     track: Track = untracked,
     workers: int = 1,
 ) -> Bounds:
-    """Carve every frame into ``out_folder``: ``FRAME.ply`` (xyz, rgb) each, and ``bounds.json``.
+    """Carve every frame; write ``FRAME.ply`` (xyz, rgb) for each frame and ``bounds.json`` to ``out_folder``.
 
-    FRAME is the six-digit frame number in the capture. Files are written atomically, and one
-    frame is in memory at a time. A second call with the same capture and settings skips the
-    frames that have a complete PLY; with other settings it carves all frames again.
+    FRAME is the six-digit frame number in the capture. Files are written atomically, and each process holds one frame
+    in memory. A second call with the same capture and settings skips frames that have a complete PLY. A call with other
+    settings carves all frames again.
 
     Args:
         capture: cameras, images and masks.
-        out_folder: created if missing.
-        points: points per frame, at least 1.
-        agreement: minimum share in (0, 1] of silhouettes that contain a point, among the views that see it.
-        least_views: minimum share in (0, 1] of all views that must see a point (at least 3 views, or all if fewer).
-        seed: random seed of the order of the points.
+        out_folder: folder for the files; it is created if missing.
+        points: number of points per frame, at least 1.
+        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
+            inside their silhouettes.
+        least_views: share in (0, 1]. A point is in the hull only if at least this share of all views see it, and at
+            least 3 views, or all views if there are fewer.
+        seed: random seed of the points' order.
         track: progress callback.
-        workers: number of processes. They start if the time of the first frame shows that it pays. The capture is
-            pickled for them. The points do not depend on the number.
+        workers: number of processes. They are only started if the duration of the first frame indicates that they save
+            time. The capture must be picklable. The points do not depend on this number.
 
     Returns:
-        the bounding box of all frames' points, with a margin of 5% of its longest side.
+        the bounding box of the points of all frames, with a margin of 5% of the longest side.
 
     Raises:
         UserError: if a frame's hull is empty or a file cannot be written.
@@ -102,7 +109,7 @@ def carve_capture(
 
 
 def read_bounds(folder: Path | str) -> Bounds:
-    """Read the bounds that :func:`carve_capture` wrote to ``folder``.
+    """Read the bounds written to ``folder`` by :func:`carve_capture`.
 
     Raises:
         UserError: if bounds.json is missing, unreadable, or from an unfinished carving.
@@ -118,7 +125,7 @@ def read_bounds(folder: Path | str) -> Bounds:
 
 
 def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
-    """Hash of all inputs of the points: settings, calibration, frame numbers, and sizes and times of the files."""
+    """Hash all inputs of carving: settings, calibration, frame numbers, and the sizes and times of the input files."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):
         digest.update(f"{name} {camera.width} {camera.height}".encode())
@@ -132,9 +139,10 @@ def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
 
 
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
-    """The box to carve in: read from an earlier call with the same key, otherwise found and saved.
+    """Get the box in which the hull is searched.
 
-    If not all frames are examined, the margin is three times as wide.
+    The box is read from bounds.json if an earlier call with the same key wrote it. Otherwise it is computed and saved.
+    If only some of the frames are examined, the margin is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:
@@ -159,7 +167,7 @@ def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key:
 def _load_or_carve(
     capture: MaskSource, frame: int, folder: Path, search: Bounds, settings: CarveSettings
 ) -> NDArray[np.float32]:
-    """Points (N, 3) of one frame: read from its PLY if that is complete, otherwise carved and written."""
+    """Get the points (N, 3) of one frame: read its PLY if the file is complete, otherwise carve and write it."""
     number = capture.frame_numbers[frame]
     path = _frame_path(folder, number)
     if path.exists():
@@ -185,7 +193,7 @@ def _load_or_carve(
 
 @dataclass(frozen=True)
 class _Job:
-    """Frames for one process."""
+    """The frames that one process carves, with all inputs."""
 
     capture: MaskSource
     folder: Path
@@ -195,7 +203,10 @@ class _Job:
 
 
 def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
-    """Corners of each frame's points, in any order of frames; uses worker processes if that is faster."""
+    """Carve a job's frames with worker processes if this saves time; yields what :func:`_carve_frames` yields.
+
+    The order of the frames is undefined.
+    """
     numbers = job.capture.frame_numbers
     missing = [frame for frame in job.frames if not _frame_path(job.folder, numbers[frame]).exists()]
     yield from _carve_frames(replace(job, frames=tuple(sorted(set(job.frames) - set(missing)))))
@@ -210,7 +221,7 @@ def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
 
 
 def _carve_frames(job: _Job) -> Iterator[Corners]:
-    """Carve a job's frames; yields the smallest and largest coordinates of each frame once its file is written."""
+    """Carve a job's frames; yields the smallest and the largest coordinates of a frame when its file is written."""
     for frame in job.frames:
         xyz = _load_or_carve(job.capture, frame, job.folder, job.search, job.settings)
         yield xyz.min(axis=0), xyz.max(axis=0)

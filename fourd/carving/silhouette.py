@@ -1,4 +1,4 @@
-"""One soft matte as a signed distance image, with its camera."""
+"""A view of the object: one soft matte as a signed distance image, with its camera."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from fourd.cameras import Array, Camera
 Floats = NDArray[np.float32]
 
 ROW = 4096
-"""Samples per row of the maps for OpenCV's remap, whose sides are limited to 32,767."""
+"""Number of samples per row of the maps for OpenCV's remap. The sides of these maps must be below 32,767."""
 
 
 MAX_SIDE_PX = 1024
-"""The crop of a matte around the object is reduced to this size, which bounds the memory of large captures."""
+"""Longer side in pixels above which the crop of a matte around the object is reduced to this size. The limit bounds the
+memory use for large captures."""
 
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteView:
-    """One matte with its camera, relative to an origin.
+    """One matte with its camera, for points relative to an origin.
 
-    Pixels are those of the distance image: the crop of the matte around the object, reduced
-    if it is large.
+    Pixel coordinates refer to the distance image. It covers a crop of the matte around the object, and its resolution
+    is reduced if the crop is large.
 
     Attributes:
-        matrix: (3, 3) float32 K R.
-        offset: (3,) float32, the projection of the origin.
-        focal: geometric mean of the focal lengths, pixels.
-        reach: largest pixel displacement of a unit displacement at unit depth inside the image.
-        frame: left, top, right and bottom of the whole image, pixels.
-        distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside.
-            Beyond the crop's border, the nearest value is a lower bound of the distance outside.
+        matrix: (3, 3) float32 matrix product K R of intrinsics and rotation.
+        offset: (3,) float32 homogeneous projection of the origin.
+        focal: geometric mean of the focal lengths in pixels.
+        reach: largest displacement in pixels, inside the image, of a point at depth 1 that is displaced by 1.
+        frame: left, top, right and bottom borders of the whole image in pixels.
+        distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. Outside the crop, the
+            nearest pixel of the crop gives a lower bound of the distance to the object.
     """
 
     matrix: Floats
@@ -46,13 +47,15 @@ class SilhouetteView:
 
     @staticmethod
     def from_mask(mask: NDArray[np.uint8], camera: Camera, origin: Array) -> SilhouetteView:
-        """Build the view of ``mask`` (H, W) uint8 by ``camera``, for points relative to ``origin``.
+        """Build the view from ``mask`` (H, W) uint8 and its ``camera``, for points relative to ``origin``.
 
         Raises:
-            ValueError: if the mask's shape is not the camera's.
+            ValueError: if the mask's shape does not match the camera's image size.
         """
         if mask.shape != (camera.height, camera.width):
-            raise ValueError(f"mask: expected shape {(camera.height, camera.width)} as the camera, got {mask.shape}")
+            raise ValueError(
+                f"mask: expected the camera's shape {(camera.height, camera.width)}, got shape {mask.shape}"
+            )
         left, top, width, height = _object_box(mask)
         part: NDArray[np.uint8] = mask[top : top + height, left : left + width]
         close = camera.crop(left, top, width, height).rescale(min(1.0, MAX_SIDE_PX / max(width, height)))
@@ -73,7 +76,7 @@ class SilhouetteView:
         )
 
     def project(self, xyz: Floats) -> tuple[Floats, Floats, Floats]:
-        """Pixels x, y and depth of points (3, N) relative to the origin; pixels are undefined where z <= 0."""
+        """Pixel coordinates x and y and depths z of points (3, N); x and y are undefined where z <= 0."""
         x, y, z = self.matrix @ xyz + self.offset[:, None]
         inverse = 1 / np.where(np.abs(z) > 1e-12, z, np.float32(1e-12))
         x *= inverse
@@ -81,20 +84,21 @@ class SilhouetteView:
         return x, y, z
 
     def sees(self, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
-        """(N,) bool: which projected points lie inside the image and in front of the camera."""
+        """(N,) bool: whether a projected point lies inside the image and in front of the camera."""
         left, top, right, bottom = self.frame
         return (z > 0) & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
 
     def border_distance(self, x: Floats, y: Floats) -> Floats:
-        """Distance (N,) in pixels to the nearest border of the image, negative outside."""
+        """Distance (N,) in pixels to the nearest border of the whole image; negative outside the image."""
         left, top, right, bottom = (np.float32(side) for side in self.frame)
         return np.minimum(np.minimum(x - left, right - x), np.minimum(y - top, bottom - y))
 
 
 def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """Left, top, width and height of the object's box in ``mask``, with a wide margin, within the image.
+    """Left, top, width and height of the object's bounding box in ``mask``, with a margin, clipped to the image.
 
-    The margin, a sixteenth of the image, keeps distances exact enough to classify coarse cells beside the object.
+    The margin is a sixteenth of the image's longer side plus 8 pixels. With this margin, distances beside the object
+    are exact enough to classify coarse cells.
     """
     left, top, width, height = cv2.boundingRect((mask >= 128).view(np.uint8))
     if width == 0:
@@ -106,11 +110,11 @@ def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def signed_distance(mask: NDArray[np.uint8]) -> Floats:
-    """Signed distance (H, W) float32 in pixels to the contour where a soft matte (H, W) uint8 crosses one half.
+    """Signed distance (H, W) float32 in pixels to the contour at which a soft matte (H, W) uint8 is one half.
 
-    Pixels beside the contour hold ``matte - 0.5``, so that bilinear samples of the distance
-    and of the matte cross at the same place. The image border is not part of the contour.
-    An empty or full matte has distance -65,536 or 65,536 everywhere.
+    Pixels next to the contour store ``matte - 0.5``. Bilinear samples of the distance are therefore 0 where bilinear
+    samples of the matte are one half. The image border is not part of the contour. The distance is -65,536 everywhere
+    for an empty matte, and 65,536 for a full matte.
     """
     inside = (mask >= 128).astype(np.uint8)
     far = float(1 << 16)
@@ -129,10 +133,10 @@ def signed_distance(mask: NDArray[np.uint8]) -> Floats:
 
 
 def sample(image: NDArray[np.float32] | NDArray[np.uint8], x: Floats, y: Floats, method: int) -> NDArray:
-    """Sample ``image`` (H, W[, C]) at pixels x, y (N,), with pixel centres at half integers.
+    """Sample ``image`` (H, W[, C]) at pixel coordinates x and y (N,), with pixel centres at half integers.
 
-    ``method`` is cv2.INTER_NEAREST or cv2.INTER_LINEAR. The border is replicated outside the image.
-    Returns (N[, C]) of the image's dtype.
+    ``method`` is cv2.INTER_NEAREST or cv2.INTER_LINEAR. Outside the image, the nearest border pixel is used. The
+    result is (N[, C]) and has the image's dtype.
     """
     count = x.size
     if count == 0:

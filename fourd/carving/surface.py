@@ -1,4 +1,4 @@
-"""Points on the hull's surface: candidates from cells, projection onto the surface, thinning to an even density."""
+"""Points on the hull's surface: cells give candidates, which are projected onto the surface and thinned evenly."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, sample
 
 CANDIDATES = 1.3
-"""Candidates per requested point: thinning is more even with more of them, and projection costs more."""
+"""Number of candidates per requested point. More candidates give a more even density but cost more time."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
-    """Centres (3, N) of cells of side ``size``, a superset of those that intersect the surface inside the box.
+    """Find the cells of side ``size`` that may intersect the surface inside a box; return their centres (3, N).
 
-    Larger cells are subdivided if they may contain surface; the finest cells are not
-    classified. The box is relative to the origin of ``views``.
+    Larger cells are subdivided if they may contain surface. The finest cells are not tested. The coordinates are
+    relative to the origin of ``views``.
     """
     longest = float((upper - lower).max())
     levels = max(0, int(np.log2(max(longest / size / 6, 1))))
@@ -33,13 +33,14 @@ def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -
 def project_to_surface(
     views: Silhouettes, xyz: Floats, distance: Floats, deciding: NDArray[np.int16], size: float
 ) -> tuple[Floats, Floats]:
-    """Move points (3, N) onto the surface along the gradient; drop those that do not converge.
+    """Move points (3, N) along the distance gradient onto the surface, and drop points that do not converge.
 
-    Two steps suffice except at creases, where the deciding view changes. A point has
-    converged if it is within a tenth of ``size`` of the surface.
+    Two steps are enough except at creases, where the deciding view changes. The deciding view is the view whose
+    silhouette determines the distance. A point has converged if its distance to the surface is at most a tenth of
+    ``size``.
 
     Returns:
-        xyz (3, M) and outward unit normals (3, M).
+        points (3, M) and their outward unit normals (3, M).
     """
     for _ in range(2):
         slope = distance_gradient(views, xyz, deciding)
@@ -54,7 +55,10 @@ def project_to_surface(
 
 
 def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int16]) -> Floats:
-    """World gradient (3, N) of the deciding view's distance at points (3, N); it points inwards, about unit length."""
+    """Gradient (3, N) of the deciding view's signed distance at points (3, N), in world coordinates.
+
+    The gradient points inwards, and its length is about 1.
+    """
     out = np.zeros_like(xyz)
     half = np.float32(0.5)
     for index, view in enumerate(views.views):
@@ -75,10 +79,10 @@ def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int1
 
 
 def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Indices of ``count`` of the points (N, 3), N >= count, at an even density and in random order.
+    """Select ``count`` of the points (N, 3) with an even density; return their indices in random order.
 
-    Each round removes one point of each of the closest pairs. With the random order every
-    prefix is a uniform sample.
+    ``count`` is at most N. Each round removes one point of each of the closest pairs. Because of the random order, the
+    first M points are a uniform sample for every M.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:
@@ -95,10 +99,10 @@ def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) 
 
 
 def choose_cell_side(views: Silhouettes, lower: Array, upper: Array, points: int) -> float:
-    """The cell side at which the surface inside the box has CANDIDATES cells per point.
+    """Choose the side of cells so that the surface inside the box has CANDIDATES cells per requested point.
 
-    The surface's area is measured on cells of 1/64 of the box, or smaller ones if there are
-    few of them. 0 if there is no surface.
+    The surface's area is measured with cells of 1/64 of the box's longest side, or with smaller cells if the surface
+    has few of these. The result is 0 if there is no surface.
     """
     side = float((upper - lower).max()) / 64
     for _ in range(3):

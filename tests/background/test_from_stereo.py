@@ -17,7 +17,7 @@ from fourd.progress import untracked
 from tests.calibration.rooms import HALF_WIDTH, HEIGHT, Room, room_cameras
 
 HOLE = ((0.7, 1.5), (0.5, 1.3))
-"""y and z of a rectangle on the wall x = 2 that no plate shows."""
+"""Ranges of y and z of a rectangle on the wall x = 2 that is a hole in every plate."""
 MAGENTA = (255, 0, 255)
 
 
@@ -35,14 +35,14 @@ def to_walls(xyz: np.ndarray) -> np.ndarray:
 
 
 def in_hole(xyz: np.ndarray, margin: float = 0.0) -> np.ndarray:
-    """(N,) bool: which points lie within the y and z range of HOLE, on the side x > 0."""
+    """(N,) bool: whether a point has x > 0 and lies within the y and z ranges of HOLE."""
     (front, back), (low, high) = HOLE
     inside = (xyz[:, 1] > front + margin) & (xyz[:, 1] < back - margin)
     return inside & (xyz[:, 2] > low + margin) & (xyz[:, 2] < high - margin) & (xyz[:, 0] > 0)
 
 
 def is_seen(xyz: np.ndarray, plates: list[PlateView]) -> bool:
-    """Whether a point (3,) projects to a seen pixel of some plate."""
+    """Whether a point (3,) projects to a visible pixel of at least one plate."""
     for each in plates:
         pixels, depth = each.camera.project(xyz[None])
         column, row = np.floor(pixels[0]).astype(int)
@@ -52,7 +52,7 @@ def is_seen(xyz: np.ndarray, plates: list[PlateView]) -> bool:
 
 
 def plate(room: Room, index: int) -> PlateView:
-    """A camera's picture of the room; the hole is magenta."""
+    """A camera's image of the room; the hole is magenta."""
     camera = room_cameras(4, 176, 132)[index]
     rgb = room.picture(camera)
     rows, columns = np.indices(rgb.shape[:2])
@@ -75,7 +75,7 @@ def stage() -> Stage:
 
 
 def test_points_lie_on_the_walls(stage: Stage) -> None:
-    """Catches changed cameras, half-pixel errors between conventions, and wrong matches."""
+    """Catches cameras that COLMAP changes, half-pixel errors between pixel conventions, and wrong matches."""
     distance = to_walls(stage.points.xyz)
     assert np.median(distance) < 0.003
     assert np.percentile(distance, 90) < 0.02
@@ -115,7 +115,7 @@ def test_holes_have_no_points(stage: Stage) -> None:
 
 
 def test_points_have_an_even_density_in_the_pictures(stage: Stage) -> None:
-    """Catches a density that is even in the world instead of the pictures, and gaps seen by only one plate."""
+    """Catches a density that is even in the world instead of in the images, and gaps where one plate sees the wall."""
     assert 1800 <= len(stage.points.xyz) <= 2000
     for view in stage.plates:
         pixels, depth = view.camera.project(stage.points.xyz)
@@ -127,7 +127,7 @@ def test_points_have_an_even_density_in_the_pictures(stage: Stage) -> None:
 
 
 def test_any_prefix_is_a_uniform_sample(stage: Stage) -> None:
-    """Catches points in the order of the plates, whose first half covers one corner."""
+    """Catches points in the order of the plates: the first half of the points would cover only one corner."""
     half = stage.points.xyz[: len(stage.points.xyz) // 2]
     spread = stage.points.xyz.std(axis=0)
     assert np.allclose(half.mean(axis=0), stage.points.xyz.mean(axis=0), atol=0.15 * spread.max())
@@ -142,7 +142,7 @@ def test_extrapolated_points_are_reported(stage: Stage) -> None:
 
 
 def test_blank_walls_are_an_error(stage: Stage) -> None:
-    """Catches an empty result or a traceback instead of an error with a fix."""
+    """Catches an empty result or a traceback instead of an error message that suggests a fix."""
     blank = [replace(view, rgb=np.full_like(view.rgb, 200), seen=np.ones_like(view.seen)) for view in stage.plates]
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
@@ -152,7 +152,7 @@ def test_blank_walls_are_an_error(stage: Stage) -> None:
 
 
 def test_plates_without_overlap_are_an_error(rng: np.random.Generator) -> None:
-    """Catches random matches taken as a background: cameras that face away from each other do not overlap."""
+    """Catches a background made from random matches: the cameras face away from each other and do not overlap."""
     up, intrinsics = np.array([0.0, 0.0, 1.0]), np.array([[140.0, 0, 88], [0, 140, 66], [0, 0, 1]])
     plates, room = [], Room(rng)
     for index, side in enumerate((1.0, -1.0)):
@@ -164,14 +164,14 @@ def test_plates_without_overlap_are_an_error(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize(("count", "points"), [(1, 10), (3, 0)])
 def test_invalid_arguments(stage: Stage, count: int, points: int) -> None:
-    """Catches an obscure failure for invalid arguments."""
+    """Catches invalid arguments without an error that names the expected values."""
     with pytest.raises(ValueError, match="expected at least 2 plates and 1 point"):
         seed_from_stereo(stage.plates[:count], points)
 
 
 @pytest.mark.slow
 def test_same_points_from_any_number_of_processes(stage: Stage) -> None:
-    """Catches randomness that depends on the process or the order of the maps."""
+    """Catches results that depend on the number of processes or on the order of the depth maps."""
     again = seed_from_stereo(stage.plates, 2000, workers=2)
     assert np.array_equal(again.xyz, stage.points.xyz)
     assert np.array_equal(again.rgb, stage.points.rgb)

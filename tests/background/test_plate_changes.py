@@ -13,7 +13,7 @@ from fourd.capture import open_capture
 
 
 def plate_views(path: Path) -> list[PlateView]:
-    """Clean plates of the capture's grey room, a few levels brighter than its pictures."""
+    """Clean plates of the capture's grey room, a few grey levels brighter than the capture's images."""
     capture = open_capture(path, frames="0:1")
     views = []
     for index, camera in enumerate(capture.cameras):
@@ -26,7 +26,7 @@ def plate_views(path: Path) -> list[PlateView]:
 
 
 def test_subject_and_exposure_are_not_changes(ball_capture: Path) -> None:
-    """Catches the subject or a different exposure reported as a changing background."""
+    """Catches a report of a changing background that is caused by the subject or by a different exposure."""
     capture = open_capture(ball_capture)
     assert find_changing_backgrounds(capture, range(len(capture.names)), plate_views(ball_capture)) == {}
 

@@ -1,4 +1,4 @@
-"""Clean plates read from files: provided by the user, or made by fourd."""
+"""Reading of clean plates that are provided by the user or made by fourd."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def folder(ball_capture: Path, tmp_path: Path) -> Path:
 
 
 def stage(rng: np.random.Generator) -> np.ndarray:
-    """(H, W, 3) smooth picture, which resampling changes little."""
+    """Smooth image (H, W, 3), so that resampling changes only little."""
     return cv2.GaussianBlur(rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8), (0, 0), 4)
 
 
@@ -68,7 +68,7 @@ def test_made_plates(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_the_users_plates_come_first(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a user's plate that is ignored in favour of a made one, and JPEGs that are not found."""
+    """Catches a user's plate that is ignored because fourd made one, and JPEG plates that are not found."""
     made, provided = stage(rng), stage(rng)
     for name in ("00", "01", "02"):
         make_plate(folder, name, made)
@@ -82,7 +82,7 @@ def test_the_users_plates_come_first(folder: Path, rng: np.random.Generator) -> 
 
 
 def test_the_users_holes(folder: Path, rng: np.random.Generator) -> None:
-    """Catches an alpha channel that is ignored, and semi-transparent pixels taken as seen."""
+    """Catches an alpha channel that is ignored, and semi-transparent pixels that count as visible."""
     picture, alpha = stage(rng), np.full((SIZE, SIZE), 255, np.uint8)
     alpha[:8], alpha[8:12] = 0, 128
     for name in ("00.png", "01.png"):
@@ -93,7 +93,7 @@ def test_the_users_holes(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_scale(folder: Path, rng: np.random.Generator) -> None:
-    """Catches plates that do not match the cameras' size, and pixels mixed with a hole that count as seen."""
+    """Catches plates that are not resized to the cameras, and pixels partly in a hole that count as visible."""
     picture, seen = stage(rng), np.ones((SIZE, SIZE), bool)
     seen[:, 31:] = False
     for name in ("00", "01"):
@@ -109,7 +109,7 @@ def test_scale(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_the_users_plates_are_undistorted_like_the_pictures(folder: Path, rng: np.random.Generator) -> None:
-    """Catches undistortion that differs from the reader's or is missing: points would be off the walls."""
+    """Catches missing undistortion, or undistortion that differs from the frames: points would miss the walls."""
     picture = stage(rng)
     for name in ("00", "01"):
         provide(folder, f"{name}.png", picture)
@@ -121,7 +121,7 @@ def test_the_users_plates_are_undistorted_like_the_pictures(folder: Path, rng: n
 
 
 def test_made_plates_are_not_undistorted_again(folder: Path, rng: np.random.Generator) -> None:
-    """Catches undistortion applied twice, and black pixels outside the lens's view taken as a black wall."""
+    """Catches undistortion that is applied twice, and pixels outside the lens's view that count as a black wall."""
     picture = stage(rng)
     for name in ("00", "01"):
         make_plate(folder, name, picture)
@@ -135,7 +135,7 @@ def test_made_plates_are_not_undistorted_again(folder: Path, rng: np.random.Gene
 
 
 def test_plates_of_mostly_holes_are_reported(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a poor plate that is not reported, and a report about a good one."""
+    """Catches a plate with large holes that is not reported, and a report about a good plate."""
     hole = np.ones((SIZE, SIZE), bool)
     hole[:20] = False
     for name in ("00", "01", "02"):
@@ -148,7 +148,7 @@ def test_plates_of_mostly_holes_are_reported(folder: Path, rng: np.random.Genera
 
 @pytest.mark.parametrize("seeing", [0, 1])
 def test_too_few_plates_with_background(folder: Path, seeing: int, rng: np.random.Generator) -> None:
-    """Catches triangulation from fewer than two pictures."""
+    """Catches triangulation from fewer than two images."""
     for number, name in enumerate(("00", "01")):
         make_plate(folder, name, stage(rng), np.full((SIZE, SIZE), number < seeing))
     with pytest.raises(
@@ -159,23 +159,23 @@ def test_too_few_plates_with_background(folder: Path, seeing: int, rng: np.rando
 
 
 def test_missing_plate(folder: Path, rng: np.random.Generator) -> None:
-    """Catches an error without the missing plates and the command that makes them."""
+    """Catches an error that does not name the missing plates and the command that makes them."""
     make_plate(folder, "00", stage(rng))
     with pytest.raises(
         UserError,
-        match=r"plates/01\.png: expected the clean plate of camera '01', got none there or in bgs "
-        r"\(and of 1 more cameras\); make them: fourd matte .*cap",
+        match=r"plates/01\.png: expected the clean plate of camera '01' \(and of 1 more camera\), "
+        r"got no such file here or in bgs; make clean plates: fourd matte .*cap",
     ):
         read_plates(open_capture(folder), [0, 1, 2])
 
 
 def test_wrong_size(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a plate of another size that is stretched, and a fix that does not match the origin of the file."""
+    """Catches a plate of the wrong size that is resized, and a suggested fix for plates of another origin."""
     for name in ("00", "01"):
         make_plate(folder, name, stage(rng))
     provide(folder, "01.png", stage(rng)[:32])
     with pytest.raises(
-        UserError, match=r"bgs/01\.png: expected 64 x 64 pixels, as .*'01' have, got 64 x 32; export it again"
+        UserError, match=r"bgs/01\.png: expected 64 x 64 pixels like .*'01', got 64 x 32; export it again"
     ):
         read_plates(open_capture(folder), [0, 1])
     make_plate(folder, "00", stage(rng)[:, :48])
@@ -185,7 +185,7 @@ def test_wrong_size(folder: Path, rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("content", [b"", b"no picture", b"\x89PNG\r\n\x1a\n"])
 def test_broken_file(folder: Path, content: bytes, rng: np.random.Generator) -> None:
-    """Catches a traceback for a file that is not a picture."""
+    """Catches a traceback for a file that is not an image."""
     make_plate(folder, "01", stage(rng))
     provide(folder, "00.png", stage(rng)).write_bytes(content)
     with pytest.raises(UserError, match=r"bgs/00\.png: expected a whole JPEG or PNG picture, got ") as caught:
@@ -194,7 +194,7 @@ def test_broken_file(folder: Path, content: bytes, rng: np.random.Generator) -> 
 
 
 def test_truncated_plates_are_errors(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a truncated picture that is accepted as a plate."""
+    """Catches a truncated image that is accepted as a plate."""
     make_plate(folder, "01", stage(rng))
     path = provide(folder, "00.png", stage(rng))
     whole = path.read_bytes()

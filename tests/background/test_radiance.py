@@ -1,4 +1,4 @@
-"""The radiance field of a known room, and its components."""
+"""The radiance field: its components, and the field of a known room."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def generator(seed: int = 0) -> torch.Generator:
 
 
 def true_surface(plate: ReducedPlate, known: np.ndarray | None = None) -> Surface:
-    """The true surface of a plate; ``known`` (N,) cells are marked as measured, by default all."""
+    """The true surface of a plate; ``known`` (N,) selects the cells marked as measured, by default all."""
     grid = plate.grid()
     depth = room_depth(plate.camera)[grid.indices]
     measured = np.ones(len(depth), bool) if known is None else known
@@ -51,7 +51,7 @@ def true_surface(plate: ReducedPlate, known: np.ndarray | None = None) -> Surfac
 
 
 def random_blocks(plate: ReducedPlate, rng: np.random.Generator) -> np.ndarray:
-    """(N,) bool: a third of a plate's cells, in blocks of 5 x 5."""
+    """(N,) bool: a selection of a third of a plate's cells, in blocks of 5 x 5."""
     rows, columns = plate.grid().shape
     squares = rng.random((rows // 5 + 1, columns // 5 + 1)) < 0.33
     return np.kron(squares, np.ones((5, 5), bool))[:rows, :columns].ravel()
@@ -95,7 +95,7 @@ def test_field_depths_between_measured_cells(reduced: list[ReducedPlate]) -> Non
 
 
 def test_the_same_seed_gives_the_same_field(reduced: list[ReducedPlate]) -> None:
-    """Catches randomness outside the seed, and changes to the process's global generator."""
+    """Catches results that differ with the same seed, and changes to torch's global random generator."""
     space = space_of(reduced)
     pixels = pixels_of(reduced, [true_surface(plate) for plate in reduced], space)
     config = replace(SMALL, steps=4)
@@ -107,14 +107,14 @@ def test_the_same_seed_gives_the_same_field(reduced: list[ReducedPlate]) -> None
 
 
 class _Fog(RadianceField):
-    """An opaque field."""
+    """Create a field that is opaque everywhere."""
 
     def density(self, xyz: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         return torch.full((len(xyz),), 1e4), torch.zeros(len(xyz), 15)
 
 
 def test_unconfirmed_field_depths_are_not_used(reduced: list[ReducedPlate]) -> None:
-    """Catches noise of the field taken as measured, and measured cells overwritten by the field."""
+    """Catches noisy field depths that count as confirmed, and measured cells that are overwritten by field depths."""
     space = space_of(reduced)
     field = OptimizedField(_Fog(SMALL.grid, space, SMALL.hidden), OccupancyGrid(space, SMALL.occupancy))
     half = [np.arange(len(plate.grid().pixels)) % 2 == 0 for plate in reduced]
@@ -131,7 +131,7 @@ def test_unconfirmed_field_depths_are_not_used(reduced: list[ReducedPlate]) -> N
 
 
 def test_normalized_distance_round_trip() -> None:
-    """Catches a discontinuity between the linear and the disparity half, and a non-monotonic mapping."""
+    """Catches a mapping that is not monotonic or not continuous between its linear half and its disparity half."""
     normalized = torch.linspace(0, 1, 301)
     distance = to_distance(normalized)
     assert (distance.diff() > 0).all()
@@ -152,7 +152,7 @@ def test_points_on_rays_project_to_their_pixels(rng: np.random.Generator) -> Non
 
 
 def test_sampled_rays_belong_to_their_pixels(reduced: list[ReducedPlate]) -> None:
-    """Catches pixels of one plate with the camera of another, and samples in holes."""
+    """Catches pixels that are combined with the camera of another plate, and samples in holes."""
     holed = [replace(plate, seen=np.arange(WIDTH) > 30 + 0 * plate.seen) for plate in reduced]
     space = space_of(reduced)
     surfaces = [true_surface(plate) for plate in reduced]
@@ -168,7 +168,7 @@ def test_sampled_rays_belong_to_their_pixels(reduced: list[ReducedPlate]) -> Non
 
 
 def test_weights_and_transmittance_sum_to_one(rng: np.random.Generator) -> None:
-    """Catches transmittance that includes an interval's own density twice or not at all."""
+    """Catches weights in which an interval's own density counts twice or not at all."""
     density, lengths = (torch.from_numpy(rng.uniform(0, 3, (5, 7))) for _ in range(2))
     weights, transmittance = rendering_weights(density, lengths)
     torch.testing.assert_close(weights.sum(1) + transmittance, torch.ones(5, dtype=torch.float64))
@@ -177,7 +177,7 @@ def test_weights_and_transmittance_sum_to_one(rng: np.random.Generator) -> None:
 
 
 def test_distortion_loss_equals_the_double_sum(rng: np.random.Generator) -> None:
-    """Catches a wrong prefix sum, by comparison with the double sum of eq. 15."""
+    """Catches a wrong prefix sum. The expected value is the double sum of eq. 15."""
     edges = torch.from_numpy(np.sort(rng.random((4, 9)), axis=1))
     weights = torch.from_numpy(rng.random((4, 8)))
     middles, lengths = (edges[:, 1:] + edges[:, :-1]) / 2, edges.diff(dim=1)
@@ -187,7 +187,7 @@ def test_distortion_loss_equals_the_double_sum(rng: np.random.Generator) -> None
 
 
 def test_weight_quantiles_are_interpolated() -> None:
-    """Catches an interval's start or end instead of a position within it."""
+    """Catches a quantile at the start or end of an interval instead of the interpolated position."""
     edges = torch.linspace(0, 1, 5)[None].repeat(3, 1)
     weights = torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.25, 0.5, 0.25, 0.0], [0.1, 0.1, 0.1, 0.1]])
     assert weight_quantile(weights, edges, 0.5).tolist() == pytest.approx([0.375, 0.375, 1.0])
@@ -195,7 +195,7 @@ def test_weight_quantiles_are_interpolated() -> None:
 
 
 def test_edges_follow_the_histogram(rng: np.random.Generator) -> None:
-    """Catches edges out of order or range, and empty bins with as many edges as full ones."""
+    """Catches edges that are out of order or out of range, and empty bins that get as many edges as full bins."""
     edges = torch.linspace(0, 1, 11)
     weights = torch.zeros(2, 10)
     weights[0, 3] = 1
@@ -209,12 +209,12 @@ def test_edges_follow_the_histogram(rng: np.random.Generator) -> None:
 
 
 def one_ray() -> Rays:
-    """A ray from (-1, 0, 0) along x."""
+    """One ray from (-1, 0, 0) along the x axis."""
     return Rays(torch.tensor([[-1.0, 0, 0]]), torch.tensor([[1.0, 0, 0]]))
 
 
 def test_samples_concentrate_on_occupied_cells() -> None:
-    """Catches samples wasted on empty space, and no samples there to find new surfaces."""
+    """Catches too many samples in empty space, and a lack of samples there, with which new surfaces are not found."""
     grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 64)
     place = torch.tensor([[0.3, 0.0, 0.0]])
     even = to_distance(grid.sample(one_ray(), 32, None)[0])
@@ -231,7 +231,7 @@ def test_samples_concentrate_on_occupied_cells() -> None:
 
 
 def test_densities_decay() -> None:
-    """Catches cells that stay occupied forever, and the last density of a batch instead of the largest."""
+    """Catches cells whose density never decays, and an update with the last density of a batch, not the largest."""
     grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 8)
     place = torch.tensor([[0.1, 0.1, 0.1], [0.1, 0.1, 0.1], [0.1, 0.1, 0.1]])
     grid.update(place, torch.tensor([1.0, 5.0, 2.0]))
@@ -243,7 +243,7 @@ def test_densities_decay() -> None:
 
 
 def test_clamped_density_has_a_gradient() -> None:
-    """Catches a clamp with a vanishing gradient, with which opaque regions stay opaque."""
+    """Catches a clamp with a zero gradient: opaque regions could never become transparent."""
     log_density = torch.tensor([20.0, 0.5], requires_grad=True)
     bounded_exp(log_density).sum().backward()
     assert log_density.grad is not None
@@ -277,7 +277,7 @@ def plates_of(reduced: list[ReducedPlate]) -> list[PlateView]:
 
 
 def test_blank_walls_are_refused(reduced: list[ReducedPlate]) -> None:
-    """Catches a long optimisation without any depth information, and a scene without a background."""
+    """Catches an optimisation that starts without any depth information, and an empty background without an error."""
     blank = [replace(plate, rgb=np.full_like(plate.rgb, 200)) for plate in plates_of(reduced)]
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
@@ -287,7 +287,7 @@ def test_blank_walls_are_refused(reduced: list[ReducedPlate]) -> None:
 
 
 def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches fog, which is consistent between plates, taken as a background, and missing depths not reported."""
+    """Catches a background made from fog, whose depths are consistent between plates, and unreported missing depths."""
     few = [true_surface(plate, np.arange(len(plate.grid().pixels)) % 400 == 0) for plate in reduced]
     monkeypatch.setattr(points_module, "reconstruct_surfaces", lambda *given: StereoResult(20, 20, reduced, few))
     lines: list[str] = []
@@ -299,7 +299,7 @@ def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate], monk
 
 @pytest.mark.parametrize(("count", "points"), [(1, 10), (3, 0)])
 def test_invalid_arguments(reduced: list[ReducedPlate], count: int, points: int) -> None:
-    """Catches an obscure failure for invalid arguments."""
+    """Catches invalid arguments without an error that names the expected values."""
     with pytest.raises(ValueError, match="expected at least 2 plates and 1 point"):
         seed_from_radiance(plates_of(reduced)[:count], points, SMALL)
 
@@ -314,7 +314,7 @@ def test_invalid_arguments(reduced: list[ReducedPlate], count: int, points: int)
     ],
 )
 def test_invalid_settings_are_refused(change: dict[str, float], message: str) -> None:
-    """Catches a config that fails only during optimisation."""
+    """Catches an invalid setting that raises an error only during optimisation."""
     with pytest.raises(ValueError, match=message):
         replace(RadianceConfig(), **change)  # type: ignore[arg-type]
 
@@ -327,7 +327,7 @@ def to_walls(xyz: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 def test_points_of_a_room(rng: np.random.Generator) -> None:
-    """Catches stages that do not fit together, and extrapolated points that are not reported."""
+    """Catches stages whose inputs and outputs do not match, and extrapolated points that are not reported."""
     room = Room(np.random.default_rng(3))
     cameras: list[Camera] = room_cameras(3, 144, 108)
     plates = [

@@ -14,7 +14,7 @@ RADIUS = 5.0
 
 
 def _room(gap_deg: float) -> ColouredPoints:
-    """A sphere around CENTRE, red below the horizon and blue above, without a wedge of ``gap_deg`` of azimuth."""
+    """A sphere around CENTRE, red below the horizon and blue above. ``gap_deg`` degrees of azimuth have no points."""
     directions = sphere(90_000)
     azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     kept = directions[np.abs(azimuth) > gap_deg / 2]
@@ -29,7 +29,7 @@ def shell() -> ColouredPoints:
 
 
 def test_shell_fills_only_the_gap(shell: ColouredPoints) -> None:
-    """Catches a shell over known directions, and an open seam where the azimuth wraps around."""
+    """Catches shell points in known directions, and a missing column where the azimuth wraps around."""
     towards = shell.xyz - CENTRE
     azimuth = np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))
     level = np.abs(towards[:, 2]) < 2
@@ -39,7 +39,7 @@ def test_shell_fills_only_the_gap(shell: ColouredPoints) -> None:
 
 
 def test_shell_extrapolates_distance_and_colour_along_the_horizon(shell: ColouredPoints) -> None:
-    """Catches interpolation of distances instead of inverse distances, and colours smeared vertically."""
+    """Catches interpolation of distances instead of inverse distances, and colours that blend vertically."""
     towards = shell.xyz - CENTRE
     np.testing.assert_allclose(np.linalg.norm(towards, axis=1), RADIUS, rtol=0.02)
     near_edge = np.abs(np.degrees(np.arctan2(towards[:, 1], towards[:, 0]))) > 9
@@ -50,7 +50,7 @@ def test_shell_extrapolates_distance_and_colour_along_the_horizon(shell: Coloure
 
 
 def test_a_closed_room_has_no_shell() -> None:
-    """Catches the spacing between points of a closed surface taken as gaps."""
+    """Catches the spacing between points of a closed surface that counts as a gap."""
     assert len(build_shell(_room(0), ring_cameras(8, 64), CENTRE).xyz) == 0
 
 
@@ -80,6 +80,6 @@ def test_shell_does_not_occlude_seen_points() -> None:
 
 
 def test_no_points_give_no_shell() -> None:
-    """Catches a crash of the interpolation without known directions."""
+    """Catches a crash of the interpolation if no direction is known."""
     empty = ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     assert len(build_shell(empty, ring_cameras(8, 64), CENTRE).xyz) == 0

@@ -1,4 +1,4 @@
-"""The stereo stages from patch similarity to points, each on known surfaces."""
+"""Tests of each stereo stage, from patch similarity to points, on known surfaces."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def surface_of(view: Camera, known: np.ndarray) -> Surface:
 
 
 def textured(view: Camera, rng: np.random.Generator) -> np.ndarray:
-    """(H, W, 3) picture of a floor with a random texture, the same for the same generator state."""
+    """Image (H, W, 3) of a floor with a random texture; equal generator states give equal images."""
     texture = cv2.GaussianBlur(rng.uniform(0, 255, (400, 400)).astype(np.float32), (0, 0), 4)
     texture = cv2.normalize(texture, np.zeros_like(texture), 0, 255, cv2.NORM_MINMAX)
     to_texture = np.array([[100.0, 0, 200], [0, 100, 200], [0, 0, 1]])
@@ -55,7 +55,7 @@ def textured(view: Camera, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_the_true_plane_has_the_highest_score() -> None:
-    """Catches half-pixel and sign errors between two pictures, with which another plane scores higher."""
+    """Catches half-pixel and sign errors between two images: a wrong plane would have a higher score."""
     everywhere = np.ones((HEIGHT, WIDTH), bool)
     views = [GreyView.from_rgb(view, textured(view, np.random.default_rng(5)), everywhere) for view in CAMERAS]
     grid = Grid.covering(WIDTH, HEIGHT, 4)
@@ -69,7 +69,7 @@ def test_the_true_plane_has_the_highest_score() -> None:
 
 
 def test_windows_in_holes_are_ignored() -> None:
-    """Catches correlations with the fill colour of a hole."""
+    """Catches correlations that include the fill colour of a hole."""
     seen = np.ones((HEIGHT, WIDTH), bool)
     seen[4:68, 4:92] = False
     rgb = textured(CAMERAS[1], np.random.default_rng(5))
@@ -83,7 +83,7 @@ def test_windows_in_holes_are_ignored() -> None:
 
 
 def test_planes_behind_the_source_have_no_score() -> None:
-    """Catches windows behind a camera that project into its picture."""
+    """Catches windows that are behind a camera but count as visible in its image."""
     views = [
         GreyView.from_rgb(view, textured(view, np.random.default_rng(5)), np.ones((HEIGHT, WIDTH), bool))
         for view in (
@@ -99,7 +99,7 @@ def test_planes_behind_the_source_have_no_score() -> None:
 
 
 def test_contradicted_cells_are_dropped() -> None:
-    """Catches errors of a single map that become floating points."""
+    """Catches depth errors of a single map that are kept as points in free space."""
     maps = [floor_map(view) for view in CAMERAS]
     wrong = (np.abs(maps[1].grid.pixels[:, 0] - 48) < 12) & (np.abs(maps[1].grid.pixels[:, 1] - 36) < 12)
     planes = maps[1].planes.copy()
@@ -112,7 +112,7 @@ def test_contradicted_cells_are_dropped() -> None:
 
 
 def test_one_confirming_picture_is_needed_and_enough() -> None:
-    """Catches lost walls that only two cameras see, and unconfirmed cells that are kept."""
+    """Catches the removal of walls that only two cameras see, and unconfirmed cells that are kept."""
     left, right = camera(-0.9), camera(0.9)
     found = fuse_depth_maps([left, right], [floor_map(left), floor_map(right)])
     pixels, depth = right.project(found[0].points(np.arange(len(found[0].known))))
@@ -127,7 +127,7 @@ def test_one_confirming_picture_is_needed_and_enough() -> None:
 
 
 def test_small_components_are_dropped() -> None:
-    """Catches small groups of accidentally consistent cells, which distort the depth completion."""
+    """Catches small groups of cells that are consistent by chance and are kept; they distort the depth completion."""
     maps = [floor_map(view) for view in CAMERAS]
     numbers = np.arange(len(maps[0].scores)).reshape(maps[0].grid.shape)
     kept = np.zeros(len(maps[0].scores), bool)
@@ -155,7 +155,7 @@ def test_completion_of_a_floor_is_planar() -> None:
 
 
 def test_guide_correction_decays_with_distance() -> None:
-    """Catches a guide that is not corrected beside known cells, and a known corner that corrects it everywhere."""
+    """Catches a guide that is not corrected next to known cells, and one corrected everywhere from a known corner."""
     grid = Grid.covering(WIDTH, HEIGHT, 2)
     view = GreyView.from_rgb(CAMERAS[1], np.full((HEIGHT, WIDTH, 3), 90, np.uint8), np.ones((HEIGHT, WIDTH), bool))
     true = floor_map(CAMERAS[1]).inverse_depth.astype(np.float64)
@@ -186,7 +186,7 @@ def test_few_known_cells_are_not_extrapolated() -> None:
 
 
 def corner_room(view: Camera, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Planes (N, 3) of the floor z = 0 and the wall y = 4 in a picture, and which cells show the wall."""
+    """Planes (N, 3) of the floor z = 0 and the wall y = 4 in an image, and (N,) bool, whether a cell shows the wall."""
     floor, wall = (plane_in_view(plane, view, grid) for plane in (FLOOR, np.array([0.0, 1.0, 0.0, 4.0])))
     inverse = [(planes * grid.pixels).sum(axis=1) for planes in (floor, wall)]
     on_wall = inverse[1] > inverse[0]
@@ -202,7 +202,7 @@ def test_a_wall_ends_where_it_meets_the_floor() -> None:
     for view in views:
         planes, on_wall = corner_room(view, grid)
         inverse = (planes * grid.pixels).sum(axis=1)
-        # Known are the near part of the floor and a corner of the wall; all other cells are completed.
+        # The near part of the floor and a corner of the wall are known. All other cells are completed.
         known = np.where(on_wall, (grid.pixels[:, 0] < 16) & (grid.pixels[:, 1] < 16), inverse > 0.25)
         depths = DepthMap(grid, np.where(known[:, None], planes, 0), known.astype(np.float32))
         surfaces.append(Surface(view, depths, known, known.astype(np.intp)))
@@ -218,7 +218,7 @@ def test_a_wall_ends_where_it_meets_the_floor() -> None:
 
 
 def test_a_table_is_no_enclosing_plane(rng: np.random.Generator) -> None:
-    """Catches a tabletop extended through the room: the floor lies behind it."""
+    """Catches a tabletop that counts as an enclosing plane, although the floor lies behind it."""
     table = np.column_stack([rng.uniform(-0.5, 0.5, (900, 2)), np.full(900, 0.7)])
     floor = np.column_stack([rng.uniform(-3, 3, (900, 2)), np.zeros(900)])
     found = EnclosingPlanes.from_points(np.vstack([table, floor]), [camera(0.0, -3.0), camera(1.0, -3.0)], rng)
@@ -230,42 +230,42 @@ def test_a_table_is_no_enclosing_plane(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("points", [50, 500, 3000])
 def test_sample_count_is_close_to_and_below_the_limit(points: int) -> None:
-    """Catches a bisection that stops on the wrong side."""
+    """Catches a bisection that ends with more samples than allowed."""
     surfaces = [surface_of(view, np.ones(48 * 36, bool)) for view in CAMERAS]
     chosen = sample_surfaces(surfaces, WHOLE * 3, points)
-    assert 0.75 * points <= sum(len(places.xyz) for places in chosen) <= points
+    assert 0.75 * points <= sum(len(samples.xyz) for samples in chosen) <= points
 
 
 def test_overlap_does_not_raise_the_density() -> None:
-    """Catches a density three times as high where three pictures show the same floor."""
+    """Catches a floor that gets three times as many samples because three images show it."""
     surfaces = [surface_of(camera(x), np.ones(48 * 36, bool)) for x in (0.0, 0.01, 0.02)]
-    counts = [len(places.xyz) for places in sample_surfaces(surfaces, WHOLE * 3, 400)]
+    counts = [len(samples.xyz) for samples in sample_surfaces(surfaces, WHOLE * 3, 400)]
     assert counts[0] > 0.7 * sum(counts)
 
 
 def test_samples_have_an_even_spacing() -> None:
-    """Catches missing rows from aliasing between squares and cells, which are visible as seams on a wall."""
-    places = sample_surfaces([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], WHOLE, 700)[0]
-    distances, _ = KDTree(places.xy).query(places.xy, k=2)
+    """Catches rows without samples, caused by aliasing between squares and cells: walls would have visible seams."""
+    samples = sample_surfaces([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], WHOLE, 700)[0]
+    distances, _ = KDTree(samples.xy).query(samples.xy, k=2)
     assert distances[:, 1].max() < 1.6 * distances[:, 1].min()
 
 
 def test_a_floor_has_no_gaps_from_a_higher_camera() -> None:
-    """Catches samples that cover a floor only as seen from the low camera that measured it."""
+    """Catches samples that cover a floor without gaps only in the low camera's image."""
     low, high = (
         look_at(np.array([0, -4.0, z]), np.array([0, 4.0, 0]), np.array([0, 0, 1.0]), INTRINSICS, WIDTH, HEIGHT)
         for z in (0.6, 1.0)
     )
-    places = sample_surfaces([surface_of(low, np.ones(48 * 36, bool))], WHOLE, 600)[0]
+    samples = sample_surfaces([surface_of(low, np.ones(48 * 36, bool))], WHOLE, 600)[0]
     x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(-1.5, 1.5, 60), np.linspace(0, 5, 100)))
     floor_pixels, _ = high.project(np.column_stack([x, y, np.zeros_like(x)]))
-    pixels, _ = high.project(places.xyz)
+    pixels, _ = high.project(samples.xyz)
     side = np.sqrt(WIDTH * HEIGHT / 2 / 600)
     assert KDTree(pixels).query(floor_pixels)[0].max() < 1.5 * side
 
 
 def test_a_floor_has_no_gaps_between_rows() -> None:
-    """Catches rows of samples that are adjacent in the low camera's picture but far apart on the floor."""
+    """Catches rows of samples that are adjacent in the low camera's image but far apart on the floor."""
     target, up = np.array([0, 4.0, 0]), np.array([0, 0, 1.0])
     low = look_at(np.array([0, -4.0, 0.6]), target, up, INTRINSICS, WIDTH, HEIGHT)
     xy = sample_surfaces([surface_of(low, np.ones(48 * 36, bool))], WHOLE, 600)[0].xyz[:, :2]
@@ -277,7 +277,7 @@ def test_a_floor_has_no_gaps_between_rows() -> None:
 
 
 def test_planes_across_depth_edges_are_not_extrapolated() -> None:
-    """Catches points along rays, where a cell's plane connects a near and a far surface."""
+    """Catches points in free space at depth edges, where a cell's plane connects a near and a far surface."""
     surface = surface_of(CAMERAS[1], np.ones(48 * 36, bool))
     middle = surface.depths.inverse_depth.copy()
     edge = np.arange(48 * 36) % 48 == 20
@@ -285,13 +285,13 @@ def test_planes_across_depth_edges_are_not_extrapolated() -> None:
     steep = 0.3 * middle[edge]
     planes[edge] = np.column_stack([steep, 0 * steep, middle[edge] - steep * surface.depths.grid.pixels[edge, 0]])
     broken = replace(surface, depths=replace(surface.depths, planes=planes))
-    places = sample_surfaces([broken], WHOLE, 3000)[0]
-    assert len(places.xyz) > 2000
-    assert np.abs(places.xyz[:, 2]).max() < 0.1
+    samples = sample_surfaces([broken], WHOLE, 3000)[0]
+    assert len(samples.xyz) > 2000
+    assert np.abs(samples.xyz[:, 2]).max() < 0.1
 
 
 def test_confirmed_cells_have_priority() -> None:
-    """Catches extrapolated cells of one picture that suppress measured cells of another."""
+    """Catches extrapolated cells of one image that suppress measured cells of another image."""
     surfaces = [surface_of(camera(x), np.ones(48 * 36, bool)) for x in (0.0, 0.02)]
     surfaces[0].support[:] = 0
     extrapolated, measured = sample_surfaces(surfaces, WHOLE * 2, 400)
@@ -302,13 +302,13 @@ def test_no_samples_in_holes() -> None:
     """Catches points with the fill colour of a plate's hole."""
     seen = np.ones((HEIGHT, WIDTH), bool)
     seen[20:50, 30:60] = False
-    places = sample_surfaces([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], [seen], 500)[0]
-    columns, rows = np.rint(places.xy).astype(int).T
+    samples = sample_surfaces([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], [seen], 500)[0]
+    columns, rows = np.rint(samples.xy).astype(int).T
     assert seen[rows, columns].all()
 
 
 def test_large_planes_among_outliers(rng: np.random.Generator) -> None:
-    """Catches planes through noise, and the same plane found twice."""
+    """Catches planes that are fitted to noise, and a plane that is found twice."""
     floor = np.column_stack([rng.uniform(-2, 2, (80, 2)), rng.normal(0, 0.002, 80)])
     wall = np.column_stack([rng.normal(2, 0.002, 60), rng.uniform(0, 2, (60, 2))])
     xyz = np.vstack([floor, wall, rng.uniform(-2, 2, (60, 3))])
@@ -331,7 +331,7 @@ def test_triangle_planes_of_few_points(count: int, rng: np.random.Generator) -> 
 
 
 def test_sources_overlap_and_have_a_baseline() -> None:
-    """Catches sources that are the picture itself, have no baseline, or do not overlap."""
+    """Catches source cameras that are the camera itself, have no baseline, or see other parts of the scene."""
     away = look_at(np.array([0.3, 0.0, 2.0]), np.array([0.3, 0.0, 9.0]), np.array([0.0, 1, 0]), INTRINSICS, 96, 72)
     cameras = [camera(0.0), camera(0.001), away, camera(0.5), camera(-0.5)]
     chosen = select_sources(cameras, 0, 1.0, 4.0)

@@ -1,4 +1,4 @@
-"""Camera adjustment: with synthetic features, noise and wrong matches, and with rendered pictures of a room."""
+"""Camera adjustment with synthetic features, noise and wrong matches, and with rendered images of a room."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Matches = dict[tuple[int, int], NDArray[np.intp]]
 
 
 def _frame_matches(cameras: list[Camera], rng: np.random.Generator, wrong: float, points: int = 400) -> FrameMatches:
-    """Matches of points in a box with 0.25 px of noise; a share ``wrong`` of the matches is random."""
+    """Matches of points in a box with 0.25 px of noise; a fraction ``wrong`` of the matches is random."""
     xyz = rng.uniform(-0.8, 0.8, (points, 3))
     features = []
     for camera in cameras:
@@ -51,7 +51,7 @@ def _means(truth: list[Camera], cameras: list[Camera] | tuple[Camera, ...]) -> t
 
 
 def test_adjustment_reduces_pose_errors(rng: np.random.Generator) -> None:
-    """Catches wrong Jacobians, sensitivity to wrong matches, and gauge drift in spite of the prior."""
+    """Catches wrong Jacobians, sensitivity to wrong matches, and a drift of all cameras that the prior must prevent."""
     truth = ring_cameras(10, 512)
     given = list(perturb_cameras(_named(truth), 0.5, 0.01, rng).values())
     found = adjust_to_matches(given, [_frame_matches(truth, rng, wrong=0.15)], _prior(given, 0.002), 0.03)
@@ -66,7 +66,7 @@ def test_adjustment_reduces_pose_errors(rng: np.random.Generator) -> None:
 
 
 def test_fixed_parameters_stay_fixed(rng: np.random.Generator) -> None:
-    """Catches focal lengths that change if only poses are refined, and poses that change if only focal lengths are."""
+    """Catches changes of parameters that are fixed: focal lengths or poses."""
     truth = ring_cameras(8, 256)
     given = list(perturb_cameras(_named(truth), 0.3, 0.005, rng).values())
     frame = _frame_matches(truth, rng, wrong=0.0)

@@ -1,4 +1,4 @@
-"""In-memory captures: exact silhouettes of analytic shapes from a ring of cameras."""
+"""Captures in memory with exact silhouettes of analytic shapes, seen by a ring of cameras."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Hit = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 
 
 def ball(centre: tuple[float, float, float], radius: float) -> Hit:
-    """A test for which rays (origin (3,), unit directions (N, 3)) intersect a ball."""
+    """Create a function that returns which rays intersect a ball; rays have an origin (3,) and directions (N, 3)."""
 
     def hit(origin: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.bool_]:
         towards = np.asarray(centre) - origin
@@ -28,7 +28,7 @@ def ball(centre: tuple[float, float, float], radius: float) -> Hit:
 
 
 def mask(camera: Camera, shapes: list[Hit]) -> Picture:
-    """(H, W) matte from 3 x 3 rays per pixel."""
+    """Render a matte (H, W) with 3 x 3 rays per pixel."""
     total = np.zeros(camera.height * camera.width)
     for dy in (1 / 6, 0.5, 5 / 6):
         for dx in (1 / 6, 0.5, 5 / 6):
@@ -42,7 +42,7 @@ def mask(camera: Camera, shapes: list[Hit]) -> Picture:
 
 @dataclass
 class MemoryCapture:
-    """Implements MaskSource and counts decoded masks."""
+    """A capture in memory that implements MaskSource and counts how often masks are read."""
 
     cameras: tuple[Camera, ...]
     masks: list[list[Picture]]

@@ -1,4 +1,4 @@
-"""Visual hulls of shapes whose hulls are known."""
+"""Carving of shapes with known visual hulls."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def box() -> Bounds:
 
 
 def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
-    """Catches half-pixel and sign errors: the hull contains the ball and touches it where views are frontal."""
+    """Catches half-pixel and sign errors: the hull must contain the ball, and touch it where the ball is tangential to
+    viewing rays."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=4000)
     distance = np.linalg.norm(carved.xyz - CENTRE, axis=1)
     pixel = 2 / (1.1 * 128)
@@ -45,7 +46,8 @@ def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
 
 
 def test_points_have_an_even_density(one_ball: MemoryCapture) -> None:
-    """Catches clumps and holes, which render as blur and pinholes; a lattice has 1, random points about 0.5."""
+    """Catches clumps and holes. The 5% quantile of the distances to the nearest point, relative to the mean, is 1 for a
+    lattice and 0.26 for random points."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=3000)
     nearest = cKDTree(carved.xyz).query(carved.xyz, k=2)[0][:, 1]
     assert np.quantile(nearest, 0.05) > 0.55 * nearest.mean()
@@ -54,7 +56,7 @@ def test_points_have_an_even_density(one_ball: MemoryCapture) -> None:
 
 @pytest.mark.parametrize("points", [1, 7, 500, 20_000])
 def test_returns_the_requested_number_of_points(points: int, one_ball: MemoryCapture) -> None:
-    """Catches a count that is only reached for typical sizes."""
+    """Catches a number of points that differs from the requested number for unusual sizes."""
     assert len(carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=points).xyz) == points
 
 
@@ -81,7 +83,7 @@ def test_points_outside_some_views_are_kept() -> None:
 
 @pytest.mark.parametrize(("cameras", "needed"), [(2, 2), (3, 3), (4, 3), (6, 3), (8, 4), (20, 10)])
 def test_minimum_number_of_views(cameras: int, needed: int) -> None:
-    """Catches two of four views that suffice: ghosts appear beside the subject wherever their rays intersect."""
+    """Catches points that only two of four views see: they form ghosts where the rays of two silhouettes intersect."""
     ring = ring_cameras(cameras, 32)
     views = Silhouettes.from_masks(
         [mask(camera, [ball((0, 0, 0), 0.3)]) for camera in ring], ring, np.zeros(3), agreement=0.95, least_views=0.5
@@ -90,7 +92,7 @@ def test_minimum_number_of_views(cameras: int, needed: int) -> None:
 
 
 def test_coarse_to_fine_search_equals_brute_force(one_ball: MemoryCapture) -> None:
-    """Catches surface lost by early rejection, and a search that visits every fine cell."""
+    """Catches surface that is lost by early rejection of cells, and a search that tests every fine cell."""
     views = Silhouettes.from_masks(one_ball.masks[0], one_ball.cameras, np.zeros(3), agreement=0.95, least_views=0.5)
     size = 0.04
     lower, upper = np.full(3, -0.64), np.full(3, 0.64)
@@ -125,7 +127,7 @@ def test_disconnected_objects_are_both_carved(one_ball: MemoryCapture) -> None:
 
 
 def test_an_empty_hull_names_the_disagreeing_views(one_ball: MemoryCapture) -> None:
-    """Catches an error that names no camera when there are twenty to check."""
+    """Catches an error for an empty hull that does not name the cameras to check."""
     masks = list(one_ball.masks[0])
     for index in (3, 11):
         masks[index] = np.zeros_like(masks[index])
@@ -141,7 +143,7 @@ def test_an_empty_hull_names_the_disagreeing_views(one_ball: MemoryCapture) -> N
 
 
 def test_colours_come_from_unoccluded_views(one_ball: MemoryCapture) -> None:
-    """Catches colours sampled through the object: each view colours the ball by the side it is on."""
+    """Catches colours from views that do not see a point: each view shows the ball in a colour for its own side."""
     images = []
     for camera in one_ball.cameras:
         red = 220 if camera.centre[0] > 0 else 20
@@ -155,7 +157,7 @@ def test_colours_come_from_unoccluded_views(one_ball: MemoryCapture) -> None:
 
 
 def test_carving_resumes_and_invalidates(tmp_path: Path) -> None:
-    """Catches repeated work, stale results after a changed setting, and truncated files taken as complete."""
+    """Catches frames that are carved twice, old results after a changed setting, and truncated files that are kept."""
     capture = moving_ball(frames=3)
     first = carve_capture(capture, tmp_path, points=800)
     times = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.ply")}
@@ -174,7 +176,7 @@ def test_carving_resumes_and_invalidates(tmp_path: Path) -> None:
 
 
 def test_worker_processes_carve_the_same_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches points that depend on the distribution of frames, and bounds of only the last frame."""
+    """Catches points that depend on how frames are distributed to processes, and bounds of only the last frame."""
     capture = moving_ball(frames=4)
     alone = carve_capture(capture, tmp_path / "alone", points=300)
     monkeypatch.setattr(sequence, "MIN_PARALLEL_SECONDS", 0)

@@ -9,34 +9,34 @@ from fourd.ops.hashgrid.shape import HashGridShape
 
 @dataclass(frozen=True)
 class RadianceConfig:
-    """The radiance field for background points (Instant-NGP, Mueller et al. 2022); used only by seeding: ngp."""
+    """Settings of the radiance field (Instant-NGP, Mueller et al. 2022) that creates points with ``seeding: ngp``."""
 
     levels: int = 16
     """Number of resolution levels of the hash grid, 1 to 32."""
     features: int = 2
-    """Features per hash table entry, 1 to 8."""
+    """Number of features per hash table entry, 1 to 8."""
     log2_entries: int = 19
-    """Base-2 logarithm of the maximum number of entries per level, 4 to 24."""
+    """Base-2 logarithm of the maximum number of hash table entries per level, 4 to 24."""
     coarsest: int = 16
-    """Cells per side of the coarsest level, over all of contracted space."""
+    """Number of grid cells per side at the coarsest level, which covers the contracted space."""
     finest: int = 2048
-    """Cells per side of the finest level."""
+    """Number of grid cells per side at the finest level."""
     hidden: int = 32
-    """Hidden width of the density and colour networks."""
+    """Width of the hidden layers of the density and colour networks."""
     occupancy: int = 128
-    """Cells per side of the occupancy grid."""
+    """Number of cells per side of the occupancy grid."""
     steps: int = 750
-    """Optimisation steps (Adam)."""
+    """Number of optimisation steps (Adam)."""
     rays: int = 1536
-    """Rays per step."""
+    """Number of rays per step."""
     samples: int = 32
-    """Samples per ray."""
+    """Number of samples per ray."""
     rate: float = 1e-2
-    """Initial learning rate; it decays exponentially to a tenth."""
+    """Initial learning rate; it decays exponentially to a tenth of this value."""
     measured: float = 1.0
-    """Weight of the depth loss where stereo measured the depth."""
+    """Weight of the depth loss at pixels with a depth measured by stereo."""
     continued: float = 0.2
-    """Weight of the depth loss where the depth is extrapolated."""
+    """Weight of the depth loss at pixels with an extrapolated depth."""
     distortion: float = 3e-3
     """Weight of the distortion loss."""
 

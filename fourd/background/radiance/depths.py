@@ -1,4 +1,7 @@
-"""Depths of the plates from an optimised field, filtered by consistency with stereo and between plates."""
+"""Depths of the plates from an optimised field, filtered by consistency with stereo and between plates.
+
+A cell is one sample of a plate's depth map. The support of a cell is the number of other plates that confirm its depth.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +25,12 @@ Array = NDArray[np.float64]
 
 SAMPLES = 64
 RAYS = 4096
-"""Rays per batch."""
+"""Number of rays per batch."""
 MAX_QUARTILE_RATIO = 1.25
-"""Maximum ratio of the third to the first quartile of a ray's weights; beyond it the ray shows fog, not a surface."""
+"""Maximum ratio of the third to the first depth quartile of a ray's weights. With a larger ratio the weights are too
+spread out for a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum median of a ray's weights in normalised distance; beyond it the ray meets no surface."""
+"""Maximum median depth of a ray's weights, as a normalised distance. With a larger median the ray hits no surface."""
 
 
 def add_field_depths(
@@ -36,17 +40,17 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Add the field's median depths to measured surfaces, where another plate confirms them.
+    """Add the field's median depths to the measured surfaces where another plate confirms them.
 
-    A cell is confirmed if it agrees with another plate's surface and occludes no more surfaces than it agrees with;
-    its support is 1. Other cells take the extrapolated depth of ``continued``: where a single plate sees a surface,
-    colours do not determine the depth, and the field's depth is noise around its prior.
+    A cell is confirmed if at least one other plate's surface agrees with it and it occludes at most as many surfaces
+    as agree. Confirmed cells have support 1. Other cells take the extrapolated depth of ``continued``. If only one
+    plate sees a surface, colours do not determine its depth, and the field's depth there is noise around its prior.
 
     Args:
         field: the optimised field.
-        plates: the reduced plates.
-        measured: surfaces from stereo.
-        continued: the same surfaces with extrapolated cells.
+        plates: the plates at the size used for stereo.
+        measured: surfaces from stereo, one per plate.
+        continued: the same surfaces with extrapolated depths in unknown cells.
         track: progress callback.
     """
     maps = zip(track(range(len(plates)), len(plates), "background field: depths"), plates, measured, strict=True)
@@ -68,7 +72,10 @@ def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface)
 
 
 def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array) -> Array:
-    """(M,) inverse of the median depth of the rays' weights at pixel indices (M, 2); 0 for fog and empty rays."""
+    """Inverse (M,) of the median depth of the weights along the rays through pixel indices ``xy`` (M, 2).
+
+    The value is 0 for rays without a surface.
+    """
     unit = field.radiance.contraction.radius
     parts: list[Tensor] = []
     with torch.no_grad():
@@ -83,7 +90,7 @@ def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array)
 
 
 def _keep_confirmed(index: int, merged: Sequence[Surface], measured: Surface, continued: Surface) -> Surface:
-    """The measured and the confirmed cells of a merged surface; other cells are those of ``continued``."""
+    """Keep the measured and the confirmed cells of a merged surface; take all other cells from ``continued``."""
     surface = merged[index]
     cells = np.flatnonzero(surface.known & ~measured.known)
     agreeing, occluded = count_agreement(index, merged, cells)

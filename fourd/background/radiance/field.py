@@ -19,12 +19,12 @@ MAX_LOG_DENSITY = 11.0
 class RadianceField(nn.Module):
     """Density and view-independent colour of points in space.
 
-    A view-dependent colour would let the field explain each plate by radiance that only its own camera sees.
-    Densities are per :attr:`Contraction.radius`, the unit of distances along rays.
+    With a view-dependent colour, the field could reproduce each plate by radiance that is visible only from its camera.
+    The unit of length of densities and of distances along rays is :attr:`Contraction.radius`.
     """
 
     def __init__(self, shape: HashGridShape, contraction: Contraction, hidden: int) -> None:
-        """Initialise randomly, with a low density; ``hidden`` is the width of both networks."""
+        """Initialise randomly with a low density; ``hidden`` is the width of the hidden layer of both networks."""
         super().__init__()
         self.shape = shape
         self.contraction = contraction
@@ -49,7 +49,10 @@ class RadianceField(nn.Module):
 
 
 def bounded_exp(log_density: Tensor) -> Tensor:
-    """exp, clamped at exp(11); the gradient does not vanish at the clamp, so that high densities can decrease."""
+    """The exponential function, clamped at exp(11).
+
+    Clamped values have a nonzero gradient, so that high densities can decrease.
+    """
     return torch.Tensor(_BoundedExp.apply(log_density))
 
 

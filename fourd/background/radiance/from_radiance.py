@@ -1,4 +1,4 @@
-"""Background points from clean plates by a radiance field with stereo depth supervision."""
+"""Background points from clean plates by a radiance field that is supervised with stereo depths."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
+"""Share of the visible depth-map pixels with a confirmed depth, below which the log calls the result a rough
+estimate."""
 MIN_SHARE = 0.01
-"""Shares of visible cells with depths confirmed by two plates: below the first the result is marked as unreliable,
-below the second it is refused."""
+"""Minimum share of the visible depth-map pixels with a confirmed depth; with less, seeding fails."""
 
 
 def seed_from_radiance(
@@ -43,28 +44,28 @@ def seed_from_radiance(
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
-    """Create coloured points of a static background, about one per equal area of the pictures.
+    """Create coloured points of a static background with an even density in the plates.
 
-    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`); depths of other areas are
-    extrapolated. A field (Mueller et al. 2022) is optimised on the plates' colours and these depths: with cameras 20
-    degrees apart, colours alone are best explained by radiance that only one camera sees. The field's median depth is
-    used where stereo measured nothing and other plates confirm it. The same input, seed and number of torch threads
-    give the same points.
+    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`). Depths of other areas are
+    extrapolated. A radiance field (Mueller et al. 2022) is optimised on the plates' colours and these depths. The
+    depths are needed because with cameras 20 degrees apart, a field optimised on colours alone reproduces each plate by
+    radiance that only one camera sees. The field's median depth is used where stereo has no depth and another plate
+    confirms the median depth. The same input, seed and number of torch threads give the same points.
 
     Args:
-        plates: at least two.
-        points: requested number, at least 1; fewer if the plates show less.
+        plates: clean plates of at least two cameras.
+        points: requested number of points, at least 1. Plates with few visible pixels give fewer.
         config: settings of the field.
         seed: random seed.
         workers: number of processes for stereo.
-        log: reports how many points are measured and how many extrapolated.
+        log: reports how many points are measured and how many are extrapolated.
         track: progress callback.
 
     Returns:
-        the points in random order: every prefix is a uniform sample.
+        the points in random order, so that the first N are a uniform sample for every N.
 
     Raises:
-        ValueError: for fewer than two plates or no points.
+        ValueError: if there are fewer than two plates or ``points`` is less than 1.
         UserError: if too few depths are confirmed by two plates.
     """
     if len(plates) < 2 or points < 1:
@@ -74,7 +75,7 @@ def seed_from_radiance(
     if stereo.feature_count < MIN_FEATURES:
         raise _depth_error(f"{MIN_FEATURES} features to match between two of them", f"{stereo.feature_count}")
     if stereo.measured_share < FEW_SHARE:
-        log("stereo: too few depths to supervise the field; its depths come mainly from colours")
+        log("stereo: too few depths to supervise the field; the field's depths come mainly from colours")
     surfaces = _estimate_surfaces(stereo, config, seed, track)
     confirmed_cells = sum(int((surface.known & (surface.support > 0)).sum()) for surface in surfaces)
     confirmed = confirmed_cells / stereo.visible_cells
@@ -91,7 +92,7 @@ def seed_from_radiance(
 
 
 def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """A surface of each plate with measured, field and extrapolated depths."""
+    """Create a surface for each plate from measured depths, depths of the field and extrapolated depths."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)
@@ -103,7 +104,7 @@ def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, 
 
 
 def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array, seed: int) -> list[Surface]:
-    """The surfaces with extrapolated depths in unmeasured cells; uses the room's shape if few cells are measured."""
+    """Extrapolate depths into unmeasured cells; a rough shape of the room guides them if few cells are measured."""
     room = Room.from_surfaces(stereo.surfaces, centre) if stereo.measured_share < FEW_SHARE else None
     if room is None:
         return complete_surfaces(stereo.surfaces, views, seed)
@@ -112,7 +113,7 @@ def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array,
 
 
 def _point_summary(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:
-    """The number of points by the source of their depth."""
+    """Describe how many points have measured, field and extrapolated depths."""
     total = sum(len(own) for own in cells)
     by_stereo = sum(int(surface.known[own].sum()) for surface, own in zip(measured, cells, strict=True))
     extrapolated = sum(int((surface.support[own] == 0).sum()) for surface, own in zip(surfaces, cells, strict=True))
@@ -125,5 +126,5 @@ def _point_summary(measured: Sequence[Surface], surfaces: Sequence[Surface], cel
 def _depth_error(minimum: str, got: str) -> UserError:
     return UserError(
         f"plates: expected at least {minimum}, got {got}; depths cannot be measured on walls without texture or with "
-        "cameras far apart: provide your own points: --background FILE.ply"
+        "cameras far apart; provide your own points with --background FILE.ply"
     )

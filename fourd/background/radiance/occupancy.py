@@ -1,4 +1,4 @@
-"""An occupancy grid of recent densities, for importance sampling along rays."""
+"""An occupancy grid that stores recent densities, for importance sampling along rays."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from fourd.background.radiance.volume_rendering import rendering_weights
 
 DECAY = 0.95
 UNIFORM_WEIGHT = 0.1
-"""Weight of uniform samples relative to the grid's, whose total is at most 1: finds surfaces that the grid misses."""
+"""Weight of uniform sampling; the weights from the grid sum to at most 1. Uniform samples find surfaces that are
+missing in the grid."""
 BINS = 96
-"""Bins of a ray's histogram."""
+"""Number of bins in the histogram of sampling weights along a ray."""
 HINT_WEIGHTS = (0.25, 0.5, 0.25)
-"""Weights that a hint adds to a ray's histogram, in its bin and the two adjacent ones."""
+"""Weights that a hinted distance adds to a ray's histogram: in the previous bin, its own bin and the next bin."""
 
 
 class OccupancyGrid:
-    """Densities on a grid over contracted space; dense cells get more samples than empty ones.
+    """Densities on a grid over contracted space. Dense cells get more samples than empty cells.
 
-    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in even steps. Here the grid's densities give
-    a histogram along the ray, from which a fixed number of samples is drawn.
+    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in even steps. Here, a histogram of volume
+    rendering weights is computed from the grid's densities along each ray, and a fixed number of samples is drawn from
+    the histogram.
     """
 
     def __init__(self, contraction: Contraction, cells: int) -> None:
@@ -40,10 +42,10 @@ class OccupancyGrid:
             rays: R rays.
             count: intervals per ray.
             jitter: (R, count + 1) in [0, 1), or None for deterministic edges.
-            hint: (R,) normalised distances that get additional samples; NaN for none.
+            hint: (R,) normalised distances near which samples are added; NaN for rays without a hint.
 
         Returns:
-            (R, count + 1) edges in normalised distance.
+            (R, count + 1) normalised distances of the intervals' edges.
         """
         middles = (self.edges[1:] + self.edges[:-1]) / 2
         distances = to_distance(middles).expand(len(rays), -1)
@@ -58,12 +60,12 @@ class OccupancyGrid:
         return resample_edges(self.edges, histogram, count, jitter)
 
     def update(self, xyz: Tensor, density: Tensor) -> None:
-        """Update the grid with densities (N,) at world points (N, 3): the maximum of the decayed and the new value."""
+        """Set the cells of world points (N, 3) to the larger of the decayed old density and the new density (N,)."""
         cells = self.cell_of(xyz)
         self.density[cells] = self.density[cells] * DECAY
         self.density.scatter_reduce_(0, cells, density, "amax")
 
     def cell_of(self, xyz: Tensor) -> Tensor:
-        """World points (..., 3) -> indices (...) into ``density``."""
+        """Convert world points (..., 3) to indices (...) into ``density``."""
         ijk = (self.contraction.to_unit(xyz) * self.cells).long().clamp(0, self.cells - 1)
         return (ijk[..., 2] * self.cells + ijk[..., 1]) * self.cells + ijk[..., 0]

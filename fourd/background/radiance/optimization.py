@@ -20,7 +20,7 @@ from fourd.progress import Track, untracked
 FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
-"""Length of each ray's last interval. It makes rays opaque; otherwise the optimisation adds fog before the lens."""
+"""Length of each ray's last interval. This length makes rays opaque; without it, fog appears in front of the lens."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +38,8 @@ class OptimizedField:
         Args:
             rays: R rays.
             samples: S, samples per ray.
-            generator: jitters the samples; None for deterministic samples.
-            hint: (R,) normalised distances that get additional samples; NaN for none.
+            generator: source of the random jitter of samples; None for samples without jitter.
+            hint: (R,) normalised distances near which samples are added; NaN for rays without a hint.
         """
         with torch.no_grad():
             jitter = None if generator is None else torch.rand(len(rays), samples + 1, generator=generator)
@@ -77,11 +77,12 @@ class RenderedRays:
 def optimize_field(
     pixels: Pixels, contraction: Contraction, config: RadianceConfig, seed: int, track: Track = untracked
 ) -> OptimizedField:
-    """Optimise a field on pixels of plates.
+    """Optimise a radiance field on pixels of plates.
 
-    The loss is the sum of the squared colour error, a depth loss where depths are given (as in Depth-supervised NeRF,
-    Deng et al. 2022; here the mean distance of a ray's weights from the depth), and the distortion loss (Barron et
-    al. 2022, eq. 15). The same input, seed and number of torch threads give the same field.
+    The loss is the sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022, eq. 15).
+    The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). Here it is the mean
+    distance between the given depth and the ray's samples, weighted by their rendering weights. The same input, seed
+    and number of torch threads give the same field.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):
@@ -103,7 +104,7 @@ def optimize_field(
 
 
 def _rate_factor(step: int, steps: int) -> float:
-    """Factor of the learning rate: linear warm-up over 50 steps, exponential decay to a tenth."""
+    """Factor of the learning rate: a linear warm-up over 50 steps and an exponential decay to a tenth."""
     return min(1.0, (step + 1) / WARM_UP) * float(FINAL_RATE_FACTOR ** (step / steps))
 
 

@@ -1,4 +1,7 @@
-"""The training pixels of all plates, with measured or extrapolated depths."""
+"""The training pixels of all plates, with measured or extrapolated depths.
+
+A cell is one sample of a plate's depth map; it covers several pixels and stores a plane.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,8 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
-"""Minimum inverse depth at a pixel relative to that of its cell; planes below it are seen edge-on and are ignored."""
+"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. The ratio is smaller if
+the cell's plane is seen almost edge-on; the depths of such pixels are not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +29,10 @@ class Batch:
     """R rays with their colours and depths.
 
     Attributes:
-        rays: the rays, in the world.
-        rgb: (R, 3) in [0, 1].
-        surface: (R,) normalised distance of the surface; NaN where it is unknown.
-        measured: (R,) bool: whether stereo measured it.
+        rays: the rays in world coordinates.
+        rgb: (R, 3) colours in [0, 1].
+        surface: (R,) normalised distance of the surface; NaN where the distance is unknown.
+        measured: (R,) bool, whether stereo measured the distance.
     """
 
     rays: Rays
@@ -42,12 +46,13 @@ class Pixels:
     """P pixels of V plates.
 
     Attributes:
-        plate: (P,) int16 index of the plate.
+        plate: (P,) int16 index of each pixel's plate.
         xy: (P, 2) int16 column and row.
-        rgb: (P, 3) uint8.
-        surface, measured: (P,) as in :class:`Batch`.
+        rgb: (P, 3) uint8 colours.
+        surface: (P,) normalised distance of the surface; NaN where the distance is unknown.
+        measured: (P,) bool, whether stereo measured the distance.
         centres: (V, 3) float32 camera centres in the world.
-        matrices: (V, 3, 3) float32, from (x, y, 1) in pixels to directions in the world.
+        matrices: (V, 3, 3) float32 matrices that map (x, y, 1) in pixels to directions in the world.
     """
 
     plate: Tensor
@@ -65,10 +70,10 @@ class Pixels:
         """Collect the visible pixels of all plates.
 
         Args:
-            plates: the reduced plates.
-            measured: surfaces from stereo.
-            continued: the same surfaces with extrapolated cells.
-            unit: unit of distances along rays, in world units.
+            plates: the plates at the size used for stereo.
+            measured: surfaces from stereo, one per plate.
+            continued: the same surfaces with extrapolated depths in unknown cells.
+            unit: length in world units of the unit of distances along rays.
         """
         parts = [_plate_pixels(*each, unit) for each in zip(plates, measured, continued, strict=True)]
         plate = torch.repeat_interleave(torch.tensor([len(part.xy) for part in parts]))
@@ -85,7 +90,7 @@ class Pixels:
         )
 
     def sample(self, count: int, generator: torch.Generator) -> Batch:
-        """Draw ``count`` random pixels with replacement."""
+        """Sample ``count`` random pixels with replacement."""
         chosen = torch.randint(len(self.xy), (count,), generator=generator)
         plate = self.plate[chosen].long()
         pixels = functional.pad(self.xy[chosen].float() + 0.5, (0, 1), value=1.0)

@@ -1,4 +1,4 @@
-"""Rays of plates, the normalised distance along them, and importance sampling."""
+"""Rays through the pixels of plates, normalised distances along rays, and importance sampling."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from torch.nn import functional
 from fourd.cameras import Camera
 
 NEAR = 0.05
+"""Distance at which rays start. All distances along rays are in units of the contraction's radius."""
 LINEAR_UP_TO = 2.0
+"""Distance up to which normalised distance is linear in distance; beyond it, it is linear in inverse distance."""
 FAR = 200.0
-"""Range of rays, and the end of its linear half; like all distances along rays in units of the contraction's radius."""
+"""Distance at which rays end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +25,8 @@ class Rays:
     """R rays.
 
     Attributes:
-        origins: (R, 3) world.
-        directions: (R, 3) world, unit.
+        origins: (R, 3) world points at which the rays start.
+        directions: (R, 3) unit vectors in world coordinates.
     """
 
     origins: Tensor
@@ -39,7 +41,7 @@ class Rays:
 
 
 def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
-    """Rays through positions (R, 2), x and y in pixels, of an undistorted pinhole camera's picture."""
+    """Create rays of an undistorted pinhole camera through image positions (R, 2), x and y in pixels."""
     to_world = torch.from_numpy(ray_matrix(camera))
     directions = functional.pad(pixels.double(), (0, 1), value=1.0) @ to_world.T
     origins = torch.tensor(camera.centre).expand_as(directions)
@@ -47,13 +49,15 @@ def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
 
 
 def ray_matrix(camera: Camera) -> NDArray[np.float64]:
-    """(3, 3) matrix from (x, y, 1) in pixels to the ray's direction in the world, of unit depth."""
+    """(3, 3) matrix that maps (x, y, 1) in pixels to the ray's direction in the world, scaled to depth 1."""
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
 def to_distance(normalized: Tensor) -> Tensor:
-    """Normalised distance in [0, 1] -> distance: linear from 0.05 to 2 in the first half, then linear in disparity to
-    200."""
+    """Convert normalised distances in [0, 1] to distances.
+
+    The first half maps linearly to the range 0.05 to 2. The second half is linear in inverse distance, from 2 to 200.
+    """
     near = NEAR + 2 * normalized * (LINEAR_UP_TO - NEAR)
     inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)
     return torch.where(normalized < 0.5, near, 1 / inverse)
@@ -67,13 +71,15 @@ def to_normalized(distance: Tensor) -> Tensor:
 
 
 def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | None) -> Tensor:
-    """Inverse transform sampling of a histogram: edges (R, count + 1) of intervals of about equal weight.
+    """Sample interval edges (R, count + 1) from histograms, so that the intervals have about equal weight.
+
+    This is stratified inverse transform sampling.
 
     Args:
         edges: (C + 1,) ascending edges of the histogram's bins.
-        weights: (R, C) weights of the bins, not negative, with a positive sum per row.
+        weights: (R, C) weights of the bins, at least 0 and with a positive sum per row.
         count: number of intervals.
-        jitter: (R, count + 1) in [0, 1), offset of each edge within its stratum; None takes the centres.
+        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1); None places edges at the centres.
     """
     cumulative = functional.pad(weights.cumsum(1), (1, 0))
     cumulative = cumulative / cumulative[:, -1:]

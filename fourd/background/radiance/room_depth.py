@@ -1,4 +1,7 @@
-"""A rough room shape for extrapolated depths: distance per direction, interpolated along the horizon."""
+"""A rough shape of the room that guides the extrapolation of depths.
+
+The shape is a distance for each direction. Unknown distances are interpolated, mainly along the horizon.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +19,17 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 
 HORIZONTAL_WEIGHT = 100.0
-"""Smoothness weight of horizontal over vertical neighbours, which keeps floors horizontal and walls vertical."""
+"""Weight of horizontal neighbours in the interpolation; vertical neighbours have weight 1. A large weight keeps floors
+horizontal and walls vertical."""
 ROWS_PER_DEGREE = 4
-"""From the centre of a low scene the far half of a floor spans few degrees of elevation."""
+"""Number of grid rows per degree of elevation. Seen from a low centre, the far half of a floor spans few degrees."""
 NEAR, FAR = 0.02, 100.0
-"""Range of ray marching, relative to the camera's distance from the centre."""
+"""First and last distance of ray marching, relative to the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Share of known cells below which the room's shape is unreliable; it is then extended at least to a hall."""
+"""Share of known depth-map cells below which the room's shape is unreliable. The room then contains at least a hall, a
+ball around the centre cut off by the floor."""
 HALL_RADIUS = 1.5
-"""Radius of that hall, relative to the farthest camera's distance from the centre."""
+"""Radius of the hall, relative to the farthest camera's distance from the centre."""
 FLOOR_PERCENTILE = 2.0
 """Percentile of the measured heights that is taken as the floor."""
 STEPS = 32
@@ -33,11 +38,12 @@ BISECTION_STEPS = 8
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Distance of the surroundings of a point in all directions.
+    """Distance from a point to the surrounding surfaces in all directions.
 
     Attributes:
         sphere: the grid of directions around the point.
-        inverse_distance: (rows, columns) inverse distance of the surface; interpolated bilinearly between cells.
+        inverse_distance: (rows, columns) inverse distance to the surface; bilinear interpolation gives values between
+            cell centres.
     """
 
     sphere: DirectionGrid
@@ -45,7 +51,7 @@ class Room:
 
     @staticmethod
     def from_surfaces(surfaces: Sequence[Surface], centre: Array) -> Room | None:
-        """The room around a world point (3,) from the known cells, interpolated elsewhere; None without known cells."""
+        """Create the room around a world point (3,) from the known cells of surfaces; None without known cells."""
         xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
         if not len(xyz):
             return None
@@ -66,13 +72,13 @@ class Room:
         return Room(sphere, inverse_distance.reshape(sphere.rows, sphere.columns))
 
     def surface_inverse_depths(self, surface: Surface) -> Array:
-        """(N,) inverse depths of the room at all cells of a surface's picture."""
+        """Inverse depths (N,) of the room at all cells of a surface's depth map."""
         return self.inverse_depths(surface.camera, surface.depths.grid.pixels[:, :2].astype(np.float64))
 
     def inverse_depths(self, camera: Camera, xy: Array) -> Array:
-        """(M,) inverse depths at which the rays of pixel indices (M, 2) leave the room.
+        """Inverse depths (M,) at which the rays through pixel indices (M, 2) leave the room.
 
-        Rays that are never inside get 1.5 times the camera's distance from the centre.
+        Rays that never enter the room get a depth of 1.5 times the camera's distance from the centre.
         """
         rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(index_intrinsics(camera)).T @ camera.rotation
         reach = max(float(np.linalg.norm(camera.centre - self.sphere.centre)), 1e-6)
@@ -92,7 +98,7 @@ class Room:
         return np.asarray(1 / np.sqrt(low * high))
 
     def _is_outside(self, xyz: Array) -> NDArray[np.bool_]:
-        """(M,) bool: which world points are farther from the centre than the surface in their direction."""
+        """(M,) bool: whether a world point is farther from the centre than the surface in the same direction."""
         sphere = self.sphere
         local = (xyz - sphere.centre) @ sphere.R_world_sphere
         distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
@@ -108,6 +114,6 @@ class Room:
 
 
 def _hall_inverse_distance(sphere: DirectionGrid, radius: float, depth: float) -> Array:
-    """(cells,) inverse distances of a ball around the centre, cut off by a floor at ``depth`` below it."""
+    """Inverse distances (cells,) of a ball around the centre, cut off by a floor at ``depth`` below the centre."""
     down = -(sphere.directions() @ sphere.R_world_sphere[:, 2])
     return np.asarray(np.maximum(1 / radius, down / depth if depth > 0 else 0 * down))

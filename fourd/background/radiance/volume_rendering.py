@@ -1,4 +1,4 @@
-"""Volume rendering weights (Mildenhall et al. 2020, eq. 3) and functions of them."""
+"""Volume rendering weights (Mildenhall et al. 2020, eq. 3), their distortion loss and their quantiles."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from torch.nn import functional
 
 
 def rendering_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]:
-    """Volume rendering weights (R, S) of the intervals of R rays, and the final transmittance (R,).
+    """Volume rendering weights (R, S) of the intervals along R rays, and the final transmittance (R,).
+
+    Both results are differentiable in ``density`` and ``lengths``.
 
     Args:
-        density: (R, S) per unit of ``lengths``.
+        density: (R, S) densities per unit of ``lengths``.
         lengths: (R, S) lengths of the intervals, front to back.
-
-    Differentiable in both.
     """
     optical_depth = functional.pad((density * lengths).cumsum(1), (1, 0))
     transmittance = torch.exp(-optical_depth)
@@ -22,13 +22,13 @@ def rendering_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]
 
 
 def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
-    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15): the spread of each ray's weights.
+    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15), which measures the spread of a ray's weights.
+
+    The loss is differentiable in ``weights`` and ``edges``.
 
     Args:
         weights: (R, S) volume rendering weights.
-        edges: (R, S + 1) ascending normalised distances.
-
-    Differentiable in both.
+        edges: (R, S + 1) ascending normalised distances of the intervals' edges.
     """
     middles, lengths = (edges[:, 1:] + edges[:, :-1]) / 2, edges.diff(dim=1)
     before = weights.cumsum(1) - weights
@@ -38,12 +38,12 @@ def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
 
 
 def weight_quantile(weights: Tensor, edges: Tensor, part: float) -> Tensor:
-    """Normalised distance (R,) at which the cumulative weight reaches ``part``; 1 if the total is below it.
+    """Normalised distance (R,) at which the cumulative weight reaches ``part``; 1 if the total weight is less.
 
     Args:
         weights: (R, S) volume rendering weights.
-        edges: (R, S + 1) ascending normalised distances.
-        part: in [0, 1]; 0.5 gives the median.
+        edges: (R, S + 1) ascending normalised distances of the intervals' edges.
+        part: cumulative weight in [0, 1]; 0.5 gives the median.
     """
     cumulative = functional.pad(weights.cumsum(1), (1, 0))
     target = torch.full_like(cumulative[:, :1], part)

@@ -1,1 +1,1 @@
-"""Multi-view stereo: depth maps of pictures with known cameras, their fusion and completion."""
+"""Multi-view stereo: estimation, fusion and completion of depth maps of images with known cameras."""

@@ -1,4 +1,4 @@
-"""Coloured points from the surfaces of several plates."""
+"""Coloured points sampled from the surfaces of several plates."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ Array = NDArray[np.float64]
 def sample_coloured_points(
     plates: Sequence[PlateView], reduced: Sequence[ReducedPlate], surfaces: Sequence[Surface], points: int, seed: int
 ) -> tuple[ColouredPoints, list[NDArray[np.intp]]]:
-    """Sample coloured points on the surfaces, about one per equal area of the pictures.
+    """Sample coloured points on the surfaces with an even density in the plates.
 
     Args:
-        plates: full-size plates, for the colours.
-        reduced: the plates at the size of the surfaces.
-        surfaces: one per plate.
-        points: requested number, at least 1; fewer if the surfaces show less.
-        seed: random seed of their order.
+        plates: full-size plates that give the colours.
+        reduced: the plates at the size used for stereo.
+        surfaces: one surface per plate.
+        points: requested number of points, at least 1. Small surfaces give fewer.
+        seed: random seed of the points' order.
 
     Returns:
-        the points in random order (every prefix is a uniform sample), and for each surface the cells that its points
-        were sampled from, with repetitions.
+        the points in random order, so that the first N are a uniform sample for every N; and for each surface, the
+        depth-map cells from which its points were sampled, one entry per point.
     """
     samples = sample_surfaces(surfaces, [plate.seen for plate in reduced], points)
     found = _fuse_colours(plates, surfaces, samples)
@@ -41,7 +41,7 @@ def sample_coloured_points(
 
 
 def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns (M,) of the plate's pixels at positions (M, 2) of its reduced picture."""
+    """Rows and columns (M,) of the full-size plate's pixels at positions (M, 2) in the reduced plate."""
     height, width = plate.seen.shape
     positions = xy * (width / camera.width, height / camera.height)
     columns, rows = np.clip(positions, 0, (width - 1, height - 1)).astype(np.intp).T
@@ -51,9 +51,9 @@ def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[
 def _fuse_colours(
     plates: Sequence[PlateView], surfaces: Sequence[Surface], samples: Sequence[Samples]
 ) -> ColouredPoints:
-    """Average each sample's position and colour over the surfaces that agree with it.
+    """Average each sample's position and colour over all surfaces that agree with the sample.
 
-    Weights are the inverse square of the depth, since nearer surfaces are measured more precisely.
+    The weight of a surface is the inverse square of its depth, because nearer surfaces are measured more precisely.
     """
     xyz = np.concatenate([each.xyz for each in samples])
     support = np.concatenate([each.support for each in samples])

@@ -1,7 +1,7 @@
-"""Depth completion: extrapolation of depths to cells that stereo does not measure.
+"""Depth completion: extrapolation of depths to the depth-map cells that stereo does not measure.
 
-Floors and walls that enclose the scene are extended as planes until they meet other surfaces. The remaining cells are
-interpolated with a membrane, the harmonic interpolation of inverse depth.
+Floors and walls that enclose the scene are extended as planes until they meet other surfaces. In the remaining cells,
+inverse depth is interpolated harmonically.
 """
 
 from __future__ import annotations
@@ -22,30 +22,32 @@ from fourd.background.stereo.patchmatch import DepthMap
 Array = NDArray[np.float64]
 
 MARGIN = 0.25
-"""Width of the border around a picture in which other pictures' points are used, relative to its longer side."""
+"""Width of the margin around an image in which points of other images are used, relative to the longer side."""
 MIN_KNOWN = 0.25
-"""Minimum share of known cells; extrapolation from fewer does not resemble the scene."""
+"""Minimum share of known cells in an image. With fewer known cells, extrapolated depths do not resemble the scene."""
 MIN_BOUNDARY = 0.003
-"""Minimum share of a picture's and its margin's cells that constrain the membrane."""
+"""Minimum share of cells with known values for harmonic interpolation, relative to the cells of image and margin."""
 MIN_OFF_PLANE = 0.005
-"""Minimum share of known points off the enclosing planes; with fewer the membrane is not used where a plane is met."""
+"""Minimum share of known points that lie off the enclosing planes. With fewer such points, harmonic interpolation is
+used only for cells whose ray hits no plane."""
 MAX_DEPTH_FACTOR = 4.0
-"""Planes are extended to this multiple of the farthest known depth of a picture."""
+"""Largest depth of an extended plane, as a multiple of the largest known depth in the image."""
 EDGE_SCALE = 0.1
-"""Grey difference in [0, 1] at which the membrane's smoothness weight drops to one half."""
+"""Grey difference between neighbouring cells, in [0, 1], at which their interpolation weight drops to one half."""
 
 
 def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
-    """Complete the unknown cells of surfaces; completed cells have support 0.
+    """Complete the unknown cells of surfaces.
 
-    A completed depth is the nearer of the enclosing planes and a membrane. The membrane is the harmonic interpolation
-    of inverse depth between known cells off these planes, which is exact for planar surfaces. Points known or completed
-    in other pictures constrain it too. Cells that would occlude a known surface of another picture stay unknown, as do
-    pictures with less than a quarter of known cells.
+    A completed depth is the smaller of two depths: that of the nearest enclosing plane, and the harmonic interpolation
+    of inverse depth between known cells off these planes. This interpolation is exact for planar surfaces. It also uses
+    points that are known or completed in other images. A cell stays unknown if it would occlude a known surface of
+    another image, or if less than a quarter of its image's cells are known. Completed cells have support 0: no other
+    image confirms them.
 
     Args:
-        surfaces: one per picture.
-        views: the pictures; grey edges weaken the membrane.
+        surfaces: one surface per image.
+        views: the images; interpolation weights are lower across their grey edges.
         seed: random seed of the search for planes.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
@@ -57,7 +59,8 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     sizes = [np.count_nonzero(_off_planes(surface, planes)) for surface in surfaces]
     enough = [_has_enough_known(surface, xyz) for surface in surfaces]
     completed = list(surfaces)
-    # Pictures with most known cells first: the others continue their completed depths, so that walls join.
+    # Images with the most known cells are completed first. Later images continue the completed depths, so that walls
+    # join.
     for index in np.argsort(sizes, kind="stable")[::-1]:
         if not enough[index]:
             continue
@@ -68,13 +71,13 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
 
 
 def _has_enough_known(surface: Surface, xyz: Array) -> bool:
-    """Whether enough of a picture's cells are known in it or covered by the points (N, 3) of all pictures."""
+    """Whether enough of an image's cells are known or contain projections of the points ``xyz`` (N, 3)."""
     known = surface.known | (project_inverse_depths(surface, xyz, 0).ravel() > 0)
     return bool(np.count_nonzero(known) >= MIN_KNOWN * len(known))
 
 
 def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
-    """(N,) bool: the known cells that lie on no enclosing plane."""
+    """(N,) bool: whether a cell is known and lies on no enclosing plane."""
     cells = np.flatnonzero(surface.known)
     off = np.zeros_like(surface.known)
     off[cells] = ~planes.contains(surface.points(cells))
@@ -84,9 +87,17 @@ def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
 def _complete(
     surface: Surface, view: GreyView, planes: EnclosingPlanes, xyz: Array, prefers_planes: bool
 ) -> tuple[Surface, NDArray[np.bool_]]:
-    """A picture's completed surface, and the cells (N,) that were interpolated by the membrane.
+    """Complete the surface of one image.
 
-    The points ``xyz`` (M, 3) constrain the membrane. With ``prefers_planes`` it is used only where no plane is met.
+    Args:
+        surface: the image's surface.
+        view: the image.
+        planes: enclosing planes.
+        xyz: (M, 3) world points used for harmonic interpolation.
+        prefers_planes: whether harmonic interpolation is used only for cells whose ray hits no plane.
+
+    Returns:
+        the completed surface, and (N,) bool, whether a cell was interpolated harmonically.
     """
     grid = surface.depths.grid
     (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape))
@@ -98,18 +109,19 @@ def _complete(
     plane_inverse[
         plane_inverse < surface.depths.inverse_depth[surface.known].min(initial=np.inf) / MAX_DEPTH_FACTOR
     ] = 0
-    membrane = np.zeros(grid.shape)
+    harmonic = np.zeros(grid.shape)
     if np.count_nonzero(boundary) > MIN_BOUNDARY * boundary.size:
         grey = np.nan_to_num(view.greys[1])[grid.indices].reshape(grid.shape)
-        membrane = interpolate_membrane(boundary, boundary == 0, np.pad(grey, pad, mode="edge"))[inside]
+        harmonic = interpolate_inverse_depths(boundary, boundary == 0, np.pad(grey, pad, mode="edge"))[inside]
     known = surface.known.reshape(grid.shape)
-    membrane = np.where((plane_inverse > 0) & prefers_planes, 0, membrane)
-    whole = np.where(known, surface.depths.inverse_depth.reshape(grid.shape), np.maximum(plane_inverse, membrane))
-    return with_completed_depths(surface, whole.ravel()), (~known & (membrane > plane_inverse)).ravel()
+    harmonic = np.where((plane_inverse > 0) & prefers_planes, 0, harmonic)
+    whole = np.where(known, surface.depths.inverse_depth.reshape(grid.shape), np.maximum(plane_inverse, harmonic))
+    return with_completed_depths(surface, whole.ravel()), (~known & (harmonic > plane_inverse)).ravel()
 
 
 def with_completed_depths(surface: Surface, inverse_depth: Array) -> Surface:
-    """The surface with completed inverse depths (N,) in its unknown cells, with support 0; 0 means unknown."""
+    """Set the inverse depths (N,) of a surface's unknown cells, with support 0; cells with inverse depth 0 stay
+    unknown."""
     scores = np.where(surface.known, surface.depths.scores, 0).astype(np.float32)
     completed = DepthMap.from_inverse_depth(surface.depths.grid, inverse_depth, scores)
     depths = replace(completed, planes=np.where(surface.known[:, None], surface.depths.planes, completed.planes))
@@ -117,7 +129,10 @@ def with_completed_depths(surface: Surface, inverse_depth: Array) -> Surface:
 
 
 def project_inverse_depths(surface: Surface, xyz: Array, pad: int) -> Array:
-    """(R, C) largest inverse depth of world points per cell, with ``pad`` more cells on each side; 0 without points."""
+    """Largest inverse depth (R, C) of the world points in each cell; 0 in cells without points.
+
+    The result has ``pad`` more cells than the depth map on each side.
+    """
     grid = surface.depths.grid
     shape = (grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad)
     pixels, depth = surface.camera.project(xyz)
@@ -129,10 +144,12 @@ def project_inverse_depths(surface: Surface, xyz: Array, pad: int) -> Array:
     return out
 
 
-def interpolate_membrane(known: Array, unknown: NDArray[np.bool_], grey: Floats, zero_weight: float = 0.0) -> Array:
-    """Interpolate unknown cells (R, C) as the weighted mean of their neighbours.
+def interpolate_inverse_depths(
+    known: Array, unknown: NDArray[np.bool_], grey: Floats, zero_weight: float = 0.0
+) -> Array:
+    """Interpolate harmonically: each unknown cell (R, C) gets the weighted mean of its neighbours.
 
-    Weights drop across grey edges. ``zero_weight`` is the weight of a zero value in each mean.
+    Weights are lower across grey edges. Each mean includes the value 0 with weight ``zero_weight``.
     """
     numbers = np.arange(known.size).reshape(known.shape)
     first, second, weights = [], [], []
@@ -155,7 +172,7 @@ def interpolate_membrane(known: Array, unknown: NDArray[np.bool_], grey: Floats,
 
 
 def remove_occluding(index: int, completed: Sequence[Surface], surfaces: Sequence[Surface]) -> Surface:
-    """A completed surface without the completed cells that would occlude a known surface of another picture."""
+    """Remove the completed cells of a surface that would occlude a known surface of another image."""
     surface = completed[index]
     cells = np.flatnonzero(surface.known & ~surfaces[index].known)
     xyz = surface.points(cells)

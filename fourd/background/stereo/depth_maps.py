@@ -1,4 +1,7 @@
-"""Stereo reconstruction of clean plates: a depth map of each plate, filtered by consistency with the others."""
+"""Stereo reconstruction of clean plates: a depth map for each plate, filtered by consistency with the other plates.
+
+A depth map is a grid of cells. Each cell is centred on a pixel and stores a plane.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,15 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 MAX_SIDE_PX = 640
-"""Plates are reduced to this size for stereo."""
+"""Longer side of a plate in pixels above which it is reduced to this size for stereo."""
 MAX_CELLS = 16384
 """Maximum number of cells of a depth map."""
 MIN_FEATURES = 8
-"""Triangulated points needed to estimate a depth range."""
+"""Minimum number of triangulated points for the estimation of a depth range."""
 MIN_RELIABLE = 30
+"""Minimum number of points seen in three or more plates; with fewer, points seen in two plates are used too."""
 NEAR_FACTOR, FAR_FACTOR = 0.5, 4.0
-"""The depth range, relative to the depths of the nearest and the farthest triangulated points."""
+"""Ends of the depth range, relative to the depths of the nearest and the farthest triangulated points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +43,9 @@ class StereoResult:
 
     Attributes:
         feature_count: number of triangulated points.
-        reliable_count: number of them seen in three plates or more.
+        reliable_count: number of triangulated points that are seen in three plates or more.
         plates: the plates at the size used for stereo.
-        surfaces: one per plate; entirely unknown if there are fewer than 8 triangulated points.
+        surfaces: one surface per plate. All cells are unknown if there are fewer than 8 triangulated points.
     """
 
     feature_count: int
@@ -51,17 +55,17 @@ class StereoResult:
 
     @property
     def measured_cells(self) -> int:
-        """Number of cells with a measured depth."""
+        """Number of depth-map cells with a measured depth."""
         return sum(int(surface.known.sum()) for surface in self.surfaces)
 
     @property
     def visible_cells(self) -> int:
-        """Number of cells outside the plates' holes, at least 1."""
+        """Number of depth-map cells outside the plates' holes, at least 1."""
         return max(1, sum(int(plate.seen[plate.grid().indices].sum()) for plate in self.plates))
 
     @property
     def measured_share(self) -> float:
-        """Share of the visible cells with a measured depth."""
+        """Share in [0, 1] of the visible cells that have a measured depth."""
         return self.measured_cells / self.visible_cells
 
 
@@ -82,9 +86,9 @@ class ReducedPlate:
     """A plate reduced to the size used for stereo.
 
     Attributes:
-        camera: pinhole camera of the reduced picture.
-        rgb: (H, W, 3) uint8.
-        seen: (H, W) bool; pixels that are not touched by a hole.
+        camera: pinhole camera of the reduced plate.
+        rgb: (H, W, 3) uint8 colours.
+        seen: (H, W) bool, whether a pixel contains no part of a hole.
     """
 
     camera: Camera
@@ -93,7 +97,7 @@ class ReducedPlate:
 
     @staticmethod
     def from_plate(plate: PlateView) -> ReducedPlate:
-        """Reduce a plate."""
+        """Reduce a plate to the size used for stereo."""
         scale = min(1.0, MAX_SIDE_PX / max(plate.camera.width, plate.camera.height))
         camera = plate.camera.rescale(scale)
         size = (camera.width, camera.height)
@@ -113,7 +117,7 @@ class ReducedPlate:
 
 @dataclass(frozen=True, eq=False)
 class _Job:
-    """Inputs of one depth map, for a worker process."""
+    """Inputs of a worker process that estimates one depth map."""
 
     index: int
     plate: ReducedPlate
@@ -145,7 +149,7 @@ def _estimate_maps(
 
 
 def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
-    """Depth range of each camera, from the points in its picture, or from all points if it has too few."""
+    """Depth range of each camera from the points in its image, or from all points if too few are in its image."""
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)
@@ -156,7 +160,7 @@ def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, fl
 
 
 def _estimate_map(job: _Job) -> Iterator[tuple[int, DepthMap]]:
-    """Work of one process: the index of a plate and its depth map."""
+    """Estimate one depth map in a worker process; yields the index of the plate and the map."""
     grid, camera = job.plate.grid(), job.plate.camera
     hypotheses: list[Floats] = [plane_in_view(plane, camera, grid) for plane in job.planes]
     hypotheses += triangle_planes(job.features, camera, grid)

@@ -1,4 +1,4 @@
-"""Planes that bound a scene: floors and walls with everything else on the cameras' side."""
+"""Planes that bound a scene: floors and walls, where the rest of the scene is on the cameras' side."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ Bools = NDArray[np.bool_]
 
 MAX_POINTS = 20_000
 MIN_INLIERS = 0.05
-"""Minimum share of the points on a plane; planes with fewer are small objects."""
+"""Minimum share of all points that lie on a plane. Planes with fewer points belong to small objects."""
 MAX_BEHIND = 0.01
+"""Maximum share of all points that lie behind a plane."""
 TOLERANCE = 0.02
-"""Maximum distance of a plane's points from it, relative to their distance from the cameras."""
+"""Maximum distance between a plane and a point on it, relative to the point's distance from the cameras."""
 
 
 @dataclass(frozen=True, eq=False)
 class EnclosingPlanes:
-    """Planes without anything behind them: every ray ends at the nearest of them or before.
+    """Planes with almost no points behind them: a camera ray ends at the nearest plane or before it.
 
     Attributes:
-        planes: (P, 4) with n . x = d.
+        planes: (P, 4) planes (n, d) with n . x = d in world coordinates.
         middle: (3,) mean of the camera centres.
     """
 
@@ -37,7 +38,7 @@ class EnclosingPlanes:
 
     @staticmethod
     def from_points(xyz: Array, cameras: Sequence[Camera], rng: np.random.Generator) -> EnclosingPlanes:
-        """Find the dominant planes with at least 5% of the world points (N, 3) on them and at most 1% behind them."""
+        """Find planes that have at least 5% of the world points ``xyz`` (N, 3) on them and at most 1% behind them."""
         centres = np.stack([camera.centre for camera in cameras])
         middle = centres.mean(axis=0)
         some = xyz[rng.permutation(len(xyz))[:MAX_POINTS]]
@@ -53,12 +54,12 @@ class EnclosingPlanes:
         return EnclosingPlanes(np.array(found).reshape(-1, 4), middle)
 
     def contains(self, xyz: Array) -> Bools:
-        """(N,) bool: which world points (N, 3) lie on a plane."""
+        """(N,) bool: whether a world point (N, 3) lies on one of the planes."""
         near = TOLERANCE * np.linalg.norm(xyz - self.middle, axis=1)
         return np.asarray((np.abs(xyz @ self.planes[:, :3].T - self.planes[:, 3]) < near[:, None]).any(axis=1))
 
     def inverse_depth(self, camera: Camera, grid: Grid) -> Array:
-        """(N,) inverse depth of the nearest plane at the cells of a picture, 0 where a ray meets no plane."""
+        """Inverse depth (N,) of the nearest plane at the cells of a depth map; 0 where the cell's ray hits no plane."""
         nearest = np.zeros(len(grid.pixels))
         for plane in self.planes:
             inverse = (plane_in_view(plane, camera, grid) * grid.pixels).sum(axis=1)

@@ -1,4 +1,4 @@
-"""SIFT features of plates or pictures, their matching, and fundamental matrices."""
+"""Detection and matching of SIFT features in images, and fundamental matrices."""
 
 from __future__ import annotations
 
@@ -22,27 +22,34 @@ Array = NDArray[np.float64]
 IMAGES, MASKS = "images", "masks"
 MAX_FEATURES = 4096
 MAX_SIDE_PX = 1600
-"""Larger pictures are reduced to this size before feature detection."""
+"""Longer side in pixels above which an image is reduced to this size before feature detection."""
 MIN_CONTRAST = 0.003
-"""SIFT's peak threshold; COLMAP's default is 0.0067. Walls have low contrast, and known poses reject wrong matches."""
+"""SIFT's peak threshold. It is below COLMAP's default of 0.0067 because walls have low contrast; the additional wrong
+matches are rejected with the known poses."""
 HOLE_MARGIN_PX = 6
-"""Beside holes the plate is inpainted or blurred."""
+"""Distance from holes in pixels within which no features are detected, since plates are blurred there."""
 RATIO_TEST_THRESHOLD = 0.8
 """Maximum ratio of the distances to the nearest and the second nearest descriptor (Lowe, IJCV 2004)."""
 MAX_EXHAUSTIVE_CAMERAS = 8
+"""Number of cameras up to which all pairs are matched."""
 MIN_COSINE = 0.4
+"""Minimum cosine of the angle between the viewing directions of a pair of cameras that is matched."""
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Features of one picture: positions xy (N, 2) in pixels and unit-length descriptors (N, 128)."""
+    """Features of one image: positions ``xy`` (N, 2) in pixels and unit-length ``descriptors`` (N, 128)."""
 
     xy: Array
     descriptors: Floats
 
 
 def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Camera pairs to match: all pairs of up to 8 cameras, else pairs with viewing directions within 66 degrees."""
+    """Select the camera pairs to match.
+
+    With up to 8 cameras these are all pairs. With more, these are the pairs whose viewing directions differ by less
+    than 66 degrees.
+    """
     return [
         (i, j)
         for i, j in combinations(range(len(cameras)), 2)
@@ -51,7 +58,7 @@ def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
 
 
 def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
-    """Write the plates and masks of the valid area for COLMAP; returns the file names in order."""
+    """Write the plates and masks of their visible areas for COLMAP; return the file names in the order of plates."""
     images, masks = folder / IMAGES, folder / MASKS
     images.mkdir()
     masks.mkdir()
@@ -61,14 +68,15 @@ def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
         free = cv2.erode(np.where(plate.seen, 255, 0).astype(np.uint8), disc)
         for path, picture in ((images / name, plate.rgb[..., ::-1]), (masks / f"{name}.png", free)):
             if not cv2.imwrite(str(path), np.ascontiguousarray(picture)):
-                raise OSError(f"{path}: cannot write a temporary picture")
+                raise OSError(f"{path}: cannot write this temporary image")
     return names
 
 
 def extract_features(folder: Path, database: Path, names: list[str]) -> None:
-    """Detect features in pictures written by :func:`write_pictures` and add them to the COLMAP ``database``."""
+    """Detect features in the images written by :func:`write_pictures` and add them to the COLMAP ``database``."""
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Cameras of a ring are 18 degrees apart or more: only affine-covariant features match over such baselines.
+    # Neighbouring cameras of a typical ring are at least 18 degrees apart. Over such baselines, only affine-covariant
+    # features match.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.peak_threshold = MIN_CONTRAST
     extraction.sift.max_num_features = MAX_FEATURES
@@ -87,7 +95,7 @@ def read_features(store: Any, image: int) -> Features:
 
 
 def match_features(first: Features, second: Features) -> NDArray[np.intp]:
-    """(M, 2) indices of features that are mutual nearest neighbours and pass the ratio test."""
+    """Index pairs (M, 2) of features that are mutual nearest neighbours and pass the ratio test."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.intp)
     similarity = first.descriptors @ second.descriptors.T
@@ -100,7 +108,7 @@ def match_features(first: Features, second: Features) -> NDArray[np.intp]:
 
 
 def fundamental_matrix(camera: Camera, other: Camera) -> Array:
-    """(3, 3) fundamental matrix F: F x is the epipolar line in the other picture of pixel x in the first."""
+    """(3, 3) fundamental matrix F: for a pixel x of ``camera``, F x is its epipolar line in the image of ``other``."""
     rotation = other.rotation @ camera.rotation.T
     x, y, z = other.translation - rotation @ camera.translation
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation

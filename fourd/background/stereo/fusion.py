@@ -1,4 +1,8 @@
-"""Fusion of depth maps by geometric consistency between pictures."""
+"""Fusion of depth maps by geometric consistency between images.
+
+A cell is one sample of a depth map and stores a plane. The support of a cell is the number of other images that confirm
+its depth.
+"""
 
 from __future__ import annotations
 
@@ -18,25 +22,29 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MIN_SCORE = 0.6
+"""Minimum photometric score of a cell."""
 DEPTH_TOLERANCE = 0.01
+"""Maximum relative depth difference between a point and a surface for the point to lie on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
+"""Maximum distance in pixels between a cell and the reprojection of the surface point that agrees with it."""
 OCCLUSION_MARGIN = 0.03
-"""Relative to the depth: a point nearer than a known surface by more than this would occlude it."""
+"""Relative depth difference above which a point in front of a known surface occludes it."""
 ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
-"""Connected components with fewer cells are outliers."""
+"""Minimum number of cells in a connected component; smaller components are outliers."""
 CONTINUITY_TOLERANCE = 0.03
+"""Maximum relative inverse depth error with which a cell's plane predicts a neighbouring cell of the same component."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A depth map with the validity of its cells.
+    """A depth map, and for each cell whether its depth is known and confirmed.
 
     Attributes:
-        camera: pinhole camera of the picture.
-        depths: planes of the cells.
-        known: (N,) bool: cells with a valid plane.
-        support: (N,) number of other pictures that confirm the cell; 0 for extrapolated cells.
+        camera: pinhole camera of the image.
+        depths: depth map with N cells.
+        known: (N,) bool, whether the cell has a valid plane.
+        support: (N,) number of other images that confirm the cell; 0 for extrapolated cells.
     """
 
     camera: Camera
@@ -55,7 +63,7 @@ class Surface:
         return self.world(xy, self.depths.inverse_depth[cells].astype(np.float64))
 
     def project(self, xyz: Array) -> Projection:
-        """Project world points (M, 3) into the picture and compare them with the surface there."""
+        """Project world points (M, 3) into the image and compare their depths with the surface."""
         pixels, depth = self.camera.project(xyz)
         xy = pixels - 0.5
         grid = self.depths.grid
@@ -67,13 +75,13 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """World points projected into a picture with a surface.
+    """Projections of M world points into the image of a surface.
 
     Attributes:
         xy: (M, 2) pixel indices.
-        cells: (M,) cells, -1 outside the picture.
-        ratio: (M,) depth of the point over the depth of the known surface at its pixel; NaN where it is unknown.
-        inverse_depth: (M,) inverse depth of that surface; NaN where it is unknown.
+        cells: (M,) index of the depth-map cell; -1 outside the image.
+        ratio: (M,) depth of the point divided by the depth of the surface; NaN where the surface is unknown.
+        inverse_depth: (M,) inverse depth of the surface; NaN where the surface is unknown.
     """
 
     xy: Array
@@ -93,10 +101,11 @@ class Projection:
 
 
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
-    """Keep the cells that another picture confirms and that occlude fewer known surfaces than confirm them.
+    """Remove the cells of depth maps that are inconsistent with other depth maps.
 
-    One confirming picture is enough without a contradiction: walls are often seen by only two cameras, where 1 of 60
-    cells is consistent at a wrong depth. Connected components of less than 25 cells are dropped.
+    A cell is kept if at least one other image confirms it and it occludes the known surfaces of fewer images than
+    confirm it. One confirmation is enough because walls are often seen by only two cameras. With two cameras, 1 of 60
+    cells is confirmed at a wrong depth. Connected components of fewer than 25 cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))
@@ -108,7 +117,7 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
 
 
 def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
-    """The surface with the cells that others confirm and, if ``strict``, do not contradict."""
+    """Keep the cells that another surface confirms; if ``strict``, remove those that occlude as many surfaces."""
     surface = surfaces[index]
     cells = np.flatnonzero(surface.known)
     agreeing, occluded = count_agreement(index, surfaces, cells)
@@ -124,8 +133,8 @@ def count_agreement(
     """Compare cells (M,) of one surface with all other surfaces.
 
     Returns:
-        agreeing (M,): number of other surfaces that agree with the cell, checked by projection in both directions;
-        occluded (M,): number of other surfaces that the cell would occlude.
+        agreeing: (M,) number of other surfaces that agree with the cell, checked by projection in both directions.
+        occluded: (M,) number of other surfaces that the cell would occlude.
     """
     surface = surfaces[index]
     xyz = surface.points(cells)
@@ -142,7 +151,10 @@ def count_agreement(
 
 
 def _large_components(depths: DepthMap, known: Bools) -> Bools:
-    """(N,) bool: known cells in connected components of 25 or more cells; links need planes that are continuous."""
+    """(N,) bool: whether a cell is known and its connected component has at least 25 cells.
+
+    Neighbouring cells are connected if one cell's plane predicts the other's depth.
+    """
     numbers = np.arange(len(known)).reshape(depths.grid.shape)
     neighbours = (
         (numbers[:, :-1], numbers[:, 1:]),

@@ -1,4 +1,4 @@
-"""Depth completion with a guide: a coarse depth estimate, corrected by the known depths."""
+"""Depth completion with a guide, a coarse depth estimate that is corrected by the known depths."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.background.stereo.completion import (
-    interpolate_membrane,
+    interpolate_inverse_depths,
     project_inverse_depths,
     remove_occluding,
     with_completed_depths,
@@ -19,24 +19,25 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Decay of the correction towards the guide, divided by the squared share of known cells. With all cells known, a
-correction halves over seven cells; few known cells are unreliable, and their corrections decay faster."""
+"""Weight with which the correction decays to 0; it is divided by the squared share of known cells. If almost all cells
+are known, the correction halves over seven cells. If few cells are known, they are unreliable and the correction decays
+faster."""
 MIN_GUIDE_FACTOR = 0.25
-"""Lower limit of inverse depths relative to the guide, since extrapolated corrections can exceed it."""
+"""Minimum of the corrected inverse depth relative to the guide. Without it, corrections could make it negative."""
 
 
 def complete_with_guidance(
     surfaces: Sequence[Surface], views: Sequence[GreyView], guides: Sequence[Array]
 ) -> list[Surface]:
-    """Complete the unknown cells of surfaces from guides; completed cells have support 0.
+    """Complete the unknown cells of surfaces from guides.
 
-    The difference between known cells and the guide is extrapolated. Cells that would occlude a known surface of
-    another picture stay unknown.
+    The difference between known inverse depths and the guide is extrapolated. Cells that would occlude a known surface
+    of another image stay unknown. Completed cells have support 0: no other image confirms them.
 
     Args:
-        surfaces: one per picture.
-        views: the pictures; grey edges weaken the extrapolation.
-        guides: (N,) inverse depths per picture.
+        surfaces: one surface per image.
+        views: the images; extrapolation weights are lower across their grey edges.
+        guides: (N,) inverse depths of the cells, one array per image.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
     completed = [_complete(*each, xyz) for each in zip(surfaces, views, guides, strict=True)]
@@ -52,10 +53,10 @@ def _complete(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Sur
 
 
 def _correct_guide(known: Array, guide: Array, grey: Floats) -> Array:
-    """(R, C) known values; where they are 0, the guide plus the extrapolated difference between known and guide."""
+    """Known inverse depths (R, C); unknown ones, which are 0, become the guide plus the extrapolated difference."""
     unknown = known == 0
     if unknown.all():
         return guide
     decay = GUIDE_WEIGHT / (1 - unknown.mean()) ** 2
-    correction = interpolate_membrane(np.where(unknown, 0, known - guide), unknown, grey, float(decay))
+    correction = interpolate_inverse_depths(np.where(unknown, 0, known - guide), unknown, grey, float(decay))
     return np.where(unknown, np.maximum(guide + correction, MIN_GUIDE_FACTOR * guide), known)

@@ -1,4 +1,7 @@
-"""Photometric similarity of pictures under a plane hypothesis: normalised cross-correlation of small windows."""
+"""Photometric similarity of images under a plane hypothesis: normalised cross-correlation of small windows.
+
+A cell is one sample of a depth map; cells form a regular grid over the image.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +17,36 @@ from fourd.cameras import Camera
 Floats = NDArray[np.float32]
 
 HALF_WINDOW = 2
-"""Samples on each side of the window's centre."""
+"""Number of samples on each side of the window's centre."""
 STEP_PX = 3
-"""Distance between samples of the smallest window."""
+"""Distance in pixels between samples of the smallest window."""
 LEVELS = 4
-"""Number of window sizes, each twice as wide as the previous one: smooth walls have texture only at large scales."""
+"""Number of window sizes; each is twice as wide as the previous one. Large windows are needed on smooth walls, which
+have texture only at large scales."""
 MIN_TEXTURE = 2.5 / 255
-"""Minimum root mean square grey difference between samples, in every direction, for a window size to be used."""
+"""Minimum root mean square grey difference between neighbouring samples of a window, in [0, 1]. A window size is used
+if the difference is larger in every direction."""
 NOISE_STD = 1.5 / 255
-"""Standard deviation of image noise in grey values; windows below it cannot be matched."""
+"""Standard deviation of image noise in grey values in [0, 1]; windows with less contrast cannot be matched."""
 MIN_VISIBLE = 0.6
 """Minimum share of a window's samples outside holes."""
 SINGLE_SOURCE_PENALTY = np.float32(0.05)
-"""Subtracted from the correlation if only one source sees the cell."""
+"""Value subtracted from the correlation if the cell is visible in only one source image."""
 UNKNOWN_SCORE = np.float32(-1.0)
+"""Score of a plane that cannot be compared with any source image."""
 BLOCK = 8192
-"""Cells per block: the arrays of a block fit the cache, and the sides of OpenCV's remap are limited to 32,767."""
+"""Number of cells that are processed together. The arrays of a block fit into the processor's cache, and their sides
+are below 32,767, the limit of OpenCV's remap."""
 
 
 @dataclass(frozen=True, eq=False)
 class GreyView:
-    """A grey picture at several levels of blur.
+    """A grey image at several levels of blur.
 
     Attributes:
-        camera: pinhole camera of the picture.
-        greys: (H, W) float32 centred on 0, NaN in holes; the first is sharp, the blur doubles with each window size.
+        camera: pinhole camera of the image.
+        greys: (H, W) float32 grey values in [-0.5, 0.5], one array per window size; NaN in holes. The first array is
+            almost sharp, and the blur of the others doubles with the window size.
     """
 
     camera: Camera
@@ -46,7 +54,7 @@ class GreyView:
 
     @staticmethod
     def from_rgb(camera: Camera, rgb: NDArray[np.uint8], seen: NDArray[np.bool_]) -> GreyView:
-        """Convert a picture (H, W, 3) with valid pixels ``seen`` (H, W)."""
+        """Convert an image (H, W, 3) with valid pixels ``seen`` (H, W)."""
         grey = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.float32) / np.float32(255) - np.float32(0.5)
         known = seen.astype(np.float32)
         greys = []
@@ -60,14 +68,14 @@ class GreyView:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A regular grid of cells over a picture; depth maps have one plane per cell.
+    """A regular grid of cells over an image; depth maps have one plane per cell.
 
-    A plane is the 3-vector p with p . (x, y, 1) = 1 / depth at pixel indices x, y (column, row).
+    A plane is a 3-vector p with p . (x, y, 1) = 1 / depth at the pixel indices x (column) and y (row).
 
     Attributes:
-        pixels: (N, 3) float32, (x, y, 1) of the cell centres, in row-major order.
-        shape: number of rows and columns; N is their product.
-        stride: distance between neighbouring cells, pixels.
+        pixels: (N, 3) float32 homogeneous pixel indices (x, y, 1) of the cell centres in row-major order.
+        shape: numbers of rows and columns; N is rows * columns.
+        stride: distance between neighbouring cells in pixels.
     """
 
     pixels: Floats
@@ -76,7 +84,7 @@ class Grid:
 
     @staticmethod
     def covering(width: int, height: int, stride: int) -> Grid:
-        """A grid over a picture with one cell every ``stride`` pixels."""
+        """Create a grid over an image with one cell every ``stride`` pixels."""
         x, y = (np.arange((side - 1) % stride // 2, side, stride, dtype=np.float32) for side in (width, height))
         columns, rows = np.meshgrid(x, y)
         pixels = np.stack([columns.ravel(), rows.ravel(), np.ones(columns.size, np.float32)], axis=1)
@@ -88,7 +96,7 @@ class Grid:
         return self.pixels[:, 1].astype(np.intp), self.pixels[:, 0].astype(np.intp)
 
     def cells_at(self, xy: NDArray[np.float64]) -> NDArray[np.intp]:
-        """(M,) cells that contain pixel indices (M, 2); -1 outside the grid and for NaN."""
+        """Indices (M,) of the cells that contain pixel indices (M, 2); -1 outside the grid and for NaN."""
         columns, rows = (np.rint((xy[:, axis] - self.pixels[0, axis]) / self.stride) for axis in (0, 1))
         height, width = self.shape
         inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
@@ -96,17 +104,17 @@ class Grid:
 
 
 def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
-    """K for pixel indices: the centre of the first pixel is (0, 0)."""
+    """Intrinsic matrix (3, 3) for pixel indices, where the centre of the first pixel is (0, 0) and not (0.5, 0.5)."""
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
     return k
 
 
 class PatchSimilarity:
-    """Scores plane hypotheses for the cells of one picture by comparing its windows with source pictures."""
+    """Scores plane hypotheses for the cells of one image by comparing its windows with source images."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
-        """Sample the windows of ``view`` at the cells of ``grid``, to compare with ``sources``."""
+        """Sample the windows of ``view`` at the cells of ``grid`` for comparison with ``sources``."""
         side = np.arange(-HALF_WINDOW, HALF_WINDOW + 1, dtype=np.float32) * STEP_PX
         self._across, self._down = (axis.reshape(-1, 1) for axis in np.meshgrid(side, side))
         self._pixels = grid.pixels
@@ -121,16 +129,19 @@ class PatchSimilarity:
         count, std = _count_and_std(self._windows)
         centre = np.isfinite(self._windows[len(self._across) // 2])
         self.usable: NDArray[np.bool_] = centre & (count >= MIN_VISIBLE * len(self._across)) & (std > NOISE_STD)
-        """(N,) bool: cells whose centre and enough of whose window are visible, with contrast above the noise."""
+        """(N,) bool: whether a cell can be matched.
+
+        Its centre and enough of its window are visible, and the window's contrast exceeds the noise.
+        """
 
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
         """Score planes (n, 3) of cells (n,).
 
-        The score is the mean of the two best correlations, which tolerates occlusion in the other sources. If only
-        one source sees the cell, its correlation is reduced by SINGLE_SOURCE_PENALTY.
+        The score is the mean of the two best correlations, so that occlusion in the other sources is tolerated. If the
+        cell is visible in only one source, the score is this source's correlation minus SINGLE_SOURCE_PENALTY.
 
         Returns:
-            (n,) at most 1; -1 where no source sees the cell.
+            (n,) scores, at most 1; -1 where the cell is visible in no source.
         """
         out = np.empty(len(cells), np.float32)
         for level in range(LEVELS):
@@ -157,9 +168,9 @@ class PatchSimilarity:
 
 @dataclass(frozen=True, eq=False)
 class _PlaneWarp:
-    """Plane-induced warp into another picture.
+    """Plane-induced warp into another image.
 
-    A pixel index p = (x, y, 1) with inverse depth w maps to the homogeneous index ``matrix @ p + w * shift``.
+    A pixel index p = (x, y, 1) with inverse depth w maps to the homogeneous pixel index ``matrix @ p + w * shift``.
     """
 
     matrix: Floats
@@ -175,13 +186,16 @@ class _PlaneWarp:
         return _PlaneWarp(matrix.astype(np.float32), shift.astype(np.float32))
 
     def is_inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """(n,) bool: whether cell centres (n, 3) with planes (n, 3) project into the other picture of shape (H, W)."""
+        """(n,) bool: whether cell centres (n, 3) with planes (n, 3) project into the other image of shape (H, W)."""
         x, y, depth = self._warp_centres(pixels, planes)
         height, width = shape
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
 
     def sample_positions(self, pixels: Floats, planes: Floats, across: Floats, down: Floats) -> tuple[Floats, Floats]:
-        """x and y (o, n) of window samples at offsets (o, 1) from cells (n, 3) with planes (n, 3); NaN behind."""
+        """Positions x and y (o, n) in the other image of window samples at offsets (o, 1) from n cell centres.
+
+        Positions are NaN for points behind the other camera.
+        """
         middle = self._warp_centres(pixels, planes)
         by_x, by_y = (self.matrix[:, axis, None] + self.shift[:, None] * planes[:, axis] for axis in (0, 1))
         x, y, depth = (middle[row] + across * by_x[row] + down * by_y[row] for row in range(3))
@@ -190,14 +204,15 @@ class _PlaneWarp:
         return x * inverse, y * inverse
 
     def _warp_centres(self, pixels: Floats, planes: Floats) -> Floats:
-        """(3, n) homogeneous pixel indices of the cell centres; an explicit sum, since BLAS would start threads."""
+        """Homogeneous pixel indices (3, n) of the cell centres in the other image."""
+        # The matrix product is an explicit sum because BLAS would start threads in each worker process.
         inverse = np.einsum("nc,nc->n", planes, pixels)
         rotated = self.matrix[:, :1] * pixels[:, 0] + self.matrix[:, 1:2] * pixels[:, 1] + self.matrix[:, 2:]
         return np.asarray(rotated + self.shift[:, None] * inverse, np.float32)
 
 
 def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
-    """(N,) window size of each cell: the smallest with texture in every direction."""
+    """Index (N,) of each cell's window size: the smallest size with texture in every direction, else the largest."""
     level = np.full(len(grid.pixels), LEVELS - 1, np.int8)
     for index in reversed(range(LEVELS)):
         grey = np.nan_to_num(view.greys[index])
@@ -220,7 +235,7 @@ def _difference_kernels(step: int) -> tuple[Floats, Floats]:
 
 
 def _correlations(first: Floats, second: Floats) -> Floats:
-    """(n,) correlations of windows (o, n) over the samples visible in both; -1 where these are too few."""
+    """Correlations (n,) of windows (o, n) over the samples visible in both; -1 where too few samples are visible."""
     a, b = first - first.mean(axis=0), second - second.mean(axis=0)
     ab, aa, bb = (np.einsum("on,on->n", u, v) / len(first) for u, v in ((a, b), (a, a), (b, b)))
     correlation = ab / np.sqrt((aa + NOISE_STD**2) * (bb + NOISE_STD**2))
@@ -231,7 +246,7 @@ def _correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _masked_correlations(first: Floats, second: Floats) -> Floats:
-    """Like _correlations, for windows with NaN samples."""
+    """Compute the same correlations as _correlations for windows with NaN samples."""
     known = np.isfinite(first) & np.isfinite(second)
     count = known.sum(axis=0)
     out = np.full(len(count), UNKNOWN_SCORE, np.float32)
@@ -256,13 +271,13 @@ def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _sample_grey(grey: Floats, x: Floats, y: Floats) -> Floats:
-    """Bilinear samples at pixel indices x, y; NaN outside the picture and where x or y is NaN."""
+    """Bilinear samples at pixel indices x and y; NaN outside the image and where x or y is NaN."""
     if not x.size:
         return np.empty(x.shape, np.float32)
     height, width = grey.shape
-    # Clamp to OpenCV's numeric range; NaN becomes a position outside the picture.
+    # Positions are clamped to OpenCV's numeric range, and NaN becomes a position outside the image.
     x, y = np.fmax(np.fmin(x, width + 9), -9), np.fmax(np.fmin(y, height + 9), -9)
-    nothing = float("nan")
+    outside = float("nan")
     return np.asarray(
-        cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=nothing), np.float32
+        cv2.remap(grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=outside), np.float32
     )

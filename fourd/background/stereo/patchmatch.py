@@ -1,7 +1,8 @@
-"""Depth map of one picture by PatchMatch: plane hypotheses are propagated between neighbouring cells.
+"""Depth map of one image by PatchMatch: plane hypotheses are propagated between neighbouring cells.
 
-Bleyer, Rhemann, Rother, PatchMatch Stereo, BMVC 2011; all cells in parallel, as Galliani, Lasinger, Schindler, ICCV
-2015. Hypotheses are planes rather than depths: at grazing angles, as on floors, fronto-parallel windows do not match.
+The method is PatchMatch Stereo (Bleyer, Rhemann, Rother, BMVC 2011). All cells are updated in parallel, as in Galliani,
+Lasinger, Schindler, ICCV 2015. Hypotheses are planes and not depths, because fronto-parallel windows do not match on
+surfaces at grazing angles such as floors.
 """
 
 from __future__ import annotations
@@ -19,19 +20,21 @@ Array = NDArray[np.float64]
 ITERATIONS = 4
 RANDOM_PLANES = 6
 MIN_INCIDENCE_COSINE = float(np.cos(np.radians(88)))
-"""Minimum cosine of the angle between a plane's normal and the ray; distant floors are seen at 3 degrees of grazing
-angle."""
+"""Minimum cosine of the angle between a plane's normal and the ray. The limit of 88 degrees admits distant floors,
+whose normals are at about 87 degrees to the ray."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
+"""Offsets (rows, columns) of the cells whose planes are propagated to a cell."""
 SAME_DEPTH = 1e-3
+"""Relative difference in inverse depth up to which a neighbour's plane is not tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """One plane per cell of a picture.
+    """One plane per cell of an image.
 
     Attributes:
-        grid: the cells.
-        planes: (N, 3) float32, see Grid.
+        grid: the grid of N cells.
+        planes: (N, 3) float32 planes in the parametrisation of Grid.
         scores: (N,) float32 photometric similarity, at most 1; UNKNOWN_SCORE where the plane is unknown.
     """
 
@@ -46,7 +49,7 @@ class DepthMap:
 
     @staticmethod
     def from_inverse_depth(grid: Grid, inverse_depth: Array, scores: Floats) -> DepthMap:
-        """A map with planes through inverse depths (N,); the slopes are finite differences between cells."""
+        """Create a map from inverse depths (N,); finite differences between cells give the slopes of the planes."""
         values = inverse_depth.reshape(grid.shape)
         down, across = (_slope(values, axis) / grid.stride for axis in (0, 1))
         offset = inverse_depth - across * grid.pixels[:, 0] - down * grid.pixels[:, 1]
@@ -54,12 +57,12 @@ class DepthMap:
 
     @staticmethod
     def unknown(grid: Grid) -> DepthMap:
-        """A map without any known cell."""
+        """Create a map in which all cells are unknown."""
         return DepthMap(grid, np.zeros_like(grid.pixels), np.full(len(grid.pixels), UNKNOWN_SCORE, np.float32))
 
 
 def _slope(values: Array, axis: int) -> Array:
-    """(N,) gradient per cell along an axis of values (R, C)."""
+    """Gradient (N,) of values (R, C) along an axis, per cell."""
     return np.gradient(values, axis=axis).ravel() if values.shape[axis] > 1 else np.zeros(values.size)
 
 
@@ -72,14 +75,15 @@ def estimate_depth_map(
     farthest: float,
     seed: int,
 ) -> DepthMap:
-    """Estimate the planes of a picture's cells.
+    """Estimate the planes of an image's cells.
 
     Args:
-        view: the picture.
-        sources: pictures to compare with.
-        grid: the cells.
-        hypotheses: (N, 3) initial planes, each set for all cells; rows with NaN are skipped.
-        nearest, farthest: depth range, world units.
+        view: the image.
+        sources: images that are compared with it.
+        grid: the grid of N cells.
+        hypotheses: sets of initial planes; each set is (N, 3) with one plane per cell. Planes with NaN are skipped.
+        nearest: lower end of the depth range in world units.
+        farthest: upper end of the depth range in world units.
         seed: random seed.
     """
     rng = np.random.default_rng(seed)
@@ -97,7 +101,7 @@ def estimate_depth_map(
 
 
 class _PlaneSearch:
-    """The best plane of each cell found so far."""
+    """Search for the plane with the highest score in each cell; holds the current best planes and scores."""
 
     def __init__(
         self, view: GreyView, similarity: PatchSimilarity, grid: Grid, min_inverse: float, max_inverse: float
@@ -111,7 +115,10 @@ class _PlaneSearch:
         self.scores = np.full(len(grid.pixels), UNKNOWN_SCORE, np.float32)
 
     def try_planes(self, planes: Floats, where: NDArray[np.bool_] | None = None) -> None:
-        """Replace each cell's plane by that of ``planes`` (N, 3) if its score is higher; ``where`` (N,) limits it."""
+        """Replace each cell's plane by its plane in ``planes`` (N, 3) if the new plane has a higher score.
+
+        If ``where`` (N,) is given, only the cells selected by it are tried.
+        """
         usable = self._similarity.usable & self._is_valid(planes)
         cells = np.flatnonzero(usable if where is None else usable & where)
         scores = self._similarity.scores(cells, planes[cells])
@@ -120,7 +127,8 @@ class _PlaneSearch:
         self.planes[cells[better]] = planes[cells[better]]
 
     def propagate(self, down: int, across: int) -> None:
-        """Try the plane of the cell at an offset, if its score is higher and it gives a different depth here."""
+        """Try in each cell the plane of the cell at an offset, if that cell has a higher score and its plane gives a
+        different depth."""
         rows, columns = self._grid.shape
         numbers = np.arange(rows * columns).reshape(rows, columns)
         i, j = np.clip(np.arange(rows) + down, 0, rows - 1), np.clip(np.arange(columns) + across, 0, columns - 1)
@@ -130,12 +138,12 @@ class _PlaneSearch:
         self.try_planes(planes, (self.scores[other] > self.scores) & (np.abs(theirs - ours) > SAME_DEPTH * ours))
 
     def random_planes(self, rng: np.random.Generator) -> Floats:
-        """(N, 3) random planes that face the camera, uniform in inverse depth over the range."""
+        """Random planes (N, 3) that face the camera, with inverse depths that are uniform over the depth range."""
         count = len(self.planes)
         return self._planes_at(rng.uniform(*self._range, count), self._random_normals(rng, count))
 
     def perturbed_planes(self, rng: np.random.Generator, share: float) -> Floats:
-        """(N, 3) the current planes with inverse depths and normals perturbed in proportion to ``share``."""
+        """The current planes (N, 3) with random changes of inverse depth and normal in proportion to ``share``."""
         inverse = self._inverse_depth(self.planes)
         normals = self.planes @ self._k
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -150,7 +158,7 @@ class _PlaneSearch:
             return (planes * (inverse / unscaled)[:, None]).astype(np.float32)
 
     def _random_normals(self, rng: np.random.Generator, count: int) -> Floats:
-        """(N, 3) random directions within about 70 degrees of the rays."""
+        """Random directions (N, 3) within about 70 degrees of the cells' rays."""
         sideways = rng.normal(size=(count, 3))
         return (
             self._rays + sideways / np.linalg.norm(sideways, axis=1, keepdims=True) * rng.uniform(0, 0.95, (count, 1))
@@ -160,7 +168,7 @@ class _PlaneSearch:
         return np.einsum("nc,nc->n", planes, self._grid.pixels)
 
     def _is_valid(self, planes: Floats) -> NDArray[np.bool_]:
-        """(N,) bool: which planes are in the depth range and not seen edge-on; False for NaN."""
+        """(N,) bool: whether a plane is in the depth range and not seen edge-on; False for NaN."""
         inverse = self._inverse_depth(planes)
         normals = planes @ self._k.astype(np.float32)
         cosine = np.einsum("nc,nc->n", normals, self._rays)

@@ -1,4 +1,4 @@
-"""Initial plane hypotheses: dominant planes of triangulated points, and planes of triangles between them."""
+"""Initial plane hypotheses: dominant planes of triangulated points, and planes of triangles between neighbours."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ Array = NDArray[np.float64]
 
 MAX_PLANES = 4
 MIN_INLIER_WEIGHT = 12
+"""Minimum sum of the weights of a plane's inliers."""
 RANSAC_TRIALS = 500
 TOLERANCE = 0.003
-"""Maximum distance of inliers from a plane, relative to the distance between cameras and points."""
+"""Maximum distance of inliers from a plane, relative to the typical distance between cameras and points."""
 
 
 def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.random.Generator) -> Array:
-    """Find dominant planes of points (N, 3) by sequential RANSAC.
+    """Find dominant planes of N points by sequential RANSAC.
 
     Args:
         xyz: (N, 3) world points.
-        weights: (N,) weight of each point; the inliers of a plane sum to at least 12.
-        distance: typical distance from the cameras, world units.
+        weights: (N,) weight of each point. The weights of a plane's inliers sum to at least 12.
+        distance: typical distance of points from the cameras in world units.
         rng: random generator.
 
     Returns:
-        (P, 4) planes (n, d) with n . x = d, at most MAX_PLANES.
+        (P, 4) planes (n, d) with n . x = d in world coordinates; P is at most MAX_PLANES.
     """
     remaining = np.ones(len(xyz), bool)
     planes: list[list[float]] = []
@@ -40,10 +41,10 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
         normals = normals[lengths > 0] / lengths[lengths > 0, None]
         offsets = (normals * a[lengths > 0]).sum(axis=1)
         near = np.abs(points @ normals.T - offsets) < TOLERANCE * distance
-        support = counts @ near
-        if not len(support) or support.max() < MIN_INLIER_WEIGHT:
+        inlier_weights = counts @ near
+        if not len(inlier_weights) or inlier_weights.max() < MIN_INLIER_WEIGHT:
             break
-        inliers = points[near[:, int(support.argmax())]]
+        inliers = points[near[:, int(inlier_weights.argmax())]]
         centroid = inliers.mean(axis=0)
         normal = np.linalg.svd(inliers - centroid)[2][2]
         planes.append([*normal, normal @ centroid])
@@ -52,7 +53,7 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
 
 
 def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
-    """(N, 3) a world plane (n, d) in the parametrisation of Grid, repeated for all cells of a camera's picture."""
+    """Convert a world plane (n, d) to the parametrisation of Grid, repeated for the N cells of a camera's image."""
     normal = camera.rotation @ plane[:3]
     offset = plane[3] + normal @ camera.translation
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -61,11 +62,12 @@ def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
 
 
 def triangle_planes(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
-    """Hypotheses from a Delaunay triangulation of the projected points (M, 3).
+    """Create plane hypotheses from a Delaunay triangulation of the projections of points ``xyz`` (M, 3).
 
     Returns:
-        up to two sets of planes (N, 3): the plane of the triangle around each cell, NaN outside all triangles, and
-        the fronto-parallel plane at the depth of the nearest point.
+        up to two sets of planes (N, 3), one plane per cell. The first set has the plane of the triangle that contains
+        the cell, or NaN outside all triangles. The second set has the fronto-parallel plane at the depth of the point
+        that is nearest in the image.
     """
     pixels, depth = camera.project(xyz)
     pixels, depth = pixels[depth > 0] - 0.5, depth[depth > 0]

@@ -1,4 +1,4 @@
-"""Source view selection: cameras that share visible space at suitable baseline angles."""
+"""Selection of source cameras that see the same space as a camera, at suitable angles between the rays."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Width of the score in the logarithm of the angle: relative to 15 degrees, 6 and 37 degrees score one half, and 130
-degrees, a floor seen from the other side, a seventh."""
+"""Width of the score over log(angle). The score is 1 at 15 degrees, 1/2 at 6 and 37 degrees, and 1/7 at 130 degrees (a
+floor seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum score that a further source adds, relative to the number of sampled points."""
+"""Minimum increase of the objective by another source, relative to the number of sampled points."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
-    """Select up to 6 source cameras that cover the view frustum of camera ``index`` between two depths twice.
+    """Select up to 6 source cameras that see each point in the view frustum of camera ``index`` twice if possible.
 
-    Greedy selection: each step adds the camera that raises the sum of the two best scores per point most. The score
-    of a point depends on the angle between the rays.
+    The frustum is sampled between the depths ``nearest`` and ``farthest``. A source has a score for each point, which
+    depends on the angle between the rays of the two cameras. The selection is greedy: each step adds the camera with
+    the largest increase of the objective, the sum over points of each point's two best scores.
     """
     xyz = _frustum_points(cameras[index], nearest, farthest)
     scores = np.array([_view_scores(cameras[index], other, xyz) for other in cameras])
@@ -47,7 +48,7 @@ def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthe
 
 
 def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
-    """(N, 3) world points on a grid over the picture, uniform in inverse depth."""
+    """World points (N, 3) on a grid over the image and at uniform steps of inverse depth."""
     middles = (np.arange(RAYS) + 0.5) / RAYS
     x, y = np.meshgrid(middles * camera.width, middles * camera.height)
     rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) @ np.linalg.inv(camera.intrinsics).T
@@ -57,7 +58,7 @@ def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
 
 
 def _view_scores(camera: Camera, other: Camera, xyz: Array) -> Array:
-    """(N,) scores in [0, 1]; 0 where the other camera does not see the point."""
+    """Scores (N,) in [0, 1] of ``other`` as a source for points; 0 for points outside its image."""
     pixels, depth = other.project(xyz)
     seen = other.is_in_image(pixels, depth)
     cosine = np.einsum("nc,nc->n", _directions(camera, xyz), _directions(other, xyz))

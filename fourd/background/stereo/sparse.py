@@ -1,4 +1,4 @@
-"""Sparse points of clean plates: guided feature matching and COLMAP triangulation with fixed cameras."""
+"""Sparse points of clean plates from guided feature matching and from COLMAP's triangulation with fixed cameras."""
 
 from __future__ import annotations
 
@@ -31,10 +31,15 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 EPIPOLAR_PX = 1.5
+"""Maximum distance of a matched feature from the epipolar line."""
 RATIO_TEST_THRESHOLD = 0.85
+"""Maximum ratio of the distances to the nearest and the second nearest descriptor."""
 MIN_SIMILARITY = 0.5
+"""Minimum cosine similarity of matched descriptors."""
 MIN_ANGLE_DEG = 2.0
+"""Minimum triangulation angle."""
 MAX_ERROR_PX = 2.0
+"""Maximum reprojection error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +47,8 @@ class SparsePoints:
     """Triangulated points.
 
     Attributes:
-        xyz: (N, 3) float64, world units.
-        seen: (N, V) bool: which plates have a feature of the point.
+        xyz: (N, 3) float64 world points.
+        seen: (N, V) bool, whether a plate has a feature of the point.
     """
 
     xyz: Array
@@ -51,12 +56,18 @@ class SparsePoints:
 
     @property
     def reliable(self) -> NDArray[np.bool_]:
-        """(N,) bool: points seen in three plates or more; on repetitive textures half of the others are wrong."""
+        """(N,) bool: whether a point is seen in three plates or more.
+
+        On repetitive textures, half of the points that are seen in only two plates are wrong.
+        """
         return self.seen.sum(axis=1) >= 3
 
 
 def triangulate_sparse(plates: Sequence[PlateView], seed: int, track: Track) -> SparsePoints:
-    """Triangulate features of two or more plates, at angles of 2 degrees or more and errors of up to 2 px."""
+    """Triangulate features of two or more plates.
+
+    Points with a triangulation angle below 2 degrees or a reprojection error above 2 px are dropped.
+    """
     cameras = [plate.camera for plate in plates]
     with tempfile.TemporaryDirectory(prefix="fourd-plates-") as name, QuietColmap():
         folder = Path(name)
@@ -87,7 +98,7 @@ def triangulate_sparse(plates: Sequence[PlateView], seed: int, track: Track) -> 
 
 
 def _match_guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
-    """(M, 2) mutual nearest neighbours among the features near the epipolar lines that pass the ratio test."""
+    """Match features (M, 2 indices): mutual nearest neighbours near the epipolar lines that pass the ratio test."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.uint32)
     fundamental = fundamental_matrix(camera, other)
@@ -109,12 +120,12 @@ def _match_guided(first: Features, second: Features, camera: Camera, other: Came
 
 
 def _known_cameras(store: Any, images: list[Any], cameras: Sequence[Camera]) -> Any:
-    """A COLMAP reconstruction with the cameras and no points; also writes the intrinsics to the database."""
+    """Create a COLMAP reconstruction with the cameras and no points, and write the intrinsics to the database."""
     known = pycolmap.Reconstruction()
     for image, camera in zip(images, cameras, strict=True):
         lens = store.read_camera(image.camera_id)
         k = camera.intrinsics
-        # COLMAP and this project both put the centre of the first pixel at (0.5, 0.5).
+        # COLMAP and this project both place the centre of the first pixel at (0.5, 0.5).
         lens.params = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
         store.update_camera(lens)
         known.add_camera_with_trivial_rig(lens)

@@ -1,4 +1,4 @@
-"""Sampling of surfaces to points at an even density in picture space."""
+"""Sampling of points on surfaces with an even density in image space."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Relative to the depth: a point within this distance of a surface covers it."""
+"""Relative depth difference up to which a sample of one image covers the surface of another image."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
-"""Side of the smallest squares."""
+"""Side of the smallest squares in pixels."""
 EDGE_TOLERANCE = 0.05
-"""Relative to the inverse depth: a plane that misses the neighbours on both sides by more spans a depth edge."""
+"""Relative inverse depth error of a cell's plane at its neighbours, above which the cell is at a depth edge. The error
+must be exceeded at the neighbours on both sides."""
 MAX_PARTS = 2
-"""Maximum subdivision of a square per axis. Parts as deep as they are wide would close all gaps, but of many points
-one behind the other only the upper halves are visible, which shifts a floor's texture up by half a point."""
+"""Maximum number of parts of a square per axis. More parts would close all gaps between points on steep surfaces, but
+points on a floor would then hide the lower half of the points behind them. This shifts the floor's texture up by half a
+point."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples of a picture's surface.
+    """Samples of one image's surface.
 
     Attributes:
         xy: (M, 2) pixel indices.
         xyz: (M, 3) world points.
-        support: (M,) number of other pictures that confirm the sample.
+        support: (M,) number of other images that confirm the depth of the sample; 0 if it is extrapolated.
     """
 
     xy: Array
@@ -40,20 +42,21 @@ class Samples:
     support: NDArray[np.intp]
 
     def select(self, rows: Bools) -> Samples:
-        """The samples selected by ``rows`` (M,) bool."""
+        """Select samples by ``rows`` (M,) bool."""
         return Samples(self.xy[rows], self.xyz[rows], self.support[rows])
 
 
 def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> list[Samples]:
-    """Sample all surfaces with at most ``points`` samples, using the smallest squares that do not exceed this number.
+    """Sample all surfaces with at most ``points`` samples.
 
-    Each picture is tiled with squares; squares on surfaces at grazing angles are subdivided, since a higher camera
-    would see gaps between the samples. The centre of each part is sampled if the picture is ``seen`` (H, W) there and
-    no earlier sample covers the surface. Near objects therefore get more points, and areas seen by many pictures do
-    not get more than others. Confirmed cells are sampled before extrapolated ones.
+    Each image is tiled with squares. Their size is the smallest that gives at most ``points`` samples. Squares on
+    surfaces at grazing angles are subdivided into parts, because a higher camera would show gaps between the samples.
+    The centre of each part is sampled if it is visible according to ``seen`` (H, W) and no earlier sample covers the
+    surface. Near objects therefore get more points, but surfaces that are visible in many images do not. Confirmed
+    cells are sampled before extrapolated cells.
 
     Returns:
-        the samples of each picture.
+        the samples of each image.
     """
     sloped = [_SlopedSurface(surface, _slopes(surface)) for surface in surfaces]
     samples = _sample_at(sloped, seen, MIN_SIDE_PX, points)
@@ -79,14 +82,14 @@ def _count(samples: Sequence[Samples]) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _SlopedSurface:
-    """A picture's surface with its slopes (N, 2), see :func:`_slopes`."""
+    """An image's surface with the slopes (N, 2) of its cells, computed by :func:`_slopes`."""
 
     surface: Surface
     slopes: Array
 
 
 def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: float, limit: int) -> list[Samples]:
-    """Samples for squares of ``side`` pixels; stops early with more than ``limit`` samples."""
+    """Sample all surfaces with squares of ``side`` pixels; stop early if there are more than ``limit`` samples."""
     tilings = [_Tiling.of(each, side) for each in sloped]
     candidates = [_part_samples(*each) for each in zip(sloped, seen, tilings, strict=True)]
     taken = [np.zeros(len(each.xyz), bool) for each in candidates]
@@ -104,7 +107,7 @@ def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: fl
 
 
 def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Samples:
-    """Samples at the centres of the parts that lie on known cells."""
+    """Sample the surface at the centres of all parts that lie on known cells."""
     surface = sloped.surface
     xy = tiling.centres()
     last = (surface.camera.width - 1, surface.camera.height - 1)
@@ -121,11 +124,12 @@ def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Sampl
 
 @dataclass(frozen=True)
 class _Squares:
-    """A picture tiled with squares; every other row is shifted left by half a square, which covers best.
+    """An image tiled with squares. Every second row is shifted left by half a square for a more even density.
 
     Attributes:
-        side: side of a square, pixels.
-        width, height: size of the picture, pixels.
+        side: side of a square in pixels.
+        width: width of the image in pixels.
+        height: height of the image in pixels.
     """
 
     side: float
@@ -141,14 +145,14 @@ class _Squares:
         return int(np.ceil(self.height / self.side))
 
     def corners(self) -> tuple[Array, Array]:
-        """(N, 2) upper left and lower right corners of the squares, clipped to the picture, pixels."""
+        """Upper left (N, 2) and lower right (N, 2) corners of the squares in pixels, clipped to the image."""
         column, row = (axis.ravel() for axis in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
         begins = np.stack([column * self.side - self._shift(row), row * self.side], axis=1)
         size = (self.width, self.height)
         return np.clip(begins, 0, size), np.clip(begins + self.side, 0, size)
 
     def squares_at(self, xy: Array) -> NDArray[np.intp]:
-        """(M,) squares that contain pixel indices (M, 2); indices outside the picture go to the nearest square."""
+        """Indices (M,) of the squares that contain pixel indices (M, 2), or of the nearest square outside the image."""
         row = np.clip((xy[:, 1] + 0.5) / self.side, 0, self.rows - 1).astype(np.intp)
         column = np.clip((xy[:, 0] + 0.5 + self._shift(row)) / self.side, 0, self.columns - 1).astype(np.intp)
         return np.asarray(row * self.columns + column, np.intp)
@@ -159,12 +163,13 @@ class _Squares:
 
 @dataclass(frozen=True, eq=False)
 class _Tiling:
-    """Squares of a picture, subdivided into parts where its surface is steep.
+    """Squares of an image that are subdivided into parts where the image's surface is steep.
 
     Attributes:
-        squares: the squares.
-        begins, ends: (N, 2) corners of the squares, pixels.
-        parts: (N, 2) number of parts across and down.
+        squares: the tiling with N squares.
+        begins: (N, 2) upper left corners of the squares in pixels.
+        ends: (N, 2) lower right corners of the squares in pixels.
+        parts: (N, 2) number of parts of each square across and down.
         first: (N,) index of each square's first part.
         count: total number of parts.
     """
@@ -178,7 +183,7 @@ class _Tiling:
 
     @staticmethod
     def of(sloped: _SlopedSurface, side: float) -> _Tiling:
-        """Tile a picture with squares of ``side`` pixels."""
+        """Tile an image with squares of ``side`` pixels."""
         squares = _Squares(side, sloped.surface.camera.width, sloped.surface.camera.height)
         begins, ends = squares.corners()
         parts = _part_counts(sloped, (begins + ends) / 2 - 0.5)
@@ -186,7 +191,7 @@ class _Tiling:
         return _Tiling(squares, begins, ends, parts, np.cumsum(counts) - counts, int(counts.sum()))
 
     def centres(self) -> Array:
-        """(count, 2) pixel indices of the centres of the parts."""
+        """Pixel indices (count, 2) of the centres of the parts."""
         square = np.repeat(np.arange(len(self.parts)), self.parts.prod(axis=1))
         number = np.arange(self.count) - self.first[square]
         position = np.stack([number % self.parts[square, 0], number // self.parts[square, 0]], axis=1) + 0.5
@@ -194,7 +199,7 @@ class _Tiling:
         return np.asarray(self.begins[square] + size * position / self.parts[square] - 0.5)
 
     def parts_at(self, xy: Array) -> NDArray[np.intp]:
-        """(M,) parts that contain pixel indices (M, 2)."""
+        """Indices (M,) of the parts that contain pixel indices (M, 2)."""
         square = self.squares.squares_at(xy)
         size = np.maximum(self.ends[square] - self.begins[square], np.finfo(float).tiny)
         position = (xy + 0.5 - self.begins[square]) / size * self.parts[square]
@@ -203,7 +208,10 @@ class _Tiling:
 
 
 def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
-    """(M, 2) parts across and down of squares centred on pixel indices (M, 2): the square root of the slope."""
+    """Number of parts (M, 2) across and down for squares centred on pixel indices (M, 2).
+
+    The number grows with the square root of the surface's slope.
+    """
     surface = sloped.surface
     cells = np.maximum(surface.depths.grid.cells_at(xy), 0)
     slopes = surface.camera.intrinsics[0, 0] * sloped.slopes[cells]
@@ -212,7 +220,7 @@ def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
 
 
 def _slopes(surface: Surface) -> Array:
-    """(N, 2) relative change of the inverse depth per pixel, across and down; 0 at depth edges."""
+    """Relative change (N, 2) of the inverse depth per pixel across and down; 0 at depth edges."""
     grid = surface.depths.grid
     inverse = np.maximum(surface.depths.inverse_depth, np.finfo(np.float32).tiny).astype(np.float64)
     slopes = surface.depths.planes[:, :2] / inverse[:, None]
@@ -226,7 +234,10 @@ def _slopes(surface: Surface) -> Array:
 
 
 def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
-    """(R, C) smaller relative error with which a cell's plane predicts its two neighbours along an axis."""
+    """Relative error (R, C) with which a cell's plane predicts its neighbours along an axis.
+
+    The smaller of the errors at the two neighbours is returned.
+    """
     smallest = np.full_like(inverse, np.inf)
     for step in (-1, 1):
         error = np.abs(np.roll(inverse, -step, axis) / inverse - 1 - step * change)
