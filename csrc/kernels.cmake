@@ -1,4 +1,4 @@
-# Every kernel, one call each; docs/adding_a_kernel.md explains the steps.
+# One call per kernel. docs/adding_a_kernel.md explains how to add a kernel.
 fourd_kernel(blend
   CPU cpu/blend.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT

@@ -1,4 +1,4 @@
-// The Python module fourd._native. Bindings check and convert arguments; the kernels know no framework.
+// The Python module fourd._native. Bindings check and convert arguments. The kernels do not depend on Python or torch.
 #include "binding/module.h"
 
 #include <nanobind/stl/string.h>

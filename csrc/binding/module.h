@@ -1,4 +1,5 @@
-// The functions that bind all kernels; cmake/kernel.cmake generates those that call each kernel's own.
+// The functions that bind all kernels. cmake/kernel.cmake generates bind_kernels, which calls the binding function of
+// each kernel.
 #pragma once
 
 #include <nanobind/nanobind.h>

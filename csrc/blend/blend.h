@@ -1,5 +1,5 @@
-// Blend logits of source views by a small MLP: range * tanh((out . relu(point + weight * sample) + bias) / range).
-// Never stores an array as large as views x points x hidden. Callers check shapes; arrays are dense.
+// Blend logits of source views by a small MLP: range * tanh((out . relu(point + weight * sample) + bias) / range). The
+// kernel never stores an array of views x points x hidden numbers. Callers check shapes, and arrays are dense.
 #pragma once
 
 #include <cstddef>
@@ -12,7 +12,7 @@ constexpr int kMaxHidden = 256;
 constexpr int kMaxChannels = 64;
 
 struct Mlp {
-    const float* weight;  // (channels, hidden): hidden layer, for the sample
+    const float* weight;  // (channels, hidden): weights of the hidden layer for the samples
     const float* out;     // (hidden,)
     float bias;
     float range;   // bound of the absolute logits
@@ -26,7 +26,7 @@ struct Inputs {
     std::size_t count;
     std::size_t views;
     int threads;  // at least 1; the result does not depend on it
-    Simd simd;    // one that this machine runs
+    Simd simd;    // an instruction set that this machine supports
 };
 
 struct Gradients {
@@ -40,7 +40,7 @@ struct Gradients {
 // logits (views, count)
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits);
 
-// logits are the output of logits(), gradient (views, count) is with respect to them.
+// logits is the output of logits(). gradient (views, count) is the gradient with respect to the logits.
 void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, const float* gradient,
                      const Gradients& out);
 

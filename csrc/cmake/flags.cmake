@@ -3,8 +3,8 @@
 #   FOURD_WARNINGS     warnings, as errors where FOURD_WERROR is on
 #   FOURD_FLAGS_<set>  an instruction set: baseline, avx2 or avx512
 #   FOURD_EXACT        products and sums are rounded one by one: the same bits for every instruction set
-#   FOURD_TOLERANT     they may be fused
-#   FOURD_VECTORIZE    no floating-point exception is observed, so that selections need no branches; same bits
+#   FOURD_TOLERANT     products and sums may be fused
+#   FOURD_VECTORIZE    floating-point exceptions are ignored, so that selections need no branches; same bits
 
 add_library(fourd_options INTERFACE)
 target_include_directories(fourd_options INTERFACE ${FOURD_CSRC})
@@ -33,7 +33,7 @@ if(MSVC)
   target_compile_definitions(fourd_options INTERFACE NOMINMAX _CRT_SECURE_NO_WARNINGS)
 else()
   set(FOURD_WARNINGS -Wall -Wextra -Wpedantic)
-  # prfchw: prefetching for writing, which processors without it ignore.
+  # prfchw prefetches for writing. Processors that do not support it ignore it.
   set(FOURD_FLAGS_avx2 -mavx2 -mfma -mf16c -mprfchw)
   set(FOURD_FLAGS_avx512 -mavx512f -mavx512dq -mavx512vl -mfma)
   set(FOURD_EXACT -ffp-contract=off)
@@ -41,7 +41,7 @@ else()
   set(FOURD_VECTORIZE -fno-trapping-math -fno-math-errno)
   set(FOURD_AS_ERRORS -Werror)
   if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
-    # The undefined vectors in GCC's own AVX-512 header look uninitialised (GCC bug 105593).
+    # GCC warns about uninitialised vectors in its own AVX-512 header (GCC bug 105593).
     list(APPEND FOURD_FLAGS_avx512 -mprefer-vector-width=512 -Wno-maybe-uninitialized -Wno-uninitialized)
   endif()
 endif()
@@ -55,7 +55,7 @@ if(FOURD_SANITIZE)
   target_link_options(fourd_options INTERFACE ${sanitizers})
 endif()
 
-# The instruction sets that a kernel is compiled for, of a widest one: empty for the baseline alone.
+# Lists the instruction sets from the baseline up to `widest`. An empty `widest` gives the baseline alone.
 function(fourd_instruction_sets out widest)
   set(sets baseline)
   if(FOURD_X86 AND widest MATCHES "^avx(2|512)$")

@@ -9,7 +9,7 @@ function(fourd_install module)
     PYTHON_PATH $<TARGET_FILE_DIR:${module}> DEPENDS ${module})
   install(FILES ${stub} DESTINATION fourd)
   if("${SKBUILD_STATE}" STREQUAL "editable")
-    # Type checkers look for it beside the sources, not where an editable install puts it.
+    # Type checkers look for the stub beside the sources, not in the folder of an editable install.
     add_custom_command(TARGET ${module}_stub POST_BUILD
       COMMAND ${CMAKE_COMMAND} -E copy ${stub} ${CMAKE_CURRENT_SOURCE_DIR}/../fourd/${module}.pyi)
   endif()

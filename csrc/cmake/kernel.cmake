@@ -23,9 +23,9 @@ set_target_properties(fourd_kernels PROPERTIES POSITION_INDEPENDENT_CODE ON)
 # fourd_kernel(NAME [CPU file...] [DISPATCH file...] [WIDEST avx2|avx512] [EXACT|TOLERANT]
 #              [CUDA file...] [BINDING file] [CUDA_BINDING file] [FOLDER folder])
 # CPU           sources compiled once.
-# DISPATCH      sources compiled once per instruction set: the baseline and those up to WIDEST (common/dispatch.h).
-# EXACT         the dispatched sources promise the reference's bits: no fused multiply-add (the default).
-# TOLERANT      they promise a tolerance: multiplications and additions may be fused.
+# DISPATCH      sources compiled once per instruction set, from the baseline to WIDEST (common/dispatch.h).
+# EXACT         no fused multiply-add in dispatched sources, which give the reference's bits (the default).
+# TOLERANT      fused multiply-add in dispatched sources, which match the reference within a tolerance.
 # CUDA          .cu files, for the GPU and for the emulation.
 # BINDING       defines fourd::bind_NAME(nanobind::module_&); CUDA_BINDING defines fourd::cuda::bind_NAME.
 # FOLDER        where the files are; by default csrc/NAME.
@@ -91,7 +91,7 @@ function(fourd_emulate target)
     file(RELATIVE_PATH relative ${FOURD_CSRC} ${source})
     set(emulated ${CMAKE_CURRENT_BINARY_DIR}/emulated/${relative}.cpp)
     file(CONFIGURE OUTPUT ${emulated} CONTENT "#include \"${source}\"\n")
-    # As on a GPU: hit tests give the reference's bits.
+    # As on a GPU, hit tests must give the reference's bits.
     set_source_files_properties(${emulated} PROPERTIES COMPILE_OPTIONS "${FOURD_EXACT}")
     target_sources(${target} PRIVATE ${emulated})
   endforeach()
@@ -123,7 +123,7 @@ function(fourd_add_cuda_module target)
     CUDA_STANDARD 17 CUDA_STANDARD_REQUIRED ON CUDA_ARCHITECTURES "${CMAKE_CUDA_ARCHITECTURES}"
     POSITION_INDEPENDENT_CODE ON)
   target_include_directories(${target}_kernels PUBLIC ${FOURD_CSRC})
-  # The renderer promises the reference's bits in its hit tests: no contraction into FMA.
+  # Hit tests of the renderer must give the reference's bits, so multiplications and additions are not fused.
   target_compile_options(${target}_kernels PRIVATE -fmad=false)
   if(NOT MSVC)
     target_compile_options(${target}_kernels PRIVATE -Xcompiler=-Wall,-Wextra)
@@ -132,7 +132,7 @@ function(fourd_add_cuda_module target)
     target_compile_options(${target}_kernels PRIVATE -Werror=all-warnings)
   endif()
   fourd_generate_bindings(CUDA_BINDING fourd::cuda bindings)
-  # Domains of their own: both register types of the same names.
+  # Each module has its own nanobind domain, because both register types of the same names.
   nanobind_add_module(${target} NB_STATIC NOMINSIZE NB_DOMAIN ${target} ${ARGN} ${bindings})
   target_link_libraries(${target} PRIVATE ${target}_kernels fourd_kernels)
   target_compile_options(${target} PRIVATE ${FOURD_WARNINGS})

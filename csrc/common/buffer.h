@@ -1,5 +1,5 @@
-// An uninitialised array. The kernels write every element before they read it, and clearing megabytes first would cost
-// as much as sorting them.
+// An uninitialised array. The kernels write every element before they read it. Clearing the memory first would take as
+// long as sorting the same data.
 #pragma once
 
 #include <cstddef>
@@ -20,7 +20,7 @@ class Buffer {
         prefer_huge_pages(data_.get(), size * sizeof(T));
     }
 
-    // Grows to at least size elements; growing discards the contents.
+    // Grows to at least size elements. Growing discards the contents.
     void require(std::size_t size) {
         if (size > size_) *this = Buffer(size + size / 2);
     }

@@ -1,13 +1,13 @@
-// The one way to choose between instruction sets when the program runs.
+// Selects the instruction set of a kernel at run time. All kernels use this mechanism.
 //
 // A kernel's inner loops live in a file of their own, cpu/loops.cpp, which fourd_kernel(DISPATCH ...) compiles once for
 // each instruction set up to WIDEST, with FOURD_SIMD defined as the name of the set. Its header, cpu/loops.h, declares
 // a struct Loops of function pointers and ends with FOURD_DISPATCH(Loops, Simd::WIDEST). The file itself defines, in
 // namespace KERNEL::FOURD_SIMD, the functions and the table `const Loops loops`.
 //
-// A dispatched file must not call inline functions with external linkage, standard containers included: the linker
-// keeps one copy of each for the whole program, perhaps the one that needs AVX-512. Functions marked static or
-// FOURD_INLINE, and functions in namespace FOURD_SIMD, are safe.
+// A dispatched file must not call inline functions with external linkage, which include the functions of standard
+// containers. The linker keeps only one copy of each such function in the program, and that copy may need AVX-512.
+// Functions marked static or FOURD_INLINE, and functions in namespace FOURD_SIMD, are safe.
 #pragma once
 
 #include "common/simd.h"

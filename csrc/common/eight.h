@@ -1,5 +1,5 @@
-// Vectors of eight floats for any instruction set, where compilers do not vectorise a loop by themselves. Never passed
-// or returned by value: the calling convention depends on the instruction set.
+// Vectors of eight floats for any instruction set, for loops that compilers do not vectorise by themselves. They are
+// never passed or returned by value, because the calling convention depends on the instruction set.
 #pragma once
 
 #include <cstddef>
@@ -21,12 +21,12 @@ FOURD_INLINE void store(const Eight* from, float* to) { std::memcpy(to, from, si
 FOURD_INLINE void load(const float* from, float* to) { *to = *from; }
 FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 
-// float or Eight: the type that the second argument of for_eights' body points to.
+// The type that tag, the second argument of for_eights' body, points to: Eight or float.
 template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
-// Calls body(i, number) for i below count, eight at a time while eight are left. number is null: its type, a pointer to
-// Eight or to float, is how many elements from i on the call is for.
+// Calls body(i, tag) over [0, count), in steps of 8 and then in steps of 1. tag is a null pointer. Its type tells the
+// body whether to process 8 elements (Eight) or 1 element (float), starting at i.
 template <typename Body>
 FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;

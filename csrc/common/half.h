@@ -9,8 +9,8 @@
 
 namespace fourd {
 
-// Shifts exponent and mantissa into a float and multiplies by 2^112, the difference of the exponents' biases; this is
-// exact for subnormals too. Infinity and NaN become finite (65536 and above).
+// Shifts exponent and mantissa into a float, and multiplies by 2^112 because the exponent biases differ by 112. This is
+// exact for subnormals too. Infinity and NaN become finite values of 65536 or more.
 FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
     const std::uint32_t shifted = static_cast<std::uint32_t>(half & 0x7fff) << 13;
     float magnitude;

@@ -1,6 +1,6 @@
-// What compilers spell differently: forced inlining, non-aliasing pointers, bit operations, prefetching.
+// Compiler-specific spellings of forced inlining, non-aliasing pointers, bit operations and prefetching.
 //
-// Dispatched files depend on forced inlining: a function that is not inlined could be merged by the linker with a copy
+// Dispatched files depend on forced inlining. The linker could merge a function that is not inlined with a copy that is
 // compiled for another instruction set.
 #pragma once
 
@@ -8,7 +8,7 @@
 
 #if defined(__GNUC__)
 #define FOURD_INLINE inline __attribute__((always_inline))
-#define FOURD_INLINE_LAMBDA __attribute__((always_inline))  // after a lambda's parameters
+#define FOURD_INLINE_LAMBDA __attribute__((always_inline))  // goes after the parameters of a lambda
 #define FOURD_RESTRICT __restrict__
 #elif defined(_MSC_VER)
 #include <intrin.h>
@@ -23,7 +23,7 @@
 
 namespace fourd {
 
-// Fetches the cache line at an address; the address need not be valid.
+// Prefetches the cache line at an address. The address does not need to be valid.
 FOURD_INLINE void prefetch(const void* address) {
 #if defined(__GNUC__)
     __builtin_prefetch(address);
@@ -51,7 +51,7 @@ FOURD_INLINE int popcount(std::uint32_t bits) {
 #endif
 }
 
-// The index of the lowest set bit; bits is not 0.
+// The index of the lowest set bit. bits must not be 0.
 FOURD_INLINE int lowest_bit(std::uint64_t bits) {
 #if defined(__GNUC__)
     return __builtin_ctzll(bits);

@@ -1,4 +1,4 @@
-// Huge pages for large arrays, where the system grants them on request.
+// Requests huge pages for large arrays from operating systems that support such requests.
 #pragma once
 
 #include <cstddef>
@@ -10,8 +10,8 @@
 
 namespace fourd {
 
-// Call before fresh memory is first written: writing 50 MB then takes a third of the time, and scattered accesses miss
-// the TLB less often. A hint that changes no result.
+// Call this before the first write to fresh memory. Writing 50 MB then takes a third of the time, and scattered
+// accesses cause fewer TLB misses. The call is only a hint and does not change results.
 inline void prefer_huge_pages(void* memory, std::size_t bytes) {
 #if defined(__linux__) && defined(MADV_HUGEPAGE)
     constexpr std::uintptr_t kPage = std::uintptr_t{2} << 20;

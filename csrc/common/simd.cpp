@@ -21,7 +21,7 @@ struct Registers {
     std::uint32_t eax, ebx, ecx, edx;
 };
 
-// A leaf that the processor lacks reads as zeros.
+// A CPUID leaf that the processor does not have reads as zeros.
 Registers cpuid(std::uint32_t leaf) {
 #if defined(_MSC_VER) && !defined(__clang__)
     int out[4] = {}, highest[4] = {};
@@ -36,7 +36,7 @@ Registers cpuid(std::uint32_t leaf) {
 #endif
 }
 
-// The vector registers that the operating system saves. The processor must support XSAVE.
+// Which vector registers the operating system saves. The processor must support XSAVE.
 std::uint32_t saved_registers() {
 #if defined(_MSC_VER) && !defined(__clang__)
     return static_cast<std::uint32_t>(_xgetbv(0));

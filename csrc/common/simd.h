@@ -1,18 +1,19 @@
-// Instruction sets. The one that a kernel runs is selected at run time (common/dispatch.h).
+// Instruction sets. Each kernel selects its instruction set at run time (common/dispatch.h).
 #pragma once
 
 namespace fourd {
 
-// avx2 includes FMA and F16C; avx512 is F, DQ and VL. In ascending order.
+// In ascending order. avx2 includes FMA and F16C. avx512 stands for AVX-512 F, DQ and VL.
 enum class Simd { baseline, avx2, avx512 };
 
-// Whether this machine runs the instruction set of that name.
+// Whether this machine supports the instruction set with this name.
 bool simd_available(const char* name);
 
-// The name of the widest one that this machine runs.
+// The name of the widest instruction set that this machine supports.
 const char* simd_default();
 
-// By name; "" selects the widest. Throws std::invalid_argument if this machine does not run it.
+// The instruction set with this name; "" selects the widest. Throws std::invalid_argument if this machine does not
+// support it.
 Simd simd_named(const char* name);
 
 }  // namespace fourd

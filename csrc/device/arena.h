@@ -1,4 +1,4 @@
-// Consecutive arrays in memory of the caller.
+// Allocates consecutive arrays in memory that the caller provides.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +10,7 @@
 
 namespace fourd::device {
 
-// Without memory, an arena only counts the bytes that its arrays need.
+// If the memory is null, the arena only counts the bytes that its arrays need.
 class Arena {
   public:
     explicit Arena(void* memory) : memory_(static_cast<unsigned char*>(memory)) {}

@@ -13,7 +13,7 @@
 
 namespace fourd::device {
 
-constexpr int kThreads = 256;  // per block: whole warps
+constexpr int kThreads = 256;  // threads per block, a multiple of the warp size
 constexpr std::size_t kMaxBlocks = 1 << 20;
 
 template <typename Kernel>
@@ -39,7 +39,7 @@ inline void check(cudaError_t status, const char* what) {
 
 class Executor {
   public:
-    // stream: a cudaStream_t of the current device.
+    // stream is a cudaStream_t of the current device.
     explicit Executor(void* stream) : stream_(static_cast<cudaStream_t>(stream)) {}
 
     // Calls kernel(index) for each index below count, in any order.
@@ -50,7 +50,7 @@ class Executor {
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // Calls kernel(index, lane). count is a multiple of kWarpSize; kWarpSize consecutive indices form a warp.
+    // Calls kernel(index, lane). count is a multiple of kWarpSize, and kWarpSize consecutive indices form a warp.
     template <typename Kernel>
     void for_each_in_warps(std::size_t count, const Kernel& kernel) const {
         if (count == 0) return;
@@ -74,7 +74,7 @@ class Executor {
               "a sum");
     }
 
-    // Of sort or exclusive_sum with count elements.
+    // Bytes of scratch memory that sort or exclusive_sum needs for count elements.
     static std::size_t scratch_bytes(std::size_t count) {
         std::size_t sort = 0, sum = 0;
         const int number = static_cast<int>(count);

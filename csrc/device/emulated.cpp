@@ -18,7 +18,7 @@ enum class Call { none, any, sum, max };
 
 constexpr std::size_t kStackBytes = 128 << 10;
 
-// makecontext takes integers only: a pointer is passed as two halves.
+// makecontext accepts only int arguments, so a pointer is passed as two halves.
 union Pieces {
     void* pointer;
     unsigned halves[2];
@@ -27,7 +27,7 @@ static_assert(sizeof(void*) == 2 * sizeof(unsigned), "expected a 64-bit machine"
 
 }  // namespace
 
-// Thirty-two lanes as coroutines, each resumed in turn until it waits in a call or returns.
+// 32 lanes as coroutines. Each lane is resumed in turn until it returns or waits in a call of a Lane function.
 class Warp {
   public:
     explicit Warp(const std::function<void(const Lane&)>& body)
@@ -48,7 +48,7 @@ class Warp {
         }
     }
 
-    // Called by a lane: waits for the other lanes and returns the combination of all lanes' values.
+    // Called by a lane. Waits for the other lanes and returns the combined value of all lanes.
     double meet(int number, Call call, double value) {
         calls_[number] = call;
         values_[number] = value;
@@ -101,11 +101,11 @@ class Warp {
     }
 
     const std::function<void(const Lane&)>& body_;
-    std::unique_ptr<char[]> stacks_;  // uninitialised: most of it is never touched
+    std::unique_ptr<char[]> stacks_;  // uninitialised, because most of it is never used
     std::array<ucontext_t, kWarpSize> lanes_{};
     ucontext_t scheduler_{};
     std::array<Call, kWarpSize> calls_{};
-    std::array<double, kWarpSize> values_{};  // floats, bools and 32-bit integers, all exact in a double
+    std::array<double, kWarpSize> values_{};  // A double represents floats, bools and 32-bit integers exactly.
     double result_ = 0;
     int finished_ = 0;
     std::exception_ptr error_;

@@ -1,5 +1,5 @@
-// Emulates a GPU in one CPU thread, for tests: indices in order, warps of thirty-two lanes in lockstep. A lane that
-// diverges from its warp is an error here; on a GPU it may hang or give wrong sums.
+// Emulates a GPU in one CPU thread, for tests. Indices run in order, and warps of 32 lanes run in lockstep. A lane that
+// diverges from its warp raises an error here. On a GPU it may hang or give wrong sums.
 #pragma once
 
 #include <cstddef>
@@ -10,8 +10,8 @@
 
 namespace fourd::device {
 
-// Runs body(lane) for each lane; a call of Lane's functions waits until all lanes have made it. Throws std::logic_error
-// if some lanes return while others wait, or if their calls differ.
+// Runs body(lane) for each lane. A call of one of Lane's functions waits until all lanes have made the same call.
+// Throws std::logic_error if some lanes return while others wait, or if the lanes make different calls.
 void run_warp(const std::function<void(const Lane&)>& body);
 
 class Executor {

@@ -1,4 +1,4 @@
-// Predicts the number of (point, tile) entries of a picture from earlier pictures.
+// Predicts the number of entries, which are (point, tile) pairs, of an image from earlier images.
 #pragma once
 
 #include <algorithm>
@@ -11,8 +11,8 @@ namespace fourd::device {
 std::uint64_t* allocate_mapped_counter();
 void free_mapped_counter(std::uint64_t* number);
 
-// One per device, for the life of the process. Nothing waits for the GPU: a picture's number of entries is used by the
-// pictures that start after the GPU has written it.
+// There is one estimator per device, for the life of the process. It never waits for the GPU. The number of entries of
+// an image is used for images that start after the GPU has written the number.
 class EntryEstimator {
   public:
     EntryEstimator() : needed_(allocate_mapped_counter()) { *needed_ = 0; }
@@ -20,8 +20,8 @@ class EntryEstimator {
     EntryEstimator(const EntryEstimator&) = delete;
     EntryEstimator& operator=(const EntryEstimator&) = delete;
 
-    // For the next picture, of count points: a quarter more than the largest recent need. The maximum decays slowly,
-    // since near and far views of a scene alternate.
+    // The number of entries to allocate for the next image, which has count points. It is 25% above the recent maximum.
+    // The maximum decays slowly, because near and far views of a scene may alternate.
     std::size_t entries(std::size_t count) {
         const std::uint64_t needed = *static_cast<volatile std::uint64_t*>(needed_);
         recent_max_ = std::max(recent_max_ - recent_max_ / 64, needed);
@@ -35,7 +35,7 @@ class EntryEstimator {
 
   private:
     static constexpr std::uint64_t kFirstGuess = 8;
-    static constexpr std::uint64_t kStep = 1 << 16;  // so that consecutive pictures can reuse the same memory
+    static constexpr std::uint64_t kStep = 1 << 16;  // rounds up, so that consecutive images can reuse the same memory
     static constexpr std::uint64_t kMaxEntries = 0x7fff0000;
 
     std::uint64_t* needed_;

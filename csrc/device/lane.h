@@ -1,6 +1,6 @@
-// The GPU operations that kernels may use besides plain arithmetic: votes and sums within a warp, and atomics. A kernel
-// is a function object, called once per index; the same source runs on a GPU (device/cuda.h) and, for tests, on the CPU
-// (device/emulated.h).
+// The GPU operations that kernels may use besides plain arithmetic, which are warp votes, warp sums and atomics. A
+// kernel is a function object that is called once per index. The same source runs on a GPU (device/cuda.h) and, for
+// tests, on the CPU (device/emulated.h).
 #pragma once
 
 #include <cstdint>
@@ -13,14 +13,14 @@ constexpr int kWarpSize = 32;  // threads in lockstep
 
 #ifdef __CUDACC__
 
-// One thread of a warp. All threads of a warp must make the same calls: none may return or leave a loop alone.
+// One thread of a warp. All threads of a warp must make the same calls, so they must leave loops and return together.
 class Lane {
   public:
     FOURD_DEVICE bool any(bool value) const { return __any_sync(kAll, value) != 0; }
 
     FOURD_DEVICE bool is_first() const { return threadIdx.x % kWarpSize == 0; }
 
-    // The warp's sum, in every thread.
+    // The sum over the warp, returned to every thread.
     FOURD_DEVICE float sum(float value) const {
         for (int step = kWarpSize / 2; step > 0; step /= 2) value += __shfl_xor_sync(kAll, value, step);
         return value;
@@ -59,7 +59,7 @@ class Lane {
 
 #endif
 
-// Atomics. The order of additions is not fixed, so that sums of floats differ in their last bits.
+// Atomics. The order of additions is not fixed, so the last bits of float sums can differ between program runs.
 FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicAdd(target, value);
@@ -68,7 +68,7 @@ FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #endif
 }
 
-// target and value are not negative, so that their bits compare as they do.
+// target and value must not be negative. Their bits then have the same order as their values.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicMax(reinterpret_cast<unsigned*>(target), __float_as_uint(value));

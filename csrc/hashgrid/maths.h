@@ -11,16 +11,16 @@
 namespace fourd::hashgrid {
 
 constexpr int kMaxLevels = 32;
-constexpr int kCorners = 8;  // of a cell; bits 0, 1 and 2 of a corner's index select the upper side in x, y and z
+constexpr int kCorners = 8;  // corners of a cell; bits 0, 1 and 2 of a corner's index select the upper side in x, y, z
 
-constexpr std::size_t kAlign = 16;  // levels begin at a multiple of this many entries, hence at a cache line
+constexpr std::size_t kAlign = 16;  // each level starts at a multiple of 16 entries, which is the start of a cache line
 
-// (resolution + 1)^3 grid vertices on [0, 1]^3, stored in the table's entries from first on: one entry per vertex if
-// all fit, else by a spatial hash.
+// A level has (resolution + 1)^3 grid vertices on [0, 1]^3. Its entries start at index first of the table. Each vertex
+// has its own entry if all fit. Otherwise a spatial hash assigns vertices to entries.
 struct Level {
     std::size_t first;
     std::uint32_t entries;    // a power of two if hashed
-    std::uint32_t stride[3];  // by axis: factor of a vertex's index in its entry
+    std::uint32_t stride[3];  // per axis: factor of the vertex index in the entry index
     int resolution;
     bool hashed;
 };
@@ -31,7 +31,7 @@ FOURD_HD static FOURD_INLINE std::uint64_t samples_of(int resolution) {
     return side * side * side;
 }
 
-// The level that follows `before` entries.
+// The level whose entries follow the first `before` entries of the table.
 FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, std::size_t before) {
     const std::size_t first = (before + kAlign - 1) / kAlign * kAlign;
     const std::uint32_t side = static_cast<std::uint32_t>(resolution) + 1, max_entries = 1u << log2_entries;
@@ -42,7 +42,8 @@ FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, st
     return {first, max_entries, {1u, 2654435761u, 805459861u}, resolution, true};
 }
 
-// A coordinate between two vertices: weight 1 - fraction for the one at low, fraction for the next.
+// A coordinate between two vertices. The vertex at low has weight 1 - fraction, and the next vertex has weight
+// fraction.
 struct Interpolation {
     std::uint32_t low;
     float fraction;
@@ -61,14 +62,14 @@ FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, 
     return {static_cast<std::uint32_t>(low), position - static_cast<float>(low), inside ? size : 0.0f};
 }
 
-// The entry of a vertex, relative to the level's first; x, y and z are its terms by axis.
+// The entry of a vertex, relative to the first entry of the level. x, y and z are the vertex indices times stride.
 FOURD_HD static FOURD_INLINE std::uint32_t entry_of(const Level& level, std::uint32_t x, std::uint32_t y,
                                                     std::uint32_t z) {
     return level.hashed ? (x ^ y ^ z) & (level.entries - 1u) : x + y + z;
 }
 
-// The eight vertices around a point. Corners 2e and 2e + 1 are an edge along x of weight weight[e]; fraction is the
-// upper one's part of it.
+// The eight vertices around a point. Corners 2e and 2e + 1 form an edge along x. Their weights are weight[e] * (1 -
+// fraction) and weight[e] * fraction.
 struct Cell {
     std::uint32_t entry[kCorners];
     float weight[kCorners / 2];
@@ -92,13 +93,12 @@ FOURD_HD static FOURD_INLINE Cell cell_of(const Level& level, const Interpolatio
     return out;
 }
 
-// Adds the gradient of the trilinear interpolation of the corners' values with respect to the coordinates (3) to out
-// (3).
+// Adds the coordinate gradient (3,) of the trilinear interpolation to out (3,).
 FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* coordinates, const float* value,
                                              float* out) {
     const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),
                         z = interpolate_axis(level, coordinates[2]);
-    float rise[4], mean[4];  // of the edges along x
+    float rise[4], mean[4];  // interpolated values of the edges along x
     for (int edge = 0; edge < 4; ++edge) {
         rise[edge] = value[2 * edge + 1] - value[2 * edge];
         mean[edge] = value[2 * edge] + x.fraction * rise[edge];

@@ -1,5 +1,5 @@
-// Checks and conversions of K-Planes' arguments, for the CPU and a GPU. fourd/ops/planes/op.py checks values; shapes
-// are checked here, since a wrong one would read past an array.
+// Checks and conversions of K-Planes' arguments, for the CPU and a GPU. fourd/ops/planes/op.py checks values. Shapes
+// are checked here, because a kernel would read past an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -24,13 +24,13 @@ struct PlaneArguments {
     using Rows = Array<const float, 2>;
     using RowsOut = Array<float, 2>;
 
-    static constexpr std::size_t kLongestSide = 1 << 24;  // float32 cannot index more samples exactly
+    static constexpr std::size_t kLongestSide = 1 << 24;  // float32 cannot represent larger sample indices exactly
 
     const std::vector<Values>& values;
     std::vector<planes::Plane> planes;
     planes::Query query;
 
-    // axes: two coordinates per plane, along its columns and along its rows.
+    // axes holds two coordinates per plane, the first along its columns and the second along its rows.
     PlaneArguments(const Coordinates& coordinates, const std::vector<Values>& values_, const std::vector<int>& axes,
                    int threads, Simd simd)
         : values(values_) {
@@ -58,7 +58,7 @@ struct PlaneArguments {
 
     std::size_t features() const { return values[0].shape(2); }
 
-    // rows: (points, planes x features).
+    // rows is (points, planes x features).
     template <typename Array>
     void require_rows(const Array& rows, const char* message) const {
         require(rows.shape(0) == query.count && rows.shape(1) == planes.size() * features(), message);

@@ -1,4 +1,4 @@
-// Python bindings of K-Planes; fourd/ops/planes/op.py documents what they compute.
+// Python bindings of K-Planes; fourd/ops/planes/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

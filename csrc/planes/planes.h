@@ -1,4 +1,4 @@
-// K-Planes: lookups of points in space and time in feature planes. Callers check shapes; every pointer is to a dense
+// K-Planes: looks up points in space and time in feature planes. Callers check shapes. Every pointer points to a dense
 // row-major array.
 #pragma once
 
@@ -14,18 +14,18 @@ constexpr int kMaxFeatures = 64;
 struct Query {
     const Plane* planes;
     int plane_count;
-    int features;              // of every plane, 1 to kMaxFeatures
+    int features;              // features of every plane, 1 to kMaxFeatures
     const float* coordinates;  // (count, 4), x, y, z and t; clamped to [-1, 1]
     std::size_t count;         // below 2^32
     int threads;               // at least 1; the result does not depend on it
-    Simd simd;                 // one that this machine runs
+    Simd simd;                 // an instruction set that this machine supports
 };
 
-// out (count, plane_count * features): the planes concatenated.
+// out (count, plane_count * features) is the concatenation of the planes' features.
 void sample(const Query& query, float* out);
 
-// gradient (count, plane_count * features). Overwrites grad_planes, an array per plane shaped as its values, and
-// grad_coordinates (count, 4), which may be null.
+// gradient (count, plane_count * features). Overwrites grad_planes, which has one array per plane with the shape of the
+// plane's values. Also overwrites grad_coordinates (count, 4) unless it is null.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates);
 
 }  // namespace fourd::planes

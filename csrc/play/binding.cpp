@@ -1,4 +1,4 @@
-// Python bindings of drawing and depth-sorting baked frames; fourd/ops/play/op.py documents what they compute.
+// Python bindings that draw and depth-sort baked frames. fourd/ops/play/op.py documents the operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/string.h>

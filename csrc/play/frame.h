@@ -1,4 +1,4 @@
-// A baked frame's arrays, dense and row-major.
+// The arrays of a baked frame, which are dense and row-major.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
-// Drawing and depth-sorting of baked frames, from their float16 arrays, with memory kept between pictures. Callers
-// check shapes; arrays are dense and row-major.
+// Draws and depth-sorts baked frames from their float16 arrays. Memory is kept between images. Callers check shapes,
+// and arrays are dense and row-major.
 #pragma once
 
 #include "common/buffer.h"
@@ -18,10 +18,10 @@ struct Sizes {
     void convert(const Frame& frame, std::size_t begin, std::size_t end);
 };
 
-// Shades and composites in one call, to bytes.
+// Shades and composites a frame into an image of bytes, in one call.
 class Player {
   public:
-    // settings and shading have the same threads and simd. canvas.rgba holds the camera's pixels.
+    // settings and shading must have the same threads and simd. canvas.rgba has the image size of the camera.
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas);
 
@@ -36,8 +36,8 @@ class Player {
 // Sorts points by depth, for renderers that draw back to front.
 class DepthSorter {
   public:
-    // Writes the indices of the visible points, nearest first and ties by index, to out (count,); returns their number.
-    // settings.layers is ignored.
+    // Writes the indices of the visible points to out (count,), nearest first. Points of equal depth are in index
+    // order. Returns the number of visible points. settings.layers is ignored.
     std::size_t sort(const Frame& frame, const points::Settings& settings, std::uint32_t* out);
 
   private:

@@ -46,7 +46,7 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
              [&](int index, int) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
 }
 
-// Points are in spatial order, so that invisible ones come in long runs, which are skipped.
+// Points are in spatial order, so invisible points form long spans, which are skipped.
 void Player::shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end) {
     constexpr std::size_t kStretch = 64;
     for (std::size_t first = begin; first < end; first += kStretch) {

@@ -1,5 +1,5 @@
 // Checks and conversions of the point renderer's arguments, for the CPU and a GPU. fourd/ops/points/validation.py
-// checks values; shapes are checked here, since a wrong one would read past an array.
+// checks values. Shapes are checked here, because a kernel would read past an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -14,7 +14,7 @@
 
 namespace fourd {
 
-// camera: K, R (row-major) and T, 21 numbers. Throws std::invalid_argument.
+// camera holds 21 numbers: K and R (both row-major) and T. Throws std::invalid_argument if the size is wrong.
 inline points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                         int layers, double near_depth, double transmittance_min, int threads,
                                         const std::string& simd) {
@@ -58,7 +58,7 @@ struct PointArguments {
         return out;
     }
 
-    // Without features.
+    // The returned cloud has no features.
     static points::Cloud bare_cloud(const Xyz& xyz, const Column& radius, const Column& density) {
         const std::size_t count = xyz.shape(0);
         require(count <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");

@@ -1,4 +1,4 @@
-// Python bindings of the point renderer; fourd/ops/points/op.py documents what they compute.
+// Python bindings of the point renderer; fourd/ops/points/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
@@ -16,7 +16,7 @@ namespace {
 
 using Arguments = PointArguments<nb::device::cpu>;
 
-// A thread keeps its workspace between pictures, unless it is larger than this.
+// A thread keeps its workspace between images unless the workspace has more bytes than this.
 constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
 
 class KeptWorkspace {

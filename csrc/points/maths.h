@@ -1,8 +1,9 @@
-// The point renderer's maths, shared by every backend. The order of operations is a contract:
-// fourd/ops/points/reference.py computes the same float32 numbers, so that both agree on every hit.
+// The point renderer's maths, shared by every backend. The order of operations must not change.
+// fourd/ops/points/reference.py computes the same float32 numbers in the same order, so that both find exactly the same
+// hits.
 //
-// All functions are static: they are compiled once per instruction set, and the linker must not merge a version that
-// needs AVX-512 into code that runs everywhere.
+// All functions are static, because they are compiled once per instruction set. The linker must not merge a version
+// that needs AVX-512 into code for other processors.
 #pragma once
 
 #include <cmath>
@@ -23,7 +24,7 @@ struct Pinhole {
 
 constexpr int kTile = 16;              // side of a tile in pixels
 constexpr int kBlock = 4;              // side of a block in pixels; a tile has 4 x 4 blocks
-constexpr int kLongestSide = 1 << 18;  // of an image, in pixels: blocks are counted in 16 bits
+constexpr int kLongestSide = 1 << 18;  // largest image side in pixels, because block indices have 16 bits
 
 // A projected point: alpha(pixel) = density * (1 - |(u, v) - pixel|^2 * inverse_square).
 struct alignas(16) Splat {
@@ -35,7 +36,7 @@ struct alignas(16) Splat {
     std::uint16_t left, right, top, bottom;  // blocks that can contain a hit, inclusive, clipped to the image
 };
 
-// The tiles that a point covers, inclusive; empty if right < left.
+// The range of tiles that a point covers. Bounds are inclusive, and the range is empty if right < left.
 struct TileRange {
     std::uint16_t left, right, top, bottom;
 };
@@ -54,18 +55,20 @@ FOURD_HD static inline std::uint64_t tile_count(const TileRange& range) {
     return tiles_across(range) * static_cast<std::uint64_t>(range.bottom - range.top + 1);
 }
 
-// Sums over a point's pixels: the gradient of alpha times (dx, dy, distance^2, falloff), and the gradient of depth.
+// Sums over the pixels of a point. dx, dy, square and falloff sum the gradient of alpha times (dx, dy, distance^2,
+// falloff). z sums the gradient of depth.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
 
-// The coordinate of a pixel's centre; the index is exact in float32.
+// The coordinate of a pixel's centre. float32 represents the index exactly.
 FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
 
-// The range of pixel centres within rho of centre, clipped to [0, size); empty if first > last. Clips before rounding,
-// which needs no branches and vectorises.
+// The range of pixels whose centres are within rho of centre, clipped to [0, size). It is empty if first > last.
+// Clipping before rounding needs no branches, so the code vectorises.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
-    // A hit is decided in float32, to about 4e-7 of rho^2; the margin keeps this range a superset.
+    // The hit test has a float32 rounding error of about 4e-7 of rho^2. The margin ensures that the range contains all
+    // hits.
     const double extent = static_cast<double>(rho) * (1.0 + 1e-6);
     double low = static_cast<double>(centre) - extent - 0.5, high = static_cast<double>(centre) + extent - 0.5;
     low = low > 0.0 ? low : 0.0;
@@ -77,7 +80,7 @@ FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* 
     *last = to - (to > high ? 1 : 0);
 }
 
-// A point's coverage of a pixel; a hit if alpha is above 0.
+// How a point covers a pixel. The point hits the pixel if alpha is above 0.
 struct PixelCoverage {
     float dx, dy, square, falloff, alpha;
 };
@@ -96,8 +99,8 @@ struct Projection {
     bool visible;
 };
 
-// Projects a point. It is culled if it is nearer than near_depth, outside the image, has no radius or density, or any
-// number is not finite. The comparisons are written so that NaN fails them.
+// Projects a point. The point is culled if it is nearer than near_depth, if it is outside the image, if its radius or
+// density is 0, or if any of its numbers is not finite. The comparisons are written so that they are false for NaN.
 FOURD_HD static inline Projection project(const Pinhole& camera, float near_depth, const float* xyz, float radius,
                                           float density) {
     const float max_float = 3.402823466e38f;

@@ -1,4 +1,4 @@
-// The point renderer on the CPU. Callers check shapes; every pointer is to a dense row-major array.
+// The point renderer on the CPU. Callers check shapes. Every pointer points to a dense row-major array.
 #pragma once
 
 #include <cstddef>
@@ -20,11 +20,11 @@ struct Cloud {
 
 struct Settings {
     Pinhole camera;
-    float near_depth;         // points with a smaller camera depth are culled; positive
+    float near_depth;         // positive; points with a smaller camera depth are culled
     int layers;               // K, at least 1
-    float transmittance_min;  // a pixel ends at this transmittance or below; 0 is exact
+    float transmittance_min;  // compositing of a pixel ends at or below this value; 0 is exact
     int threads;              // at least 1; the result does not depend on it
-    Simd simd;                // one that this machine runs
+    Simd simd;                // an instruction set that this machine supports
 };
 
 struct Image {
@@ -33,9 +33,9 @@ struct Image {
     float* depth;     // (height, width), 0 where alpha is 0
 };
 
-// A picture of three channels, as bytes.
+// An image of three channels, as bytes.
 struct Canvas {
-    std::uint8_t* rgba;   // (height, width, 4): colours over the background, and alpha; rounded
+    std::uint8_t* rgba;   // (height, width, 4): colours over the background and alpha, rounded
     float background[3];  // in [0, 1]
 };
 
@@ -52,15 +52,15 @@ struct CloudGradient {
     float* density;
 };
 
-struct Workspace;  // defined in cpu/workspace.h; reusable memory
+struct Workspace;  // reusable memory, defined in cpu/workspace.h
 
 void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, const Image& out);
 
-// transmittance_min is ignored: gradients see all K layers.
+// transmittance_min is ignored, because the backward pass always uses all K layers.
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,
                      const CloudGradient& out);
 
-// out (count,): each point's largest weight (transmittance * alpha) in any pixel. cloud.features is not read.
+// out (count,) is the largest weight (transmittance * alpha) of each point in any pixel. cloud.features is not read.
 void visibility(const Cloud& cloud, const Settings& settings, Workspace& workspace, float* out);
 
 }  // namespace fourd::points

@@ -1,4 +1,4 @@
-// Python bindings of shading; fourd/ops/shade/op.py documents what they compute.
+// Python bindings of shading; fourd/ops/shade/op.py documents the operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 

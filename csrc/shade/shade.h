@@ -1,5 +1,5 @@
-// Colours of baked points seen from a camera: a blend of a few source views, plus spherical harmonics. Callers check
-// shapes; every pointer is to a dense row-major array.
+// Computes the colours of baked points as seen from a camera. A colour is a blend of a few source views plus spherical
+// harmonics. Callers check shapes. Every pointer points to a dense row-major array.
 #pragma once
 
 #include <cstddef>
@@ -24,17 +24,17 @@ struct Points {
 struct Settings {
     const std::int32_t* chosen;  // (chosen_count,) columns of the views to blend
     int chosen_count;            // 0 to kMaxChosen
-    double centre[3];            // of the camera, in the world
+    double centre[3];            // position of the camera in the world
     float sh_range;              // colour += sh_base + sh_range * tanh(sh . Y(d))
     float sh_base;
     int threads;  // at least 1; the result does not depend on it
-    Simd simd;    // one that this machine runs
+    Simd simd;    // an instruction set that this machine supports
 };
 
-// out (count, 3). The same bits for any number of threads.
+// Writes the colours to out (count, 3). The bits are the same for any number of threads.
 void shade(const Points& points, const Settings& settings, float* out);
 
-// The same for points begin to end, on the caller's thread; out is by point.
+// Shades points [begin, end) on the caller's thread. out is indexed by point.
 void shade_some(const Points& points, const Settings& settings, std::size_t begin, std::size_t end, float* out);
 
 }  // namespace fourd::shade

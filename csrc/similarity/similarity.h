@@ -1,5 +1,5 @@
 // Structural similarity (SSIM, Wang et al. 2004) of two pictures with an 11 x 11 Gaussian window of sigma 1.5, for
-// values in [0, 1], and its gradient. Callers check shapes; every pointer is to a dense row-major array.
+// values in [0, 1], and its gradient. Callers check shapes. Every pointer points to a dense row-major array.
 #pragma once
 
 #include <cstddef>
@@ -16,11 +16,11 @@ struct Pictures {
     int width, height;     // at least kWindow
     int channels;          // at least 1
     int threads;           // at least 1; the result does not depend on it
-    Simd simd;             // one that this machine runs
+    Simd simd;             // an instruction set that this machine supports
 };
 
-// The mean over channels and over the pixels whose window lies in the picture. Writes its gradient (height, width,
-// channels) with respect to the picture, unless null.
+// Returns the mean over channels and over the pixels whose window lies inside the picture. Unless gradient is null,
+// writes the gradient of this mean with respect to the picture (height, width, channels).
 double similarity(const Pictures& pictures, float* gradient);
 
 }  // namespace fourd::similarity

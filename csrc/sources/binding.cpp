@@ -1,4 +1,4 @@
-// Python bindings of sampling source views; fourd/ops/sources/op.py documents what they compute.
+// Python bindings that sample source views. fourd/ops/sources/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>

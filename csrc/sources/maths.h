@@ -15,7 +15,7 @@ struct Pinhole {
     float translation[3];
 };
 
-// A point projected to a view. Points behind the camera are placed far outside the image and have no gradient.
+// A point projected into a view. Points behind the camera are placed far outside the image and have no gradient.
 struct Projection {
     float u, v;  // pixels of the image
     float z;
@@ -33,8 +33,8 @@ FOURD_HD FOURD_INLINE Projection project(const Pinhole& camera, const float* xyz
             at[2], true};
 }
 
-// Writes the gradient with respect to the point, given that with respect to its pixel; nothing for points behind the
-// camera.
+// Back-propagates the gradient with respect to the pixel position to the point. Leaves grad_xyz unchanged for points
+// behind the camera.
 FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Projection& at, float grad_u, float grad_v,
                                             float* grad_xyz) {
     if (!at.in_front) return;
@@ -45,9 +45,9 @@ FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Project
     for (int i = 0; i < 3; ++i) grad_xyz[i] = r[i] * x + r[3 + i] * y + r[6 + i] * z;
 }
 
-// The four samples around a position in a map of height x width, row by row, as torch's grid_sample takes them without
-// align_corners: sample (0, 0) is half a sample from the border. A sample outside the map has the offset of another one
-// and weight 0.
+// The four samples around a position in a map of height x width, row by row. As in torch's grid_sample without
+// align_corners, the centre of sample (0, 0) is half a sample from the border. A sample outside the map has weight 0
+// and the offset of some other sample.
 struct Bilinear {
     std::size_t offset[4];
     float weight[4];
@@ -56,7 +56,8 @@ struct Bilinear {
 };
 
 FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int height) {
-    // Positions outside these bounds, and NaN, touch no sample; they are moved to where all weights are 0.
+    // NaN and positions outside these bounds do not use any sample. They are moved to a position where all weights are
+    // 0.
     const bool inside = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
     x = inside ? x : -1.0f;
     y = inside ? y : -1.0f;

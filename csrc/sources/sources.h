@@ -1,5 +1,5 @@
-// Samples of the source views around a camera, at points. Callers check shapes; every pointer is to a dense row-major
-// array.
+// Samples the source views around a camera at the projections of points. Callers check shapes. Every pointer points to
+// a dense row-major array.
 #pragma once
 
 #include <cmath>
@@ -13,10 +13,10 @@ namespace fourd::sources {
 struct Maps {
     const float* images;    // (views, 3, height, width)
     const float* mattes;    // (views, height, width) in [0, 1]
-    const float* depth;     // (views, height, width), of the nearest surface; null: no occlusion
-    const float* features;  // (views, feature_height, feature_width, channels), over the same images; may be null
+    const float* depth;     // (views, height, width), depth of the nearest surface; null for no occlusion
+    const float* features;  // (views, feature_height, feature_width, channels), cover the same images; may be null
     int width, height;
-    int channels, feature_width, feature_height;  // 0 without features
+    int channels, feature_width, feature_height;  // 0 if there are no features
 };
 
 struct Query {
@@ -26,9 +26,9 @@ struct Query {
     const float* xyz;  // (count, 3)
     std::size_t count;
     const float*
-        softness;  // (count,) depth over which an occluded point loses its visibility weight; unused by the gradient
-    int threads;   // at least 1; the result does not depend on it; CPU only
-    Simd simd;     // one that this machine runs; CPU only
+        softness;  // (count,) decay length of the visibility weight behind a surface; unused by the gradient
+    int threads;   // at least 1; the result does not depend on it; used on the CPU only
+    Simd simd;     // an instruction set that this machine supports; used on the CPU only
 };
 
 struct Samples {
@@ -36,13 +36,13 @@ struct Samples {
     float* visibility;  // (views, count)
 };
 
-// Gradients given that of Samples' channels; visibility has none.
+// Gradients with respect to the inputs, from the gradient of Samples' channels. The visibility has no gradient.
 struct Gradients {
     float* xyz;       // (count, 3)
     float* features;  // shaped as Maps' features; may be null
 };
 
-// The samples around a point in a view's image, and in its features.
+// The samples around a point in the image and in the features of a view.
 FOURD_HD FOURD_INLINE Bilinear bilinear_in_image(const Maps& maps, const Projection& at) {
     return bilinear_at(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
 }
@@ -69,8 +69,8 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
 
 constexpr float kMinSoftness = 1e-12f;  // replaces smaller values and NaN
 
-// The visibility weight of a view at a point: the squared matte, times an exponential decay with the depth behind the
-// surface. Squared, because pixels on the silhouette mix in background.
+// The visibility weight of a view at a point. It is the squared matte times an exponential decay with the depth behind
+// the surface. The matte is squared because pixels on the silhouette contain some background.
 FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const Projection& at, const Bilinear& image,
                                        float softness) {
     if (!(at.z > 0.0f)) return 0.0f;

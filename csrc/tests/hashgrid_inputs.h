@@ -1,4 +1,4 @@
-// Random hash grids, with levels of 1 to 2^20 cells per side, and points inside and outside.
+// Random hash grids with levels of 1 to 2^20 cells per side, and random points inside and outside the grid.
 #pragma once
 
 #include "hashgrid/hashgrid.h"
@@ -31,7 +31,7 @@ struct HashGridInputs {
                  features,      coordinates.data(),
                  points,        random_int(random, 1, 4),
                  Simd::baseline};
-        // NaN, so that unwritten results are found.
+        // Results start as NaN, so that tests find results that are not written.
         out.assign(points * levels.size() * features, kNan);
         to_table.assign(random_int(random, 0, 4) ? table.size() : 0, kNan);
         to_coordinates.assign(random_int(random, 0, 2) ? coordinates.size() : 0, kNan);

@@ -1,5 +1,6 @@
-// Runs the emulated CUDA kernels on small random and hostile inputs, for sanitizer builds: no access out of bounds, no
-// diverging lane, and finite results, whatever the points are and however small the workspace.
+// Runs the emulated CUDA kernels on small random and invalid inputs, in sanitizer builds. It checks that there are no
+// accesses out of bounds and no diverging lanes, and that results are finite for any points and any size of the
+// workspace.
 #include <cstdio>
 #include <cstdlib>
 #include <vector>

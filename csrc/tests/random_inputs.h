@@ -1,4 +1,4 @@
-// Random and hostile inputs of kernels, determined by a seed.
+// Random and invalid inputs of kernels, determined by a seed.
 #pragma once
 
 #include <cmath>

@@ -1,4 +1,4 @@
-// Random source views, and points inside and outside them.
+// Random source views, and random points inside and outside their images.
 #pragma once
 
 #include "sources/sources.h"

@@ -30,7 +30,8 @@ struct Size {
     fourd::Simd simd;
 };
 
-// The figure of fourd/benchmarks/workloads.py: a closed surface of evenly spaced points that covers 40% of the picture.
+// The same figure as in fourd/benchmarks/workloads.py. It is a closed surface of evenly spaced points that covers 40%
+// of the image.
 struct Figure {
     Floats xyz, features, radius, density;
 
@@ -152,8 +153,8 @@ std::function<void()> planes_workload(const Size& size, bool backward) {
     };
 }
 
-// Points along random lines, like samples of rays, in 16 levels of 2 features from 16 to 2048 cells per side, each with
-// up to 2^layers entries.
+// Points along random lines, like samples of rays. The grid has 16 levels of 2 features, from 16 to 2048 cells per
+// side. Each level has up to 2^layers entries.
 std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     constexpr std::size_t kPerLine = 128;
     constexpr int kLevels = 16, kFeatures = 2;
@@ -188,7 +189,7 @@ std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     };
 }
 
-// Four adjacent views, with 16 features at half the pictures' resolution.
+// Four adjacent views, with 16 feature channels at half the resolution of the images.
 std::function<void()> sources_workload(const Size& size, bool backward) {
     constexpr int kViews = 4, kChannels = 16;
     const Figure figure(size.points);

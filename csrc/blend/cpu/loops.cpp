@@ -1,4 +1,5 @@
-// The inner loops over runs of points. Lanes are points: no sum runs across a vector, and weights are scalars.
+// Inner loops over batches of kRun consecutive points. Each SIMD lane holds one point, so there are no horizontal sums,
+// and MLP weights are broadcast scalars.
 #include <cmath>
 #include <cstring>
 
@@ -23,7 +24,7 @@ typedef float Vector __attribute__((vector_size(4 * kNative)));
 
 inline Vector broadcast(float x) { return x - Vector{}; }
 
-// value where x is positive, else 0.
+// The lanes of value where x is positive, and 0 in the other lanes.
 inline Vector where_positive(const Vector& x, const Vector& value) { return x > 0.0f ? value : Vector{}; }
 
 #else
@@ -65,7 +66,7 @@ inline Vector where_positive(const Vector& x, const Vector& value) {
 
 #endif
 
-// One value per point of a run; 0 for points that the last run lacks.
+// One value per point of a batch. The last batch is padded with 0.
 struct RunValues {
     Vector part[kParts];
 };
@@ -97,12 +98,12 @@ inline void store_transposed(const RunValues* from, int width, int count, float*
     }
 }
 
-// Offset of a view's samples of channel c.
+// Offset of the samples of channel c in one view, starting at point first.
 inline std::size_t sample_at(const Mlp& mlp, const Inputs& inputs, std::size_t view, int c, std::size_t first) {
     return (view * mlp.channels + c) * inputs.count + first;
 }
 
-// Hidden unit h of every point before its ReLU.
+// Hidden unit h of every point before the ReLU.
 inline RunValues hidden_values(const Mlp& mlp, const RunValues& point, const RunValues* samples, int h) {
     RunValues sum = point;
     for (int c = 0; c < mlp.channels; ++c) {
@@ -134,7 +135,7 @@ void forward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count,
     }
 }
 
-// Adds the products a * b to kLanes partial sums over points.
+// Adds a * b, summed over points, to kLanes partial sums.
 inline void add_products(const RunValues& a, const RunValues& b, float* sum) {
     for (int first = 0; first < kSums; ++first) {
         Vector total;

@@ -1,4 +1,4 @@
-// The inner loops over runs of points, compiled once for each instruction set.
+// Inner loops over batches of consecutive points, compiled once for each instruction set.
 #pragma once
 
 #include <cstddef>
@@ -9,9 +9,9 @@
 namespace fourd::blend {
 
 constexpr int kLanes = 16;
-constexpr int kRun = 64;  // points processed together, as vectors
+constexpr int kRun = 64;  // points per batch, processed together as vectors
 
-// A task's sums for the MLP's gradient, each in kLanes parts.
+// Sums of one task for the gradient of the MLP. Each sum consists of kLanes partial sums.
 struct Sums {
     float* weight;  // (channels, hidden, kLanes)
     float* out;     // (hidden, kLanes)
@@ -19,10 +19,10 @@ struct Sums {
 };
 
 struct Loops {
-    // Logits of points first to first + count (at most kRun) in all views.
+    // Computes the logits of points [first, first + count) in all views. count is at most kRun.
     void (*forward)(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count, float* logits);
 
-    // Writes the gradients of point and samples, and adds to sums.
+    // Writes the gradients of Inputs::point and Inputs::samples, and adds the gradient of the MLP to sums.
     void (*backward)(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count, const float* logits,
                      const float* gradient, const Gradients& out, const Sums& sums);
 };

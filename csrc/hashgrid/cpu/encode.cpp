@@ -8,7 +8,8 @@
 namespace fourd::hashgrid {
 namespace {
 
-// Few enough that their rows stay in the L2 cache from level to level, many enough that a level does too.
+// Points per part. The rows of a part stay in the L2 cache from level to level, and the entries of a level are reused
+// for many points.
 constexpr std::size_t kPointsPerTask = 4096;
 
 // Calls work(begin, end) for parts of the points, on every worker of the team.
@@ -42,9 +43,10 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     Team team(query.threads);
     if (grad_table != nullptr) {
         prefer_huge_pages(grad_table, query.entries * query.features * sizeof(float));
-        // One worker does a level from its first point to its last: no locks, and sums in one order.
+        // One worker processes all points of a level in order, so that no locks are needed and the order of sums is
+        // fixed.
         team.run(query.level_count, [&](int task, int) {
-            const int l = query.level_count - 1 - task;  // the small levels last, for an even load
+            const int l = query.level_count - 1 - task;  // small levels last, to balance the load
             clear(query, l, grad_table);
             loops.scatter(query, l, gradient, grad_table);
         });

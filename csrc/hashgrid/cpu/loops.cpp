@@ -9,7 +9,7 @@
 namespace fourd::hashgrid::FOURD_SIMD {
 namespace {
 
-constexpr int kRun = 16;  // points whose cells are computed together; the next run is prefetched meanwhile
+constexpr int kRun = 16;  // points per batch; the next batch is prefetched meanwhile
 
 // A vector of Width floats.
 template <int Width>
@@ -61,14 +61,14 @@ FOURD_INLINE void add(float weight, const Entry<Features>& from, Entry<Features>
     for (int part = 0; part < Entry<Features>::kParts; ++part) to->parts[part] += weight * from.parts[part];
 }
 
-// A run's cells, by corner and edge.
+// The cells of a batch of points, by corner and by edge.
 struct Cells {
     std::uint32_t entry[kCorners][kRun];
     float weight[kCorners / 2][kRun];
     float fraction[kRun];
 };
 
-// A run's coordinates, by axis; zeros after the last point.
+// The coordinates of a batch of points, by axis. They are 0 after the last point.
 struct Coordinates {
     float at[3][kRun];
 };
@@ -95,7 +95,8 @@ FOURD_INLINE void find_cells_as(const Level& level, const Coordinates& from, Cel
     }
 }
 
-// The cells of count points, at most kRun. Not forced inline: it is most of the code, and the same for all callers.
+// Finds the cells of count points, at most kRun. It is not forced inline, because it is most of the code and is the
+// same for all callers.
 void find_cells(const Level& level, const float* coordinates, int count, Cells* out) {
     Coordinates run;
     gather(coordinates, count, &run);
@@ -157,7 +158,7 @@ FOURD_INLINE int run_length(std::size_t begin, std::size_t end) {
     return end - begin < kRun ? static_cast<int>(end - begin) : kRun;
 }
 
-// Calls use(cells, i, point) for the points from begin to end, and prefetch_entries(cells, i, point) one run earlier.
+// Calls use(cells, i, point) for the points in [begin, end), and prefetch_entries(cells, i, point) one batch earlier.
 template <typename Fetch, typename Use>
 FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::size_t begin, std::size_t end,
                             const Fetch& prefetch_entries, const Use& use) {
@@ -178,12 +179,12 @@ FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::s
     }
 }
 
-// One level's part of the arrays.
+// The part of the arrays that belongs to one level.
 template <int Features>
 struct LevelView {
     const Level& level;
-    std::size_t width;   // of a row of the encoding
-    std::size_t column;  // of the level's first feature in a row
+    std::size_t width;   // floats per row of the encoding
+    std::size_t column;  // offset of the level's first feature in a row
     std::size_t values;  // offset of the level's entries in the table
 
     LevelView(const Query& query, int l)
@@ -206,7 +207,7 @@ FOURD_INLINE void encode_level(const Query& query, int l, std::size_t begin, std
             FOURD_INLINE_LAMBDA { interpolate<Features>(cells, i, values, out + at.width * point + at.column); });
 }
 
-// Adds the gradient of all points to one level's entries.
+// Adds the gradients of all points to the entries of one level.
 template <int Features>
 FOURD_INLINE void scatter_level(const Query& query, int l, const float* gradient, float* grad_table) {
     const LevelView<Features> at(query, l);
@@ -222,7 +223,7 @@ FOURD_INLINE void scatter_level(const Query& query, int l, const float* gradient
             FOURD_INLINE_LAMBDA { scatter_sample<Features>(cells, i, from + at.width * point, values); });
 }
 
-// Adds one level's part of the gradient with respect to the coordinates of the points from begin to end.
+// Adds the contribution of one level to the coordinate gradients of the points in [begin, end).
 template <int Features>
 FOURD_INLINE void coordinate_gradient_level(const Query& query, int l, std::size_t begin, std::size_t end,
                                             const float* gradient, float* grad_coordinates) {
@@ -234,7 +235,7 @@ FOURD_INLINE void coordinate_gradient_level(const Query& query, int l, std::size
             FOURD_INLINE_LAMBDA { prefetch_entries<Features, 0>(cells, i, values); },
         [&](const Cells& cells, int i, std::size_t point) FOURD_INLINE_LAMBDA {
             const float* const from = gradient + at.width * point + at.column;
-            float grad_corner[kCorners];  // gradient with respect to the corners' entries, dotted with them
+            float grad_corner[kCorners];  // by corner: dot product of its entry and the point's gradient
             for (int corner = 0; corner < kCorners; ++corner) {
                 const float* const entry = values + entry_of<Features>(cells, corner, i);
                 grad_corner[corner] = 0.0f;

@@ -19,7 +19,7 @@ struct Loops {
     const LevelLoops& of(int features) const { return by_features[features - 1]; }
 };
 
-// Memory bandwidth is the limit: AVX-512 would be 5% faster, which is not worth its code size.
+// Memory bandwidth limits the speed. AVX-512 would be 5% faster, which does not justify its code size.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::hashgrid

@@ -6,8 +6,8 @@
 namespace fourd::hashgrid::cuda {
 namespace {
 
-// Kernels over a query's levels and points, level by level, so that concurrent threads share one level's entries in the
-// cache (the paper's sec. 4).
+// Kernels over the levels and points of a query. They process one level after another, so that concurrent threads share
+// the entries of one level in the cache (sec. 4 of the paper).
 struct Grid {
     Level levels[kMaxLevels];
     int level_count, features;
@@ -56,7 +56,8 @@ struct Encode {
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);
-        // One feature at a time: an array indexed by a run-time number would be in local memory, not in registers.
+        // The loop processes one feature at a time. An array with a run-time index would be in local memory, not in
+        // registers.
         for (int f = 0; f < grid.features; ++f) {
             float sum = 0.0f;
             for (int corner = 0; corner < kCorners; ++corner) {
@@ -76,7 +77,7 @@ struct EncodeBackward {
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);
         const float* from = gradient + location.row;
-        float grad_corner[kCorners];  // gradient with respect to the corners' entries, dotted with them
+        float grad_corner[kCorners];  // by corner: dot product of its entry and the point's gradient
         for (int corner = 0; corner < kCorners; ++corner) {
             const std::size_t at = location.at(grid, corner);
             grad_corner[corner] = 0.0f;

@@ -1,4 +1,4 @@
-// Loops over runs of points, written so that compilers vectorise them over features.
+// Loops over batches of points, written so that compilers vectorise over features.
 #include "planes/cpu/loops.h"
 
 #include <cstring>
@@ -29,8 +29,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples around a run's point i, in the large planes among first to last (exclusive). values(k) is the
-// array of plane k or one like it.
+// Prefetches the samples around point i of a batch, in the large planes of [first, last). values(k) is the array of
+// plane k, or an array of the same shape.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {
@@ -49,7 +49,7 @@ FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positio
     }
 }
 
-// The bilinear interpolation of four samples: those at top and bottom, and their right neighbours.
+// Bilinear interpolation of four samples: the samples at top and at bottom, and their right neighbours.
 template <int Features>
 FOURD_INLINE void interpolate(const Corners& c, const float* top, const float* bottom, int features, float* to) {
 #if defined(FOURD_EIGHT)
@@ -68,7 +68,7 @@ FOURD_INLINE void interpolate(const Corners& c, const float* top, const float* b
     }
 }
 
-// Adds each sample's share of a gradient.
+// Adds the weighted gradient to each of the four samples.
 template <int Features>
 FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int features, float* top, float* bottom) {
 #if defined(FOURD_EIGHT)
@@ -92,7 +92,7 @@ FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int fe
     }
 }
 
-// Adds the gradient with respect to the query's position, by feature, to along_x and along_y.
+// Adds the position gradient of each feature to along_x and along_y.
 template <int Features>
 FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, const float* gradient, const float* top,
                              const float* bottom, int features, float* along_x, float* along_y) {
@@ -120,7 +120,7 @@ FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, con
     }
 }
 
-// Features is the number of features, or 0 if it is the query's.
+// Features is the number of features if it is known at compile time. 0 stands for the number of features of the query.
 template <int Features>
 FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions,
                              float* out) {
@@ -154,7 +154,7 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
         if (i + kPrefetchDistance < count)
             prefetch_samples(plan, positions, i + kPrefetchDistance, 0, query.plane_count, values);
         const float* from = gradient + width * plan.order[begin + i];
-        float total[4][Features > 0 ? Features : kMaxFeatures] = {};  // by coordinate and feature
+        float total[4][Features > 0 ? Features : kMaxFeatures] = {};  // indexed by coordinate and feature
         for (int k = 0; k < query.plane_count; ++k, from += features) {
             const Plane& plane = query.planes[k];
             const Interpolation x = positions.at(plan.x_axis[k], i), y = positions.at(plan.y_axis[k], i);
@@ -171,7 +171,7 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
     }
 }
 
-// Adds the gradient of planes first to last (exclusive) to out, arrays like the planes' values.
+// Adds the gradients of planes [first, last) to out, whose arrays have the shapes of the planes' values.
 template <int Features>
 FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions, int first,
                               int last, const float* gradient, float* const* out) {

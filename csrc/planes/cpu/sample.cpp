@@ -12,13 +12,13 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 16 * kRun;
 constexpr std::size_t kCachedBytes = 1 << 20;
-constexpr int kCellBits = 5;  // a cell of the spatial order spans 16 x 16 samples of a plane of side 512
+constexpr int kCellBits = 5;  // cells of the spatial order cover 16 x 16 samples of a 512 x 512 plane
 
 std::size_t bytes_of(const Query& query, int k) {
     return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features * sizeof(float);
 }
 
-// The coordinate's cell on a grid of 2^kCellBits over [-1, 1].
+// The cell of the coordinate on a grid of 2^kCellBits cells over [-1, 1].
 std::uint32_t cell_of(float coordinate) {
     return static_cast<std::uint32_t>(interpolate_axis(coordinate, (1 << kCellBits) + 1).low);
 }
@@ -38,7 +38,7 @@ Buffer<std::uint32_t> order_by_cell(const Query& query) {
     return order;
 }
 
-// Owns the arrays of a Plan, and the memory of each worker's run.
+// Owns the arrays of a Plan and, for each worker, the memory of one batch.
 class QueryPlan {
   public:
     QueryPlan(const Query& query, int workers) : order_(order_by_cell(query)) {
@@ -83,13 +83,13 @@ class QueryPlan {
     Plan plan_{};
 };
 
-// Calls work(begin, count) for runs of the points from begin to end.
+// Calls work(begin, count) for batches of the points in [begin, end).
 template <typename Work>
 void for_runs(std::size_t begin, std::size_t end, const Work& work) {
     for (; begin < end; begin += kRun) work(begin, static_cast<int>(std::min<std::size_t>(kRun, end - begin)));
 }
 
-// Calls work(begin, count, worker) for runs of all points, on every worker of the team.
+// Calls work(begin, count, worker) for batches of all points, on all workers of the team.
 template <typename Work>
 void for_all_runs(const Query& query, Team& team, const Work& work) {
     team.run(static_cast<int>((query.count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int worker) {
@@ -115,8 +115,8 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     QueryPlan planned(query, team.size());
-    // One worker does a plane from its first point to its last: no locks, and sums in one order. It does its planes
-    // together, since they share a gradient's cache lines.
+    // One worker processes all points of a plane in order, so that no locks are needed and the order of sums is fixed.
+    // It processes its planes together, because they share the cache lines of the gradient.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

@@ -6,8 +6,8 @@
 namespace fourd::planes::cuda {
 namespace {
 
-// Kernels over a query's points and planes, plane by plane within a point, so that adjacent threads write adjacent
-// memory.
+// Kernels over the points and planes of a query. Consecutive threads process the planes of one point, so that adjacent
+// threads write adjacent memory.
 struct PlaneTable {
     Plane planes[kMaxPlanes];
     int plane_count, features;

@@ -1,4 +1,4 @@
-// Python bindings of drawing baked frames on a GPU; fourd/ops/play/cuda.py documents what they compute.
+// Python bindings that draw baked frames on a GPU. fourd/ops/play/cuda.py documents the operations.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>

@@ -18,7 +18,7 @@ struct Unpack {
     }
 };
 
-// A frame's arrays as float32, at the front of the workspace.
+// The arrays of a frame as float32, at the start of the workspace.
 struct Floats {
     float *radius, *density, *colour;
 

@@ -1,5 +1,5 @@
-// Draws a baked frame on a GPU, from float16 arrays to bytes; asynchronous as points/cuda/render.h. Pointers are to GPU
-// memory.
+// Draws a baked frame on a GPU, from float16 arrays to bytes. Calls are asynchronous, as in points/cuda/render.h.
+// Pointers point to GPU memory.
 #pragma once
 
 #include "play/frame.h"
@@ -13,7 +13,7 @@ std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
           const points::cuda::EntryBuffer& buffer, const points::Canvas& canvas, void* stream);
 
-// Colours (count, 3) only.
+// Computes only the colours (count, 3).
 void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream);
 
 }  // namespace fourd::play::cuda

@@ -16,7 +16,7 @@ struct KeyRange {
     }
 };
 
-// Calls visit(tile) for each tile of a range.
+// Calls visit(tile) for each tile in a range.
 template <typename Visit>
 void for_each_tile(const TileRange& range, int columns, Visit visit) {
     for (int row = range.top; row <= range.bottom; ++row) {
@@ -34,7 +34,7 @@ std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
     return runs;
 }
 
-// The items of visible points are at the beginning of each returned run.
+// Projects all points. Each returned span starts with the items of its visible points.
 std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& settings, Team& team) {
     const Loops& loops = select_loops(settings.simd);
     std::vector<Run> runs = split(cloud.count, team.size());
@@ -48,7 +48,7 @@ std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& set
     return runs;
 }
 
-// One stable pass of the radix sort from items_ to spare_, by the digit of (key - low) at shift.
+// One stable pass of the radix sort, from items_ to spare_. The digit is the bits of (key - low) that start at shift.
 void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team) {
     const Item* const from = items_.data();
     Item* const to = spare_.data();
@@ -77,7 +77,7 @@ void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift
     std::swap(items_, spare_);
 }
 
-// Sorts the runs of items_ by key, stably, and makes them contiguous.
+// Sorts the spans of items_ stably by key, and makes them contiguous.
 void Bins::sort(std::vector<Run> runs, Team& team) {
     std::vector<KeyRange> ranges(runs.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
@@ -99,7 +99,7 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// Counts each part's entries by tile, and copies the tile ranges in the order of ranks.
+// Counts the entries of each part by tile, and copies the tile ranges in the order of ranks.
 std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());
@@ -116,7 +116,7 @@ std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team&
     return counts;
 }
 
-// Each part writes its entries after those of the parts before it; places holds the counts of count_entries.
+// Each part writes its entries after the entries of the previous parts. places holds the counts from count_entries.
 void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
     std::size_t total = 0;

@@ -1,4 +1,4 @@
-// Projects points, sorts them by depth and bins them into tiles of 16 x 16 pixels.
+// Projects points, sorts them by depth and bins them into tiles of 16 x 16 pixels. An entry is one (point, tile) pair.
 #pragma once
 
 #include <cstdint>
@@ -11,8 +11,8 @@
 
 namespace fourd::points {
 
-// A visible point's rank is its position in depth order: 0 is the nearest, ties are in the order of their indices. The
-// buffers are kept between pictures and may be larger than their contents.
+// The rank of a visible point is its position in depth order. The nearest point has rank 0, and points of equal depth
+// are ranked by index. The buffers are kept between images and may be larger than their contents.
 class Bins {
   public:
     // Projects, sorts and bins; replaces the previous contents.
@@ -25,7 +25,7 @@ class Bins {
     int columns() const { return columns_; }  // number of tiles per row
     int tiles() const { return columns_ * rows_; }
     std::size_t visible() const { return visible_; }        // number of visible points
-    const Splat* splats() const { return splats_.data(); }  // by point; of visible points only
+    const Splat* splats() const { return splats_.data(); }  // by point; valid only for visible points
     const TileRange& tile_range(std::size_t point) const { return tile_ranges_[point]; }
     const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,) offsets into entries
     const std::uint32_t* entries() const { return entries_.data(); }      // each tile's points, in the order of ranks
@@ -33,8 +33,8 @@ class Bins {
     std::size_t bytes() const;  // of the memory that is kept
 
   private:
-    // A run of items: one thread's part of a pass. Parts are merged in order, so that the result does not depend on
-    // their number.
+    // A span of consecutive items, which one thread processes in a pass. Spans are merged in order, so that the result
+    // does not depend on their number.
     struct Run {
         std::size_t begin, end;
     };

@@ -1,6 +1,5 @@
-// Sixteen floats, one per pixel of a 4 x 4 block, in the vectors of the instruction set that this file is compiled for.
-// Included by tiles.cpp inside its namespace. Sums are taken in the same order everywhere, so that every instruction
-// set gives the same bits.
+// 16 floats, one per pixel of a 4 x 4 block, in vectors of the instruction set that this file is compiled for.
+// tiles.cpp includes this file inside its namespace. All instruction sets add in the same order and give the same bits.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 
@@ -23,7 +22,8 @@ inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & 
 inline bool any(Mask a) { return a.bits != 0; }
 inline Lanes select(Mask m, Lanes a, Lanes b) { return {_mm512_mask_blend_ps(m.bits, b.value, a.value)}; }
 inline Lanes keep(Mask m, Lanes a) { return {_mm512_maskz_mov_ps(m.bits, a.value)}; }
-// Packs four lanes of bytes (0 to 255.99, truncated) into one word each, the first lowest.
+// Packs four Lanes into one 32-bit word per lane. Values from 0 to 255.99 are truncated to bytes, and the first Lanes
+// gives the lowest byte.
 inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     __m512i packed = _mm512_cvttps_epi32(bytes[0].value);
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[1].value), 8));
@@ -31,7 +31,7 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[3].value), 24));
     _mm512_storeu_si512(to, packed);
 }
-// Lane i plus i + 8, then plus i + 4.
+// Adds lane i + 8 to lane i, and then lane i + 4 to lane i.
 #define FOURD_SUM_OF_QUARTERS
 inline __m128 sum_of_quarters(Lanes a) {
     const __m256 half = _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
@@ -208,7 +208,7 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
 
 #endif
 
-// The sum of all lanes: i with i + 8, then i + 4, i + 2, i + 1.
+// The sum of all lanes. It adds lanes i and i + 8, then i and i + 4, then i and i + 2, then i and i + 1.
 inline float sum(Lanes a) {
     float v[16];
     store(v, a);
@@ -218,7 +218,7 @@ inline float sum(Lanes a) {
     return v[0];
 }
 
-// The sums of several Lanes, four at a time, in the same order.
+// The sums of several Lanes, computed four at a time. The order of additions is the same.
 inline void store_sums(const Lanes* from, int count, float* to) {
     int k = 0;
 #if defined(FOURD_SUM_OF_QUARTERS)

@@ -29,8 +29,8 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-// Sums a point's slots in order and back-projects the sum. Channels is the number of channels, or 0 if it is the
-// cloud's.
+// Sums the slots of a point in order and back-projects the sum. Channels is the number of channels if it is known at
+// compile time. 0 stands for cloud.channels.
 template <int Channels>
 void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& workspace, std::size_t point,
                      const CloudGradient& out) {

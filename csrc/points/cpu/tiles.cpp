@@ -18,11 +18,11 @@ namespace {
 
 constexpr int kMaxChannels = 32;
 
-// Projected points as a structure of arrays, so that compilers vectorise the projection.
+// Projected points as a structure of arrays, which lets compilers vectorise the projection.
 struct Projections {
     static constexpr std::size_t kMax = 64;
     float u[kMax], v[kMax], inverse_square[kMax], density[kMax], z[kMax], rho[kMax];
-    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // first block, and last block in the upper 16 bits
+    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // lower 16 bits: first block; upper 16 bits: last block
     std::uint32_t tiles_across[kMax], tiles_down[kMax];
     std::uint32_t visible[kMax];
 };
@@ -31,11 +31,11 @@ inline std::uint32_t pair(int first, int last) {
     return static_cast<std::uint32_t>(first) | static_cast<std::uint32_t>(last) << 16;
 }
 
-// Projects count points from begin on; returns the number of visible ones.
+// Projects count points, starting at begin. Returns the number of visible points.
 inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t count,
                                   Projections& out) {
     constexpr int kBlocksPerSide = kTile / kBlock;
-    const Pinhole camera = settings.camera;  // a copy: the compiler knows that nothing written here aliases it
+    const Pinhole camera = settings.camera;  // a copy, so that the compiler knows that no write aliases it
     const float near_depth = settings.near_depth;
     std::uint32_t visible = 0;
     for (std::size_t i = 0; i < count; ++i) {
@@ -69,7 +69,7 @@ inline std::uint32_t word(const Number& number) {
     return out;
 }
 
-// Interleaves the arrays into splats, as words. The splats of invisible points are written but not read.
+// Interleaves the arrays into splats, word by word. The splats of invisible points are written but never read.
 inline void store_splats(const Projections& some, std::size_t count, Splat* splats) {
     std::uint32_t words[8 * Projections::kMax];
     static_assert(sizeof(Splat) == 32, "eight words, in the order of Splat's members");
@@ -107,7 +107,8 @@ std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_
         if (visible == 0) continue;
         store_splats(some, here, splats + first);
         for (std::size_t i = 0; i < here; ++i) {
-            // Branch-free: the item is always written, and kept if visible. count is at most first + i - begin.
+            // Branch-free: the item is always written, but count advances only if the point is visible. count is at
+            // most first + i - begin.
             items[count] = {word(some.z[i]), static_cast<std::uint32_t>(first + i)};
             count += some.visible[i];
         }

@@ -9,9 +9,9 @@
 
 namespace fourd::points {
 
-constexpr int kBlocks = 16;  // blocks of a tile, row by row; each is one Lanes (lanes.h)
+constexpr int kBlocks = 16;  // blocks per tile, row by row; the pixels of a block form one Lanes (lanes.h)
 
-// A sort item: the bits of the depth, which sort like the depth since it is positive, and the point.
+// A sort item: a point and the bits of its depth. Depths are positive, so their bits have the same order as the depths.
 struct Item {
     std::uint32_t key;
     std::uint32_t point;
@@ -19,9 +19,9 @@ struct Item {
 
 struct Tile {
     const Splat* splats;           // by point
-    const float* features;         // by point, channels each
+    const float* features;         // by point, with `channels` floats each
     const std::uint32_t* entries;  // the tile's points, nearest first; ties in the order of their indices
-    std::size_t count;             // of entries
+    std::size_t count;             // number of entries
     int channels;
     int layers;
     float transmittance_min;
@@ -29,10 +29,10 @@ struct Tile {
     int width, height;  // of the image
 };
 
-// Scratch memory of the backward pass: the forward pass's visits of entries to blocks, in the order of entries, then
-// blocks.
+// Scratch memory of the backward pass. A visit is one (entry, block) pair that the forward pass evaluated. Visits are
+// sorted by entry, then by block.
 struct Visits {
-    float* transmittance;  // 16 per visit: before the entry; negative for pixels that it does not hit
+    float* transmittance;  // per visit, 16 pixels: transmittance before the entry; negative if not hit
     std::uint64_t* tags;   // 16 * entry + block, or kNoVisit if no pixel was hit
     std::size_t count;     // count_visits of the tile
 };
@@ -40,27 +40,27 @@ struct Visits {
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 struct Loops {
-    // Projects points begin to end into splats and tile_ranges, by point, and lists the visible ones in items; returns
-    // their number.
+    // Projects points [begin, end) into splats and tile_ranges, which are indexed by point, and lists the visible
+    // points in items. Returns the number of visible points.
     std::size_t (*project)(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, TileRange* tile_ranges, Item* items);
 
     void (*render)(const Tile& tile, const Image& out);
 
-    // Three channels over a background, as bytes.
+    // Renders three channels over a background, as bytes.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // sums: by slot, one SplatGradient and the gradient of the features (5 + channels floats).
+    // sums has 5 + channels floats per slot: one SplatGradient and the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 
-    // weights: by slot, initially 0.
+    // weights has one float per slot, initially 0.
     void (*visibility)(const Tile& tile, const std::size_t* slots, float* weights);
 };
 
 FOURD_DISPATCH(Loops, Simd::avx512)
 
-// The number of (entry, block) pairs of a tile, hit or not.
+// The number of visits of a tile, including visits that hit no pixel.
 std::size_t count_visits(const Tile& tile);
 
 }  // namespace fourd::points

@@ -1,4 +1,5 @@
-// The memory of one picture, kept for the next: fresh memory would cost a fifth of the time.
+// The memory of one image, kept for the next image. With fresh memory for each image, allocation would take a fifth of
+// the time.
 #pragma once
 
 #include <vector>
@@ -16,7 +17,7 @@ struct Workspace {
         Buffer<std::uint64_t> tags;
     };
 
-    Fingerprint source_fingerprint;  // of the inputs of the last render, if nothing else used the workspace since
+    Fingerprint source_fingerprint;  // inputs of the last render, if the workspace still holds it
     Bins bins;
     Buffer<std::size_t> slots;               // by point: its first slot
     Buffer<float> sums;                      // by slot
@@ -25,21 +26,22 @@ struct Workspace {
     // Projects and bins the points.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // The same, unless the last render had the same inputs: a backward pass mostly follows its forward pass.
+    // Calls fill unless the last render had the same inputs, which is common because a backward pass usually follows
+    // its forward pass.
     void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // Gives each (point, tile) entry a slot for the tile's result and returns the number of slots. A point's slots are
-    // adjacent, so that they are summed in one order whichever thread filled them. Requires fill, of a cloud of count
-    // points.
+    // Gives each (point, tile) entry a slot for the tile's result and returns the number of slots. The slots of a point
+    // are adjacent and are summed in a fixed order, whichever thread filled them. Call fill before, with a cloud of
+    // count points.
     std::size_t assign_slots(std::size_t count);
 
     // The slots of a tile's entries.
     void slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const;
 
-    // The inputs of tile index, counted row by row. Requires fill.
+    // The inputs of tile index. Tiles are counted row by row. Call fill before.
     Tile tile(const Cloud& cloud, const Settings& settings, int index) const;
 
-    std::size_t bytes() const;  // of the memory that is kept
+    std::size_t bytes() const;  // size of the memory that is kept
 };
 
 }  // namespace fourd::points

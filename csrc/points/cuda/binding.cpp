@@ -1,4 +1,4 @@
-// Python bindings of the point renderer on a GPU; fourd/ops/points/cuda.py passes memory and stream.
+// Python bindings of the point renderer on a GPU; fourd/ops/points/cuda.py passes the memory and the CUDA stream.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/pair.h>
 #include <nanobind/stl/vector.h>
@@ -29,7 +29,7 @@ points::cuda::EntryBuffer checked_buffer(const EntryBufferArguments& buffer, con
         points::cuda::workspace_bytes(cloud.count, cloud.channels, camera.width, camera.height, buffer.entries));
 }
 
-// The number of entries to provide for, and the bytes of workspace.
+// The number of entries to allocate, and the size of the workspace in bytes.
 std::pair<std::size_t, std::size_t> plan(device::EntryEstimator& estimator, std::size_t count, int channels, int width,
                                          int height) {
     const std::size_t entries = estimator.entries(count);

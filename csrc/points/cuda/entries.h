@@ -10,7 +10,7 @@
 namespace fourd::points::cuda {
 
 constexpr int kTilePixels = kTile * kTile;
-constexpr std::uint32_t kCulled = 0xffffffffu;  // sorts behind every depth
+constexpr std::uint32_t kCulled = 0xffffffffu;  // sort key larger than any depth
 
 struct Tiles {
     int columns, rows;
@@ -20,29 +20,30 @@ struct Tiles {
 
 inline Tiles make_tiles(int width, int height) { return {(width + kTile - 1) / kTile, (height + kTile - 1) / kTile}; }
 
-// The arrays of the workspace. A point's rank is its position in depth order, ties by index; culled points come last.
+// The arrays of the workspace. The rank of a point is its position in depth order. Points of equal depth are ranked by
+// index, and culled points come last. An entry is one (point, tile) pair.
 struct Entries {
-    std::size_t count;     // of points
-    std::size_t capacity;  // for entries
+    std::size_t count;     // number of points
+    std::size_t capacity;  // maximum number of entries
     Tiles tiles;
     Splat* by_point;
     Splat* splats;               // by rank
-    std::uint32_t* keys;         // of a sort: depths by point, then tiles by entry
-    std::uint32_t* values;       // of a sort: points, then ranks by entry
+    std::uint32_t* keys;         // sort keys: first depths by point, then tiles by entry
+    std::uint32_t* values;       // sort values: first points, then ranks by entry
     std::uint32_t* depths;       // by rank: the bits of the depth
     std::uint32_t* points;       // by rank
-    std::uint64_t* tile_counts;  // by rank: number of tiles; then a 0
-    std::uint64_t* begin;        // by rank: exclusive sum of tile_counts; last the number of entries
+    std::uint64_t* tile_counts;  // by rank: number of tiles; followed by a 0
+    std::uint64_t* begin;        // by rank: exclusive sum of tile_counts; followed by the number of entries
     std::uint32_t* entry_tiles;  // sorted by tile
     std::uint32_t* entry_ranks;  // sorted by tile, then by rank
-    std::uint32_t* tile_begin;   // by tile, and the end
+    std::uint32_t* tile_begin;   // by tile: first entry; followed by the number of entries
     std::uint32_t* visible;      // number of visible points
     float* sums;                 // by rank: sums of gradients
     void* scratch;
     std::size_t scratch_bytes;
 };
 
-// sums: floats per point.
+// sums is the number of floats per point.
 inline Entries allocate_entries(device::Arena& arena, std::size_t count, int sums, Tiles tiles, std::size_t capacity) {
     Entries out{};
     const std::size_t sorted = count > capacity ? count : capacity;
@@ -100,7 +101,7 @@ struct ProjectPoint {
     }
 };
 
-// Called for ranks 0 to count; the last one ends the sums.
+// Called for ranks 0 to count. Rank count is not a point; it ends the exclusive sum.
 struct GatherRank {
     Entries to;
 
@@ -116,15 +117,16 @@ struct GatherRank {
     }
 };
 
-// One thread per entry, not per point: a point covers one tile or all of them.
+// There is one thread per entry, not per point, because the number of tiles per point ranges from one to all.
 struct EmitEntry {
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // no tile: sorts last
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // no tile; sorts after all tiles
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
-            // The last rank that begins at or before the entry; ranks without tiles begin where the next one does.
+            // The last rank whose first entry is at or before this entry. A rank without tiles has the same first entry
+            // as the next rank.
             rank = static_cast<std::uint32_t>(lower_bound(to.begin, to.count + 1, std::uint64_t{entry} + 1) - 1);
             const TileRange range = tile_range_of(to.splats[rank]);
             const std::uint64_t place = entry - to.begin[rank];
@@ -155,7 +157,7 @@ inline int bit_count(std::size_t max) {
     return bits;
 }
 
-// Builds the entries of a cloud, with sums floats per point.
+// Builds the entries of a cloud, with space for `sums` floats per point.
 inline Entries fill(const device::Executor& executor, const Cloud& cloud, const Settings& settings,
                     const EntryBuffer& buffer, int sums) {
     device::Arena arena(buffer.memory);

@@ -1,13 +1,12 @@
-// The gradient of a picture: pixels first, then points.
+// The backward pass of an image: first a kernel over pixels, then a kernel over points.
 #pragma once
 
 #include "points/cuda/picture.h"
 
 namespace fourd::points::cuda {
 
-// The gradient with respect to the image, at a pixel. A layer has value = features . colour + per_weight * (z - nearest
-// - behind), and the image composites these values. Alpha has a term of its own: as one more channel it would
-// suffer cancellation near alpha = 1.
+// The gradient with respect to the image at one pixel, with the same formula as points/cpu/gradient.inc. The gradient
+// of alpha is computed separately. Treated as a further channel, it would suffer cancellation near alpha = 1.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];
@@ -22,8 +21,8 @@ struct Upstream {
     }
 };
 
-// A thread composites its pixel front to back and records the layers, then visits them back to front. The warp goes
-// back together and stops at every entry that one of its pixels recorded.
+// A thread composites its pixel front to back and records the layers. It then processes the layers back to front. The
+// threads of a warp go back together and stop at every entry that some pixel of the warp recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // layers is at most kLayers
@@ -38,8 +37,8 @@ struct GradientPixel {
         float transmittances[kLayers];
         int count = 0;
         DepthSum depth;
-        // A transmittance of exactly 0 does not end a pixel here: the gradient of a point with alpha 1 depends on what
-        // lies behind it.
+        // A pixel continues here even at a transmittance of exactly 0, because the gradient of a point with alpha 1
+        // depends on the points behind it.
         const float transmittance = traverse(view.entries, list, pixel, view.layers, -1.0f, lane,
                                              [&](std::size_t position, std::size_t, const Splat& splat,
                                                  const PixelCoverage& coverage, float transmittance_before) {
@@ -52,14 +51,14 @@ struct GradientPixel {
         const Upstream<kCapacity> upstream(gradient, pixel, channels);
         const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
         const float mean_behind = seen ? depth.mean_behind() : 0.0f;
-        float behind = 0.0f;                // composite value of the layers behind
-        float transmittance_behind = 1.0f;  // and their transmittance
+        float behind = 0.0f;                // composited value of the layers behind
+        float transmittance_behind = 1.0f;  // transmittance of the layers behind
         while (true) {
             const std::uint32_t own_entry = count > 0 ? positions[count - 1] + 1 : 0;
             const std::uint32_t next_entry = lane.max(own_entry);
             if (next_entry == 0) break;
             const std::size_t rank = list.rank(next_entry - 1);
-            float parts[5 + kCapacity] = {};  // of SplatGradient's members, and of the features
+            float parts[5 + kCapacity] = {};  // sums of SplatGradient's members, then of the features
             if (own_entry == next_entry) {
                 --count;
                 const Splat& splat = view.entries.splats[rank];
@@ -97,7 +96,7 @@ struct GradientPixel {
     }
 };
 
-// Back-projects the sums of a rank to its point; culled points get zeros.
+// Back-projects the sums of a rank to the gradient of its point. Culled points get zeros.
 struct GradientPoint {
     Entries entries;
     Pinhole camera;

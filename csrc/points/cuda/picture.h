@@ -1,4 +1,5 @@
-// Pictures, and each point's largest weight. One thread per pixel of whole tiles (traversal.h).
+// Kernels that render images or compute the largest weight of each point. There is one thread per pixel, including
+// pixels outside the image in tiles at its border (traversal.h).
 #pragma once
 
 #include "points/cuda/traversal.h"
@@ -14,8 +15,8 @@ struct View {
     FOURD_DEVICE Pixel pixel(std::size_t index) const { return pixel_of(index, entries.tiles, width, height); }
 };
 
-// A pixel's depth from its layers' depths and weights. Depths are relative to the nearest, so that small weights do not
-// magnify rounding errors.
+// The depth of a pixel from the depths and weights of its layers. Depths are stored relative to the nearest layer, to
+// limit rounding errors when weights are small.
 struct DepthSum {
     float nearest = -1.0f, weight = 0.0f, behind = 0.0f;
 
@@ -25,11 +26,12 @@ struct DepthSum {
         behind += w * (z - nearest);
     }
 
-    // Only for alpha above 0: smaller weights carry no information about depth.
+    // Call this only for alpha above 0. At alpha 0, depth is undefined.
     FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 
-// kCapacity is at least the number of channels; loops over it have constant indices, which keeps arrays in registers.
+// kCapacity is at least the number of channels. Loops up to kCapacity have constant indices, which keeps arrays in
+// registers.
 template <int kCapacity>
 struct RenderPixel {
     View view;

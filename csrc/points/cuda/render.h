@@ -1,5 +1,5 @@
-// The point renderer on a GPU. Callers check shapes and sizes; every pointer is to GPU memory, dense and row-major.
-// Nothing here waits for the GPU: work is queued on a stream.
+// The point renderer on a GPU. Callers check shapes and sizes. Every pointer points to a dense row-major array in GPU
+// memory. Calls are asynchronous: they queue work on a stream and do not wait for the GPU.
 #pragma once
 
 #include <cstddef>
@@ -9,32 +9,32 @@
 
 namespace fourd::points::cuda {
 
-// Scratch memory with space for a number of (point, tile) entries. If a picture needs more, every pixel visits
-// every point: the same picture, slowly. The GPU reports the number needed for later pictures, since reading it before
-// allocating would stall.
+// Scratch memory with space for a number of (point, tile) entries. If an image needs more entries, every pixel goes
+// through every point, which gives the same image but is slow. The GPU reports the needed number for use in later
+// images, because waiting for it before allocating would stall.
 struct EntryBuffer {
-    void* memory;           // workspace_bytes of it
+    void* memory;           // workspace_bytes() bytes
     std::size_t entries;    // below 2^31
     std::uint64_t* needed;  // written by the GPU: page-locked host memory, or GPU memory
 };
 
 constexpr int kMaxLayersBackward = 64;
 
-// For a picture, its gradient or its visibility.
+// Bytes of workspace for render, draw, render_backward or visibility.
 std::size_t workspace_bytes(std::size_t count, int channels, int width, int height, std::size_t entries);
 
 // Ignores settings.threads and settings.simd.
 void render(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, const Image& out, void* stream);
 
-// Three channels, as rounded bytes over a background.
+// Renders three channels over a background, as rounded bytes.
 void draw(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, const Canvas& out, void* stream);
 
-// settings.layers is at most kMaxLayersBackward; transmittance_min is ignored. The order of sums over a point's
-// pixels is not fixed: the last bits of gradients differ between runs.
+// settings.layers is at most kMaxLayersBackward; transmittance_min is ignored. The order of sums over the pixels of a
+// point is not fixed, so the last bits of gradients can differ between calls.
 void render_backward(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer,
                      const ImageGradient& gradient, const CloudGradient& out, void* stream);
 
-// out (count,): each point's largest weight in any pixel. cloud.features is not read.
+// out (count,) is the largest weight of each point in any pixel. cloud.features is not read.
 void visibility(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, float* out, void* stream);
 
 }  // namespace fourd::points::cuda

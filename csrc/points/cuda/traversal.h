@@ -1,5 +1,5 @@
-// Front-to-back traversal of a tile's points. One thread per pixel; a warp holds 8 x 4 pixels, which visit the
-// same point at the same time.
+// Front-to-back traversal of a tile's points. There is one thread per pixel. A warp covers 8 x 4 pixels, which process
+// the same point at the same time.
 #pragma once
 
 #include "points/cuda/entries.h"
@@ -7,13 +7,13 @@
 namespace fourd::points::cuda {
 
 struct Pixel {
-    float x, y;         // of its centre
-    bool inside;        // whether it is in the image
-    std::size_t index;  // in the image, row by row; valid if inside
+    float x, y;         // coordinates of the pixel's centre
+    bool inside;        // whether the pixel is in the image
+    std::size_t index;  // index in the image, row by row; valid only if inside
     std::size_t tile;
 };
 
-// index counts the pixels of whole tiles, tile by tile.
+// index counts all pixels of all tiles, tile by tile, including pixels outside the image.
 FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles, int width, int height) {
     constexpr int kAcross = 8, kDown = device::kWarpSize / kAcross;
     const std::size_t tile = index / kTilePixels;
@@ -25,10 +25,10 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
             static_cast<std::size_t>(row) * width + column, tile};
 }
 
-// The points that a tile's pixels visit, nearest first: its entries, or every visible point if the entries did not
-// fit.
+// The points that the pixels of a tile process, nearest first. They are the entries of the tile, or all visible points
+// if the entries did not fit.
 struct EntryList {
-    const std::uint32_t* ranks;  // null: rank i is i
+    const std::uint32_t* ranks;  // null if rank i is i
     std::size_t count;
 
     FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }
@@ -40,8 +40,8 @@ FOURD_DEVICE static inline EntryList entry_list(const Entries& entries, std::siz
     return {entries.entry_ranks + begin, entries.tile_begin[tile + 1] - begin};
 }
 
-// Composites a list front to back until no pixel of the warp takes more layers. Calls take(position, rank, splat,
-// coverage, transmittance) for every layer of the pixel. Returns the final transmittance.
+// Composites the points of a list front to back until no pixel of the warp takes more layers. Calls take(position,
+// rank, splat, coverage, transmittance) for every layer of the pixel. Returns the final transmittance.
 template <typename Take>
 FOURD_DEVICE static inline float traverse(const Entries& entries, const EntryList& list, const Pixel& pixel, int layers,
                                           float transmittance_min, const device::Lane& lane, const Take& take) {

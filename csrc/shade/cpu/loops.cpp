@@ -1,4 +1,4 @@
-// Shading of runs of points, as loops that compilers vectorise.
+// Shades batches of points, in loops that compilers vectorise.
 #include <cmath>
 #include <cstring>
 
@@ -15,11 +15,11 @@
 namespace fourd::shade::FOURD_SIMD {
 namespace {
 
-// basis[k][i]: harmonic k in the direction from the camera to point i.
+// basis[k][i] is harmonic k in the direction from the camera to point i.
 FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, float (*basis)[kBlock]) {
     float dx[kBlock], dy[kBlock], dz[kBlock];
     for (int i = 0; i < count; ++i) {
-        // Subtracted in double: a camera may be far from the origin and near the point.
+        // Subtracted in double precision, because a camera may be far from the origin but near the point.
         dx[i] = static_cast<float>(xyz[3 * i] - centre[0]);
         dy[i] = static_cast<float>(xyz[3 * i + 1] - centre[1]);
         dz[i] = static_cast<float>(xyz[3 * i + 2] - centre[2]);
@@ -31,7 +31,7 @@ FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, 
 
 #ifdef FOURD_SHADE_VECTORS
 
-// Transposes eight harmonics of eight points.
+// Transposes an 8 x 8 matrix of eight harmonics of eight points.
 FOURD_INLINE void transpose(const float (*basis)[kBlock], int first, __m256* rows) {
     __m256 a[8], b[8];
     for (int k = 0; k < 8; ++k) a[k] = _mm256_loadu_ps(basis[k] + first);
@@ -100,7 +100,7 @@ struct Rgb {
     float channel[3];
 };
 
-// The weighted sum of the chosen views' colours (0 to 255); returns the sum of weights.
+// Computes the weighted sum of the colours (0 to 255) of the chosen views. Returns the sum of weights.
 FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
 #ifdef FOURD_SHADE_VECTORS
     const std::size_t last = points.count * points.views - 1;
@@ -108,7 +108,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
     float total = 0;
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::size_t at = row + static_cast<std::size_t>(settings.chosen[v]);
-        std::uint32_t bytes = 0;  // the fourth byte belongs to the next view and is ignored
+        std::uint32_t bytes = 0;  // the fourth byte belongs to the next view and is not used
         if (at < last) {
             std::memcpy(&bytes, points.rgb + 3 * at, 4);
         } else {
@@ -136,7 +136,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
 #endif
 }
 
-// The unweighted sum, for points whose chosen views all have weight 0; returns the number of views.
+// Computes the unweighted sum, for points whose chosen views all have weight 0. Returns the number of views.
 FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
     *out = {{0, 0, 0}};
     for (int v = 0; v < settings.chosen_count; ++v) {
@@ -146,7 +146,7 @@ FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settin
     return static_cast<float>(settings.chosen_count);
 }
 
-// colour (count, 3) += the chosen views' colours, blended with normalised weights.
+// Adds the colours of the chosen views, blended with normalised weights, to colour (count, 3).
 FOURD_INLINE void add_blend(const Points& points, std::size_t first, int count, const Settings& settings,
                             float* colour) {
     if (settings.chosen_count == 0) return;

@@ -6,14 +6,14 @@
 
 namespace fourd::shade {
 
-constexpr int kBlock = 64;  // points whose intermediate values stay in the L1 cache
+constexpr int kBlock = 64;  // points per batch; their intermediate values stay in the L1 cache
 
 struct Loops {
-    // Colours of points begin to end; out is by point.
+    // Computes the colours of points [begin, end). out is indexed by point.
     void (*shade)(const Points& points, std::size_t begin, std::size_t end, const Settings& settings, float* out);
 };
 
-// AVX2 vectors fit a point's 16 harmonics and 4 views: AVX-512 has no loops of its own.
+// The 16 harmonics and 4 views of a point fill AVX2 vectors, so there are no loops for AVX-512.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::shade

@@ -1,4 +1,4 @@
-// Shading of baked points on a GPU (shade/shade.h). Pointers are to GPU memory.
+// Shading of baked points (shade/shade.h) on a GPU. Pointers point to GPU memory.
 #pragma once
 
 #include "common/half.h"
@@ -7,7 +7,7 @@
 
 namespace fourd::shade::cuda {
 
-// A kernel over points. It copies the chosen views, which are in host memory.
+// A kernel over points. It stores a copy of the chosen view indices, which are in host memory.
 class ShadePoint {
   public:
     ShadePoint(const Points& points, const Settings& settings, float* out)
@@ -24,7 +24,7 @@ class ShadePoint {
         const float* xyz = points_.xyz + 3 * point;
         const std::uint16_t* sh = points_.sh + 3 * kTerms * point;
         float sums[3] = {};
-        // Subtracted in double: a camera may be far from the origin and near the point.
+        // Subtracted in double precision, because a camera may be far from the origin but near the point.
         harmonics(static_cast<float>(xyz[0] - centre_[0]), static_cast<float>(xyz[1] - centre_[1]),
                   static_cast<float>(xyz[2] - centre_[2]), [&](int k, float value) {
                       for (int c = 0; c < 3; ++c) sums[c] += from_half(sh[c * kTerms + k]) * value;
@@ -35,7 +35,7 @@ class ShadePoint {
     }
 
   private:
-    // Normalised weights; the plain mean if all chosen views have weight 0.
+    // Blends with normalised weights. If all chosen views have weight 0, the result is their mean.
     FOURD_DEVICE void blend(std::size_t point, float* out) const {
         float total = 0.0f, plain[3] = {};
         for (int v = 0; v < count_; ++v) {

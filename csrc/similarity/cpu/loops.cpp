@@ -1,4 +1,4 @@
-// Window means along rows and columns, similarities and their derivatives, as loops that compilers vectorise.
+// Computes window means along rows and columns, similarities and their derivatives, in loops that compilers vectorise.
 #include "similarity/cpu/loops.h"
 
 #include <cstddef>
@@ -11,9 +11,10 @@ namespace fourd::similarity::FOURD_SIMD {
 namespace {
 
 constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
-constexpr int kLanes = 8;  // of sums, for independent additions
+constexpr int kLanes = 8;  // partial sums, so that additions are independent
 
-// Means along columns, for element i and, if Number is Eight, the seven after it; out has kMeans rows of stride.
+// Computes means along columns for element i. If Number is Eight, it also computes the means of the next seven
+// elements. out has kMeans rows of stride floats.
 template <typename Number>
 FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const float* truth, std::size_t i,
                                   float* out) {
@@ -37,7 +38,7 @@ FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const 
     store(&product, out + 4 * stride + i);
 }
 
-// The weighted sum over window elements first to last, step apart.
+// The weighted sum over window elements [first, last), which are step floats apart.
 template <typename Number>
 FOURD_INLINE void window_sum_at(const Window& window, int first, int last, const float* from, std::ptrdiff_t step,
                                 float* to) {
@@ -50,7 +51,7 @@ FOURD_INLINE void window_sum_at(const Window& window, int first, int last, const
     store(&sum, to);
 }
 
-// Means along a row: count values, each over kWindow values that are step apart.
+// Computes count means along a row. Each is the weighted mean of kWindow values that are step floats apart.
 FOURD_INLINE void row_means(const Window& window, const float* from, std::size_t count, std::size_t step, float* to) {
     for_eights(count, [&](std::size_t i, auto* number) FOURD_INLINE_LAMBDA {
         window_sum_at<NumberOf<decltype(number)>>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step),
@@ -58,7 +59,8 @@ FOURD_INLINE void row_means(const Window& window, const float* from, std::size_t
     });
 }
 
-// A row's similarities from its means (rows of stride), and their derivatives if wanted (kDerivatives rows of valid).
+// Computes the similarities of a row from its means (rows of stride floats). If requested, it also computes their
+// derivatives (kDerivatives rows of valid floats).
 template <bool kWithDerivatives>
 FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_RESTRICT values,
                           float* FOURD_RESTRICT derivatives) {
@@ -120,7 +122,8 @@ void gradient_row(const Plan& plan, int row, const float* derivatives, float* sc
     const float* y = plan.pictures.truth + row * stride;
     float *padded = scratch, *smoothed = scratch + stride + border;
     for (int derivative = 0; derivative < kDerivatives; ++derivative) {
-        // Zero padding beyond the valid part; the window is symmetric.
+        // The derivatives are padded with zeros beyond the valid part. The window is symmetric, so it need not be
+        // reversed.
         std::memset(padded, 0, border * sizeof(float));
         std::memset(padded + stride, 0, border * sizeof(float));
         const int first = row < plan.valid_rows ? 0 : row - plan.valid_rows + 1;

@@ -66,7 +66,7 @@ double similarity(const Pictures& pictures, float* gradient) {
         });
     }
     double total = 0;
-    for (const double sum : sums) total += sum;  // in order, whichever worker computed them
+    for (const double sum : sums) total += sum;  // in row order, so that the result does not depend on the workers
     return total / (static_cast<double>(plan.valid) * plan.valid_rows);
 }
 

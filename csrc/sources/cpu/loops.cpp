@@ -1,4 +1,4 @@
-// Sampling of runs of points in one view, and its gradient, as loops that compilers vectorise.
+// Samples one view at batches of points, and computes the gradient, in loops that compilers vectorise.
 #include "sources/cpu/loops.h"
 
 #include "common/eight.h"
@@ -11,13 +11,14 @@ constexpr int kMaxChannels = 256;
 
 FOURD_INLINE std::size_t image_size(const Maps& maps) { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-// Channels is the number of channels, or 0 if it is that of the maps: constants make loops that fit vectors.
+// Channels is the number of channels if it is known at compile time, which lets loops fit vectors exactly. 0 stands for
+// the number of channels of the maps.
 template <int Channels>
 FOURD_INLINE int channels_of(const Maps& maps) {
     return Channels > 0 ? Channels : maps.channels;
 }
 
-// Interpolates channel c and, if Number is Eight, the seven after it.
+// Interpolates channel c and, if Number is Eight, also the next seven channels.
 template <typename Number>
 FOURD_INLINE void gather_at(const float* features, const Bilinear& at, int channels, std::size_t c, float* out) {
     Number sum{};
@@ -29,7 +30,7 @@ FOURD_INLINE void gather_at(const float* features, const Bilinear& at, int chann
     store(&sum, out + c);
 }
 
-// Points first to first + count of a view.
+// Samples one view at points [first, first + count).
 template <int Channels>
 FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t first, int count, const Samples& out) {
     const Maps& maps = query.maps;
@@ -63,8 +64,8 @@ FOURD_INLINE float total(const Eight* number) {
 }
 #endif
 
-// Adds the gradient of channel c (and the seven after it) with respect to the pixel to sum and, unless to is null, with
-// respect to the features to `to`.
+// Processes the gradient of channel c and, if Number is Eight, of the next seven channels. Adds the gradient with
+// respect to the pixel position to sum. Unless `to` is null, adds the gradient with respect to the features to `to`.
 template <typename Number>
 FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
                              const float* gradient, float* to, PixelGradient* sum) {

@@ -9,7 +9,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 32 * kRun;
 
-// Calls work(first, count) for runs of the points from begin to end.
+// Calls work(first, count) for batches of the points in [begin, end).
 template <typename Work>
 void for_runs(std::size_t begin, std::size_t end, const Work& work) {
     for (std::size_t first = begin; first < end; first += kRun) {
@@ -31,7 +31,8 @@ void sample(const Query& query, const Samples& out) {
     });
 }
 
-// One task per view: a thread sums a view's gradient in one order. xyz is summed over the views afterwards.
+// There is one task per view, so that the gradient of a view is summed in a fixed order. The gradient of xyz is summed
+// over the views afterwards.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out) {
     const RunLoops& loops = select_loops(query.simd).of(query.maps.channels);
     const std::size_t views = static_cast<std::size_t>(query.views), numbers = 3 * query.count;

@@ -1,4 +1,4 @@
-// Python bindings of sampling source views on a GPU; fourd/ops/sources/op.py documents what they compute.
+// Python bindings that sample source views on a GPU. fourd/ops/sources/op.py documents the operations.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/vector.h>
 

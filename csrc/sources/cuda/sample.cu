@@ -6,7 +6,7 @@
 namespace fourd::sources::cuda {
 namespace {
 
-// Kernels over a query's views and points, point by point within a view.
+// Kernels over the views and points of a query. Consecutive threads process consecutive points of one view.
 struct Views {
     Maps maps;
     Pinhole cameras[kMaxViews];
@@ -21,12 +21,12 @@ struct Views {
 
     FOURD_DEVICE std::size_t image_size() const { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-    // Offset of a view's features.
+    // Offset of the features of a view.
     FOURD_DEVICE std::size_t features(std::size_t view) const {
         return view * maps.feature_width * static_cast<std::size_t>(maps.feature_height) * maps.channels;
     }
 
-    // Offset of a point's first channel in a view; channels are count apart.
+    // Offset of the first channel of a point in a view. Consecutive channels are count floats apart.
     FOURD_DEVICE std::size_t channels(std::size_t view, std::size_t point) const {
         return view * static_cast<std::size_t>(maps.channels + 3) * count + point;
     }
