@@ -1,4 +1,4 @@
-"""Commands that the documentation shows are understood by the command line."""
+"""The command line accepts the commands that the documentation shows."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```\w*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PLACEHOLDERS = re.compile(r"[\[\]|<>]|\.\.\.|…")
-"""Signs of a line that describes commands and is none, such as ``fourd import [FORMAT] SRC OUT``."""
+"""Characters of a usage line, which is not a complete command, such as ``fourd import [FORMAT] SRC OUT``."""
 
 
 def commands() -> list[tuple[str, str]]:
-    """Page and command line of every complete ``fourd`` command at the start of a line of a fenced block."""
+    """Page and command line of each complete ``fourd`` command that starts a line of a fenced block."""
     found = []
     for page in PAGES:
         text = page.read_text(encoding="utf-8")

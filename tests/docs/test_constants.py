@@ -1,6 +1,6 @@
-"""Numbers quoted in the documentation are the code's.
+"""Numbers that the documentation quotes equal those in the code.
 
-A page marks a quoted number with a comment that names its source and is invisible in the rendered page:
+A page marks a quoted number with an HTML comment that names its source. The rendered page does not show the comment:
 
     K is at most 15<!--= fourd.training.config:TrainConfig.layers -->.
 """
@@ -58,7 +58,7 @@ def test_every_marker_belongs_to_a_number() -> None:
 
 
 def test_visibility_falls_where_conventions_say() -> None:
-    """Catches a visibility margin other than two spacings, or a fall-off other than one, in code or in the page."""
+    """Catches a visibility margin other than two spacings or a falloff other than one, in the code or on the page."""
     text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
     assert "exp(-max(z - surface - 2 s, 0) / s)" in text
     spacing, surface = 0.1, 3.0

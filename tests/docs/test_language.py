@@ -1,6 +1,6 @@
-"""Plain technical English: phrases that readers from the field would have to look up do not come back.
+"""The sources use plain technical English: they contain no phrase that readers from the field would have to look up.
 
-Each entry pairs a phrase with what to write instead. Add a phrase when a reader stumbles over it.
+Each entry of PHRASES pairs a phrase with its replacement. Add a phrase when a reader does not understand it.
 """
 
 from __future__ import annotations
