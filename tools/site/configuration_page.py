@@ -26,10 +26,10 @@ with `--set KEY=VALUE`, which can be repeated. Nested keys are separated by dots
 fourd train CAPTURE -o run/ --max-steps 5000 --set rates.planes=1e-3 --set model.planes.levels=3
 ```
 
-The file overrides the defaults below. `--set` and the flags of single keys, such as `--points`, override the file. It is
-an error to give a key both with `--set` and with its flag. An unknown key is also an error, and so is a value of the wrong
-type. The message for an unknown key names the most similar key. `configs/` has the paper's settings and ablation presets.
-A file can look like this:
+The file overrides the defaults below. `--set` and the flags of single keys, such as `--points`, override the file. It
+is an error to give a key both with `--set` and with its flag. An unknown key is also an error, and so is a value of the
+wrong type. The message for an unknown key names the most similar key. `configs/` has the paper's settings and ablation
+presets. A file can look like this:
 
 ```yaml
 # 48 free SH coefficients per point, on smaller images
