@@ -20,12 +20,21 @@ Array = NDArray[np.float64]
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
 MAX_ROTATION_DIFFERENCE = 1e-3
-"""Largest difference of matrix elements between R_c (Rodrigues) and Rot_c where a file has both."""
+"""Maximum difference between the matrix elements of R_c (Rodrigues vector) and Rot_c if a file has both."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """One camera's calibration as stored; width and height are None where the files lack them."""
+    """One camera's calibration as stored in the files.
+
+    Attributes:
+        intrinsics: (3, 3) matrix K in pixels.
+        rotation: (3, 3) rotation from world to camera.
+        translation: (3,) translation, with x_camera = R x_world + t.
+        distortion: OpenCV distortion coefficients; None if the file has none.
+        width: width of the images in pixels; None if the file has none.
+        height: height of the images in pixels; None if the file has none.
+    """
 
     intrinsics: Array
     rotation: Array
@@ -35,7 +44,11 @@ class Calibration:
     height: int | None
 
     def camera(self, width: int, height: int) -> Camera:
-        """The camera of images of ``width`` x ``height`` pixels. Raises ValueError as Camera does."""
+        """Create the camera for images of ``width`` x ``height`` pixels.
+
+        Raises:
+            ValueError: if a value is invalid; see :class:`fourd.cameras.Camera`.
+        """
         return Camera(self.intrinsics, self.rotation, self.translation, width, height, self.distortion)
 
 
@@ -44,9 +57,9 @@ class CalibrationReport:
     """Content and errors of the calibration files.
 
     Attributes:
-        names: all cameras of intri.yml, including those with invalid values.
-        calibrations: the valid calibrations by name.
-        errors: errors in the order found.
+        names: names of all cameras in intri.yml, including cameras with invalid values.
+        calibrations: the valid calibrations by camera name.
+        errors: all errors found.
     """
 
     names: tuple[str, ...]
@@ -55,15 +68,18 @@ class CalibrationReport:
 
 
 def read_calibration(folder: Path | str) -> dict[str, Calibration]:
-    """Calibrations of ``folder``'s cameras by name, in the order of intri.yml's ``names``.
+    """Read the calibrations in ``folder`` by camera name, in the order of ``names`` in intri.yml.
 
-    Reads ``K_c`` (3, 3) in pixels, ``D_c`` or ``dist_c``, which EasyMocap's tools write (OpenCV distortion, optional),
-    ``H_c`` and ``W_c`` (optional), ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector), ``T_c`` (3,), for
-    ``x_camera = R x_world + T``.
+    For each camera c these keys are read:
+    - ``K_c``: intrinsics (3, 3) in pixels;
+    - ``D_c`` or ``dist_c`` (optional): OpenCV distortion coefficients; EasyMocap's tools write ``dist_c``;
+    - ``H_c`` and ``W_c`` (optional): height and width in pixels;
+    - ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector): rotation R;
+    - ``T_c`` (3,): translation T, with ``x_camera = R x_world + T``.
 
     Raises:
-        UserError: naming the file and the key, when a file is missing or no FileStorage, a value is missing, of
-            another shape or not finite, or a rotation matrix is not orthonormal.
+        UserError: if a file is missing or is not an OpenCV FileStorage, a value is missing, has another shape or is
+            not finite, or a rotation matrix is not orthonormal; the message contains the file and the key.
     """
     report = check_calibration(folder)
     if report.errors:
@@ -72,7 +88,7 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
 
 
 def check_calibration(folder: Path | str) -> CalibrationReport:
-    """Read as read_calibration does, but collect all errors instead of raising the first."""
+    """Read the calibrations like :func:`read_calibration`, but collect all errors instead of raising the first."""
     errors: list[UserError] = []
     with ExitStack() as stack:
         storages = []
@@ -90,7 +106,10 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
             return CalibrationReport((), {}, (error,))
         for name in others:
             if name not in names:
-                message = f"expected camera '{name}' of {EXTRINSICS_NAME}, got no such name; add it or remove it there"
+                message = (
+                    f"expected camera '{name}', which is in {EXTRINSICS_NAME}, got no such name; add the camera "
+                    f"or remove it from {EXTRINSICS_NAME}"
+                )
                 errors.append(UserError(f"{intri.path}: {message}"))
         calibrations = {}
         for name in names:
@@ -102,7 +121,7 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
 
 
 def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:
-    """Write intri.yml and extri.yml of ``cameras`` into ``folder``, each atomically."""
+    """Write intri.yml and extri.yml for ``cameras`` into ``folder``; each file is written atomically."""
     folder = Path(folder)
     with atomic_path(folder / INTRINSICS_NAME) as temporary:
         storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_FORMAT_YAML)
@@ -154,12 +173,12 @@ def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
 
 
 def _read_rotation(name: str, extri: _Storage) -> Array:
-    """Rot_c, or R_c where that is missing; where both exist they must agree."""
+    """Read the rotation from Rot_c, or from R_c if Rot_c is missing; if both exist, they must be equal."""
     if not extri.has(f"R_{name}"):
         return extri.matrix(f"Rot_{name}", (3, 3))
     vector = extri.matrix(f"R_{name}", None)
     if vector.size not in (3, 9):
-        raise UserError(f"{extri.path}: R_{name}: expected 3 numbers (Rodrigues), got {vector.size}; write the vector")
+        raise UserError(f"{extri.path}: R_{name}: expected 3 numbers (Rodrigues), got {vector.size}; correct the value")
     from_vector = vector.reshape(3, 3) if vector.size == 9 else np.asarray(cv2.Rodrigues(vector)[0], np.float64)
     if not extri.has(f"Rot_{name}"):
         return from_vector
@@ -168,31 +187,31 @@ def _read_rotation(name: str, extri: _Storage) -> Array:
     is_rotation = np.abs(rotation @ rotation.T - np.eye(3)).max() < MAX_ROTATION_DIFFERENCE
     if is_rotation and error > MAX_ROTATION_DIFFERENCE:
         raise UserError(
-            f"{extri.path}: camera '{name}': expected R_{name} and Rot_{name} to be one rotation, "
+            f"{extri.path}: camera '{name}': expected R_{name} and Rot_{name} to be the same rotation, "
             f"got matrices that differ by {error:.3g}; remove the wrong one"
         )
     return rotation
 
 
 class _Storage:
-    """A FileStorage open for reading; errors name the file and the key."""
+    """An OpenCV FileStorage that is open for reading; its errors contain the file and the key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         if not path.is_file():
             raise UserError(
                 f"{path}: expected the cameras' calibration, got no such file; calibrate the cameras first "
-                f"(a capture has images/CAM/, {INTRINSICS_NAME} and {EXTRINSICS_NAME})"
+                f"(a capture consists of images/CAM/, {INTRINSICS_NAME} and {EXTRINSICS_NAME})"
             )
         try:
             self._storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-            # A file truncated within its first key opens as a string without nodes.
+            # OpenCV opens a file that is truncated within its first key as a string without nodes.
             opened = self._storage.isOpened() and (self._storage.root().isMap() or self._storage.root().empty())
         except (cv2.error, SystemError):
             opened = False
         if not opened:
             raise UserError(
-                f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got something else; export it again"
+                f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got another format; export the file again"
             )
 
     def __enter__(self) -> _Storage:
@@ -210,7 +229,9 @@ class _Storage:
             return []
         entries = [node.at(i) for i in range(node.size())] if node.isSeq() else []
         if not entries or not all(entry.isString() for entry in entries):
-            raise UserError(f'{self.path}: names: expected a list of quoted names ("00"), got none; add it')
+            raise UserError(
+                f'{self.path}: names: expected a list of quoted camera names such as "00", got no such list; add it'
+            )
         names = [entry.string() for entry in entries]
         if len(set(names)) != len(names):
             raise UserError(
@@ -219,23 +240,23 @@ class _Storage:
         return names
 
     def matrix(self, key: str, shape: tuple[int, ...] | None) -> Array:
-        """A finite matrix of that shape; for None any matrix, flattened."""
+        """Read a finite matrix of the given shape; for shape None, read any matrix and flatten it."""
         node = self._storage.getNode(key)
         if node.empty():
-            raise UserError(f"{self.path}: {key}: expected a matrix, got nothing; add it or remove that camera")
+            raise UserError(f"{self.path}: {key}: expected a matrix, got no such key; add it or remove the camera")
         try:
             matrix = node.mat()
         except cv2.error as error:
             raise UserError(
-                f"{self.path}: {key}: expected a whole matrix, got a truncated one; copy it again"
+                f"{self.path}: {key}: expected a complete matrix, got a truncated one; copy the file again"
             ) from error
         if matrix is None and node.isSeq():
             matrix = np.array([node.at(i).real() for i in range(node.size())])
         if matrix is None or (shape is not None and matrix.size != int(np.prod(shape))):
-            got = "something else" if matrix is None else " x ".join(map(str, matrix.shape))
+            got = "another type" if matrix is None else " x ".join(map(str, matrix.shape))
             required = "a matrix" if shape is None else " x ".join(map(str, shape))
             raise UserError(
-                f"{self.path}: {key}: expected {required} numbers, got {got}; correct or remove that camera"
+                f"{self.path}: {key}: expected {required} numbers, got {got}; correct the value or remove the camera"
             )
         values = matrix.astype(np.float64)
         if not np.isfinite(values).all():
@@ -245,11 +266,13 @@ class _Storage:
         return values.reshape(-1 if shape is None else shape)
 
     def count(self, key: str) -> int | None:
-        """A whole number of pixels; None where the key is missing or 0."""
+        """Read a whole number of pixels; None if the key is missing or the number is 0."""
         node = self._storage.getNode(key)
         if node.empty():
             return None
         value = node.real() if node.isReal() or node.isInt() else float("nan")
         if not (np.isfinite(value) and value == round(value) and 0 <= value <= 1 << 20):
-            raise UserError(f"{self.path}: {key}: expected a number of pixels, got {value:g}; correct or remove it")
+            raise UserError(
+                f"{self.path}: {key}: expected a number of pixels, got {value:g}; correct or remove the value"
+            )
         return int(value) or None

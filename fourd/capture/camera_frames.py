@@ -1,4 +1,4 @@
-"""The decoded frames of one camera, from picture files or a video."""
+"""Access to the decoded frames of one camera, from image files or a video."""
 
 from __future__ import annotations
 
@@ -16,18 +16,22 @@ Picture = NDArray[np.uint8]
 
 
 class CameraFrames(Protocol):
-    """The selected frames of one camera, by index into the selection."""
+    """Decodes the selected frames of one camera; frames are identified by their index in the selection."""
 
     def read(self, frame: int) -> Picture:
-        """Decode a frame, pixels as stored. Raises UserError when it is damaged."""
+        """Decode a frame without undistorting or resizing it.
+
+        Raises:
+            UserError: if the frame is damaged.
+        """
 
     def describe(self, frame: int) -> str:
-        """The file, and the frame within it, for error messages."""
+        """Description of the frame for error messages: its file, and for videos its frame number."""
 
 
 @dataclass(frozen=True)
 class PictureFrames:
-    """One picture file per frame."""
+    """Frames of image files, one file per frame."""
 
     paths: Sequence[Path]
     decode: Callable[[Path], Picture]
@@ -41,7 +45,7 @@ class PictureFrames:
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """Frames of a video; ``numbers`` are the selected frames' numbers in the video."""
+    """Frames of a video; ``numbers`` are the frame numbers in the video of the selected frames."""
 
     reader: VideoReader
     numbers: Sequence[int]

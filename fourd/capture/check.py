@@ -1,4 +1,4 @@
-"""A report of all errors in a capture, where the reader stops at the first."""
+"""Check of a capture that reports all errors; opening a capture stops at the first error."""
 
 from __future__ import annotations
 
@@ -32,12 +32,15 @@ from fourd.progress import Track, untracked
 Value = TypeVar("Value")
 
 SAMPLED_MATTES = 5
-"""Number of mattes of each camera that are decoded, unless the check is deep."""
+"""Number of mattes per camera that a check decodes; a deep check decodes all."""
 MIN_COVERAGE = 1e-4
 MAX_COVERAGE = 0.98
 MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
-"""Largest distance of the common focus from a camera's axis, as a share of its depth, before a warning."""
+"""Limit for the distance between a camera's optical axis and the cameras' common focus.
+
+The limit is a share of the depth of the focus. Cameras beyond it cause a warning.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,16 +48,16 @@ class Report:
     """Content of a capture and its errors.
 
     Attributes:
-        problems: errors that make the capture unusable, one line each, with the fix.
-        warnings: valid content that looks like a mistake.
-        cameras: names of the cameras with calibration and pictures.
+        problems: errors that make the capture unusable, one line per error with its fix.
+        warnings: valid content that is probably a mistake, one line each.
+        cameras: names of the cameras that have both a calibration and images.
         frames: number of frames.
-        sizes: (width, height) in pixels by camera.
+        sizes: (width, height) of each camera's images in pixels, by name.
         has_masks: whether there are mattes.
         distorted: number of cameras with lens distortion.
-        ring_radius: mean distance of the cameras from their common focus, world units; 0 if unknown.
-        coverage: mean share of the picture covered by the sampled mattes; None without mattes.
-        nbytes: size of all pictures, videos and mattes.
+        ring_radius: mean distance between the cameras and their common focus in world units; 0 if unknown.
+        coverage: mean share of the image that the decoded mattes cover; None if there are no mattes.
+        nbytes: total size of all images, videos and mattes in bytes.
     """
 
     problems: tuple[str, ...]
@@ -70,21 +73,24 @@ class Report:
 
 
 def check_capture(path: Path | str, *, deep: bool = False, track: Track = untracked) -> Report:
-    """Check every file of a capture: names and sizes of all, contents of some or, when ``deep``, of all.
+    """Check the files of a capture and report all errors; errors of the capture are not raised.
 
-    ``track`` wraps the loop over files for progress. Errors of the capture are reported, never raised.
+    Args:
+        path: the capture's folder.
+        deep: whether to decode all images and mattes. Otherwise only some mattes are decoded; of all other files,
+            only names and sizes are checked.
+        track: progress callback.
     """
     path = Path(path)
     if not path.is_dir():
-        problem = (
-            f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}; check the path"
-        )
+        got = "a file" if path.exists() else "no such folder"
+        problem = f"{path}: expected a capture's folder, got {got}; check the path"
         return Report((problem,), (), (), 0, {}, False, 0, 0.0, None, 0)
     return _Check(path, deep, track).report()
 
 
 def first_lines(lines: Sequence[str], max_lines: int) -> Iterator[str]:
-    """The first ``max_lines`` lines, then the number of the others."""
+    """Yield the first ``max_lines`` lines, then one line with the number of remaining lines."""
     yield from lines[:max_lines]
     if len(lines) > max_lines:
         yield f"and {len(lines) - max_lines} more"
@@ -128,7 +134,7 @@ class _Check:
         cameras = {name: self._to_camera(name, calibrations[name]) for name in names if name in calibrations}
         radius = self._check_poses({name: camera for name, camera in cameras.items() if camera is not None})
         if names and not has_masks:
-            self.warnings.append(f"{self.path / 'masks'}: no mattes; make them: fourd matte {self.path}")
+            self.warnings.append(f"{self.path / 'masks'}: no mattes; make them with: fourd matte {self.path}")
         self._check_mean_coverage()
         return Report(
             tuple(self.problems),
@@ -144,7 +150,7 @@ class _Check:
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:
-        """The function's result, or None after recording its UserError."""
+        """Return the function's result; if it raises a UserError, record the error and return None."""
         try:
             return function(*arguments)
         except UserError as error:
@@ -152,7 +158,7 @@ class _Check:
             return None
 
     def _masks_folder(self) -> Path:
-        """The user's mattes if there are any, else the generated ones."""
+        """Folder of the user's mattes if there are any, otherwise of the generated mattes."""
         has_own = bool(camera_folders(self.path / "masks")) or not (self.path / MATTES).is_dir()
         return self.path / ("masks" if has_own else MATTES)
 
@@ -162,18 +168,21 @@ class _Check:
         if has_videos:
             found = sorted(self._try(find_videos, self.path / folder) or {})
         if not found:
-            self.problems.append(f"{self.path / folder}: expected a folder of pictures for each camera, got none")
+            self.problems.append(
+                f"{self.path / folder}: expected {'a video' if has_videos else 'a folder of images'} for each camera, "
+                "got none; check the capture's path"
+            )
         for name in found if calibrated else []:
             if name not in calibrated:
                 self.problems.append(
                     f"{self.path / 'intri.yml'}: expected camera '{name}', since {folder}/{name} exists, got no such "
-                    "name; calibrate it or leave it out with --views"
+                    "name; calibrate the camera or exclude it with --views"
                 )
         for name in calibrated:
             if name not in found:
                 self.problems.append(
-                    f"{self.path / folder / name}: expected the pictures of camera '{name}' of intri.yml, got none "
-                    "there; restore them or leave the camera out with --views"
+                    f"{self.path / folder / name}: expected images of camera '{name}', which is in intri.yml, got "
+                    "none; restore them or exclude the camera with --views"
                 )
         return [name for name in found if name in calibrated or not calibrated]
 
@@ -189,11 +198,14 @@ class _Check:
         return [frame_name(number) for number in range(common_frames(videos))]
 
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:
-        """Check that a camera's folder has all frames; ``found`` is None where its listing failed and was reported."""
+        """Check that a camera's folder has all frames.
+
+        ``found`` maps frame names to file names; it is None if listing the folder failed, which is already reported.
+        """
         if found is None:
             return
         if not found:
-            self.problems.append(f"{folder}: expected pictures (FRAME.jpg or .png), got none; restore them")
+            self.problems.append(f"{folder}: expected images (FRAME.jpg or FRAME.png), got none; restore them")
             return
         error = missing_frame_error(folder, found, frames)
         if error is not None:
@@ -201,7 +213,7 @@ class _Check:
         surplus = sorted(set(found) - set(frames))
         if surplus:
             self.warnings.append(
-                f"{folder / found[surplus[0]]}: a matte without a picture ({len(surplus)} such files here); not used"
+                f"{folder / found[surplus[0]]}: a matte without an image is not used ({len(surplus)} such files)"
             )
 
     def _check_picture(self, file: Path, calibration: Calibration | None, is_sampled: bool) -> None:
@@ -228,26 +240,28 @@ class _Check:
         expected = self.sizes.get(name, size)
         if size != expected:
             self.problems.append(
-                f"{file}: expected {expected[0]} x {expected[1]} pixels, as camera '{name}' has, "
-                f"got {size[0]} x {size[1]}; export it again at that size"
+                f"{file}: expected {expected[0]} x {expected[1]} pixels like camera '{name}', "
+                f"got {size[0]} x {size[1]}; export the file again at the expected size"
             )
 
     def _check_matte(self, file: Path, matte: np.ndarray) -> None:
         coverage = float(matte.mean()) / 255
         self.coverages.append(coverage)
         if 0 < matte.max() <= 1:
-            self.problems.append(f"{file}: expected a matte from 0 to 255, got one from 0 to 1; multiply it by 255")
+            self.problems.append(f"{file}: expected matte values from 0 to 255, got 0 to 1; multiply them by 255")
         elif coverage < MIN_COVERAGE:
             self.warnings.append(f"{file}: the matte is empty; the object should be white")
         elif coverage > MAX_COVERAGE:
-            self.warnings.append(f"{file}: the matte is all object; is it inverted?")
+            self.warnings.append(
+                f"{file}: the matte is entirely white; it may be inverted (the object should be white)"
+            )
 
     def _check_mean_coverage(self) -> None:
         mean = float(np.mean(self.coverages)) if self.coverages else 0.0
         if MAX_COVERAGE >= mean > MAX_MEAN_COVERAGE:
             self.warnings.append(
-                f"{self.path / 'masks'}: mattes cover {mean:.0%} of the pictures; are they inverted? "
-                "The object should be white"
+                f"{self.path / 'masks'}: mattes cover {mean:.0%} of the images; they may be inverted "
+                "(the object should be white)"
             )
 
     def _to_camera(self, name: str, calibration: Calibration) -> Camera | None:
@@ -256,13 +270,19 @@ class _Check:
         return None
 
     def _check_poses(self, cameras: dict[str, Camera]) -> float:
-        """Warn of cameras at the same position or facing away from the common focus; their mean distance from it."""
+        """Warn of cameras at the same position, and of cameras that face away from the common focus.
+
+        Returns:
+            The mean distance between the cameras and the focus in world units; 0 if there is no focus.
+        """
         if len(cameras) < 2:
             return 0.0
         counts = Counter(tuple(np.round(camera.centre, 6)) for camera in cameras.values())
         for name, camera in cameras.items():
             if counts[tuple(np.round(camera.centre, 6))] > 1:
-                self.warnings.append(f"{self.path / 'extri.yml'}: camera '{name}' has the position of another camera")
+                self.warnings.append(
+                    f"{self.path / 'extri.yml'}: camera '{name}' is at the same position as another camera"
+                )
         focus = find_focus(list(cameras.values()))
         if focus is None:
             return 0.0
@@ -272,13 +292,13 @@ class _Check:
             miss = float(np.linalg.norm(to_focus - depth * camera.forward))
             if depth <= 0 or miss > MAX_FOCUS_MISS * depth:
                 self.warnings.append(
-                    f"{self.path / 'extri.yml'}: camera '{name}' faces away from the other cameras' focus"
+                    f"{self.path / 'extri.yml'}: camera '{name}' faces away from the point that the other cameras face"
                 )
         return float(np.mean([np.linalg.norm(focus - camera.centre) for camera in cameras.values()]))
 
 
 def _sample_mattes(folder: Path, masks: dict[str, dict[str, str] | None]) -> set[Path]:
-    """Some mattes of each camera, evenly spaced."""
+    """Choose a few evenly spaced mattes of each camera."""
     sampled = set()
     for name, found in masks.items():
         files = sorted((found or {}).values())

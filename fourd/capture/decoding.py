@@ -1,4 +1,4 @@
-"""Decoding of picture files; a damaged file is an error, never a partial picture."""
+"""Decoding of image files; a damaged file raises an error and does not give a partial image."""
 
 from __future__ import annotations
 
@@ -12,30 +12,36 @@ from PIL import Image, UnidentifiedImageError
 from fourd.errors import UserError
 
 PICTURE_FORMATS = ("JPEG", "PNG")
-"""The formats that Pillow may detect by content: others, such as EPS, start other programs."""
+"""Formats that Pillow may detect; some other formats, such as EPS, would start external programs."""
 
 
 def decode_rgb(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 RGB of a picture file, pixels as stored (no rotation by EXIF, no colour management).
+    """Decode an image file to RGB (H, W, 3) uint8, without EXIF rotation or colour management.
 
     Raises:
-        UserError: when the file is missing, no JPEG or PNG, or truncated.
+        UserError: if the file is missing, is not a JPEG or PNG, or is truncated.
     """
     return np.asarray(_open(path, path, "RGB"))
 
 
 def decode_rgb_bytes(content: bytes, name: str) -> NDArray[np.uint8]:
-    """decode_rgb for a picture file's bytes; ``name`` identifies them in errors."""
+    """Decode the bytes of an image file like :func:`decode_rgb`; ``name`` identifies the file in errors."""
     return np.asarray(_open(io.BytesIO(content), name, "RGB"))
 
 
 def decode_matte(path: Path) -> NDArray[np.uint8]:
-    """(H, W) uint8 matte of a picture file: its grey value, the upper 8 of 16 bits. Raises as decode_rgb."""
+    """Decode a matte (H, W) uint8 from an image file's grey values.
+
+    Of 16-bit values, the upper 8 bits are used. The errors are those of :func:`decode_rgb`.
+    """
     return np.asarray(_open(path, path, "L"))
 
 
 def decode_alpha(path: Path) -> NDArray[np.uint8]:
-    """(H, W) uint8 alpha channel of a picture file, 255 everywhere if it has none. Raises as decode_rgb."""
+    """Decode the alpha channel (H, W) uint8 of an image file; it is 255 everywhere if the file has no alpha channel.
+
+    The errors are those of :func:`decode_rgb`.
+    """
     try:
         with Image.open(path, formats=PICTURE_FORMATS) as image:
             return np.array(image.convert("RGBA").getchannel("A"))
@@ -44,7 +50,7 @@ def decode_alpha(path: Path) -> NDArray[np.uint8]:
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """(width, height) in pixels from the header alone. Raises as decode_rgb."""
+    """Read (width, height) in pixels from an image file's header; the errors are those of :func:`decode_rgb`."""
     try:
         with Image.open(path, formats=PICTURE_FORMATS) as image:
             return image.size
@@ -67,9 +73,9 @@ def _damaged(name: Path | str, error: Exception) -> UserError:
     if isinstance(error, FileNotFoundError):
         got = "no such file"
     elif isinstance(error, UnidentifiedImageError):
-        got = "something else"
+        got = "another format"
     elif isinstance(error, OSError) and error.strerror:
         got = f"'{error.strerror}'"
     else:
         got = f"'{error}'"
-    return UserError(f"{name}: expected a whole JPEG or PNG picture, got {got}; copy the file again")
+    return UserError(f"{name}: expected a complete JPEG or PNG image, got {got}; copy the file again")

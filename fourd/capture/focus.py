@@ -1,4 +1,4 @@
-"""The common focus of a ring of cameras."""
+"""The common focus of a ring of cameras: the point that they face."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ import numpy as np
 from fourd.cameras import Camera
 
 PARALLEL = 1e-4
-"""Mean squared sine of the angle (0.6 degrees) to a common direction, below which the axes count as parallel."""
+"""Limit for the mean squared sine of the angles between the optical axes and their common direction.
+
+Below this limit, which corresponds to 0.6 degrees, the axes are treated as parallel.
+"""
 
 
 def find_focus(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """(3,) world point nearest to the cameras' optical axes in the least-squares sense; None for parallel axes."""
+    """Find the world point (3,) that is nearest to all optical axes in the least-squares sense; None if parallel."""
     projections = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
     if np.linalg.eigvalsh(np.mean(projections, axis=0))[0] < PARALLEL:
         return None

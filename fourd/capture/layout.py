@@ -1,4 +1,4 @@
-"""Files of a capture: pictures, mattes and videos by camera and frame, found by listing folders."""
+"""Layout of a capture on disk: its images, mattes and videos by camera and frame."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts")
 
 VIDEOS = "videos"
-"""Folder of a capture with one video per camera, CAM.mp4 or another of VIDEO_SUFFIXES."""
+"""Folder in a capture with one video per camera, CAM.mp4 or CAM with another suffix of VIDEO_SUFFIXES."""
 
 DERIVED = Path(".fourd")
-"""Folder of a capture for everything that fourd computes from it; fourd deletes stale files there."""
+"""Folder in a capture for all files that fourd computes from the capture; fourd deletes stale files in it."""
 
 MATTES = DERIVED / "mattes"
-"""Generated mattes, CAM/FRAME.png, of the undistorted pictures."""
+"""Folder in a capture for the mattes that fourd makes of the undistorted images, CAM/FRAME.png."""
 
 
 def camera_folders(folder: Path) -> list[str]:
-    """Names of the folders in ``folder``, sorted; empty where it does not exist."""
+    """Sorted names of the camera folders in ``folder``; an empty list if ``folder`` does not exist."""
     if not folder.is_dir():
         return []
     return sorted(entry.name for entry in os.scandir(folder) if entry.is_dir() and not entry.name.startswith("."))
 
 
 def find_pictures(folder: Path) -> dict[str, str]:
-    """File names of a camera's pictures by stem, the frame's name.
+    """File names of a camera's images by frame name; the frame name is the file name without suffix.
 
     Raises:
-        UserError: when two files share a stem.
+        UserError: if two files belong to the same frame.
     """
     found: dict[str, str] = {}
     for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
@@ -45,17 +45,18 @@ def find_pictures(folder: Path) -> dict[str, str]:
             continue
         if stem in found:
             raise UserError(
-                f"{folder / entry}: expected one picture per frame, got {found[stem]} as well; remove one of them"
+                f"{folder / entry}: expected one image per frame, got {found[stem]} for the same frame; remove one of "
+                "the two files"
             )
         found[stem] = entry
     return found
 
 
 def find_videos(folder: Path) -> dict[str, Path]:
-    """Paths of the videos in ``folder`` by name without suffix, sorted.
+    """Sorted paths of the videos in ``folder`` by camera name, which is the file name without suffix.
 
     Raises:
-        UserError: when two videos have the same name without suffix.
+        UserError: if two videos have the same camera name.
     """
     found: dict[str, Path] = {}
     for entry in sorted(os.listdir(folder)) if folder.is_dir() else []:
@@ -64,19 +65,20 @@ def find_videos(folder: Path) -> dict[str, Path]:
             continue
         if path.stem in found:
             raise UserError(
-                f"{path}: expected each camera once, got {found[path.stem].name} of the same name; rename one of them"
+                f"{path}: expected one video per camera, got {found[path.stem].name} of the same name; rename one of "
+                "the two files"
             )
         found[path.stem] = path
     return found
 
 
 def refuse_symlinks(capture: Path, folder: Path) -> None:
-    """Check before deleting files in ``folder`` that this deletes nothing outside CAPTURE/.fourd.
+    """Check that deleting files in ``folder`` cannot delete files outside CAPTURE/.fourd through symbolic links.
 
-    Does nothing if ``folder`` is elsewhere.
+    The check is skipped if ``folder`` is not inside CAPTURE/.fourd.
 
     Raises:
-        UserError: naming the first symbolic link at or below CAPTURE/.fourd.
+        UserError: if CAPTURE/.fourd is or contains a symbolic link; the message contains the first one.
     """
     derived = capture / DERIVED
     if not Path(os.path.abspath(folder)).is_relative_to(os.path.abspath(derived)):
@@ -87,52 +89,57 @@ def refuse_symlinks(capture: Path, folder: Path) -> None:
     link = next((path for path in entries if path.is_symlink()), None)
     if link is not None:
         raise UserError(
-            f"{link}: expected no symbolic links in {derived}, where fourd deletes stale files, got a link to "
+            f"{link}: expected no symbolic links in {derived}, because fourd deletes stale files there, got a link to "
             f"{os.readlink(link)}; remove the link"
         )
 
 
 def sample_indices(count: int, max_samples: int) -> list[int]:
-    """At most ``max_samples`` indices below ``count``, evenly spaced from the first to the last."""
+    """At most ``max_samples`` evenly spaced indices from 0 to ``count`` - 1, including both ends."""
     return sorted({round(index) for index in np.linspace(0, count - 1, min(count, max_samples))})
 
 
 def frame_name(number: int) -> str:
-    """The name of a frame that is known by its number alone, from 0."""
+    """Name of a video frame from its number, which starts at 0."""
     return f"{number:06d}"
 
 
 def sort_frames(stems: set[str]) -> list[str]:
-    """Frame names in order: by number where all are numbers, else by name."""
+    """Sort frame names: numerically if all of them are numbers, otherwise alphabetically."""
     if all(stem.isdecimal() for stem in stems):
         return sorted(stems, key=lambda stem: (int(stem), stem))
     return sorted(stems)
 
 
 def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
-    """The error for the first of ``frames`` that a camera's folder lacks; None if it has all."""
+    """Create the error for the first of ``frames`` that is missing in a camera's folder; None if no frame is missing.
+
+    ``found`` maps the frame names in the folder to file names.
+    """
     missing = [stem for stem in frames if stem not in found]
     if not missing:
         return None
     suffix = Counter(Path(name).suffix for name in found.values()).most_common(1)
     name = f"{missing[0]}{suffix[0][0] if suffix else '.png'}"
-    more = f" (and {len(missing) - 1} more there)" if len(missing) > 1 else ""
+    more = f" ({len(missing) - 1} more files are missing in this folder)" if len(missing) > 1 else ""
     return UserError(
-        f"{folder / name}: expected a picture, as other cameras have of that frame, got none{more}; restore it, "
-        "or leave the frames out with --frames or the camera with --views"
+        f"{folder / name}: expected an image, since other cameras have this frame, got no such file{more}; restore the "
+        "file, or exclude the frame with --frames or the camera with --views"
     )
 
 
 def parse_frame_range(text: str | None, count: int, source: str = "capture") -> range:
-    """The frames of ``A:B[:S]``: from A to B, B excluded, every S-th; A and B may be left out. None gives all.
+    """Parse a frame range ``A:B[:S]``: every S-th frame from A to B - 1.
+
+    A and B are optional; their defaults are the first frame and the number of frames.
 
     Args:
-        text: the option's value.
+        text: the option's value; None selects all frames.
         count: number of frames.
-        source: what has these frames, for errors.
+        source: the object that has these frames, for error messages.
 
     Raises:
-        UserError: when the text is no slice, or selects no frame.
+        UserError: if the text is not a valid range, or selects no frame.
     """
     if text is None:
         return range(count)
@@ -152,10 +159,10 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
 
 
 def select_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
-    """The selected cameras, in the order of ``names``; all for None.
+    """Names of the selected cameras in the order of ``names``; None selects all.
 
     Raises:
-        UserError: for an unknown name, with the nearest known one, or an empty selection.
+        UserError: if a name is unknown, with the most similar known name, or no camera is selected.
     """
     if views is None:
         return list(names)
@@ -166,5 +173,5 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
                 f"{option}: expected camera names among {', '.join(names)}, got '{view}'; did you mean '{near[0]}'?"
             )
     if not views:
-        raise UserError(f"{option}: expected at least one camera name, got none")
+        raise UserError(f"{option}: expected at least one camera name, got no names; give one of {', '.join(names)}")
     return [name for name in names if name in views]

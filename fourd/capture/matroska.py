@@ -1,4 +1,7 @@
-"""Truncated Matroska and WebM files: their header has the length in bytes but no frame count (RFC 8794, 9559)."""
+"""Detection of truncated Matroska and WebM files.
+
+The header of these files contains the length in bytes but no frame count (RFC 8794, RFC 9559).
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,8 @@ SEGMENT = b"\x18\x53\x80\x67"
 def missing_bytes(path: Path) -> int:
     """Number of bytes that are missing at the end of a Matroska file.
 
-    0 for whole files, other formats, and files without a length, such as live recordings that were not finalised.
+    The result is 0 for complete files, for other formats, and for files without a length. Live recordings have no
+    length if they were not finalised.
     """
     with path.open("rb") as stream:
         if stream.read(len(HEADER)) != HEADER:
@@ -28,7 +32,10 @@ def missing_bytes(path: Path) -> int:
 
 
 def _size(stream: BinaryIO) -> int | None:
-    """An element's size; the leading zeros of its first byte count the bytes that follow. None where unknown."""
+    """Read an element's size in bytes; None if it is unknown.
+
+    The number of leading zero bits in the first byte is the number of bytes that follow.
+    """
     first = stream.read(1)
     if not first or not first[0]:
         return None

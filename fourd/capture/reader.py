@@ -1,4 +1,4 @@
-"""An opened capture: cameras, and pictures and mattes that are decoded on demand and cached."""
+"""An opened capture: its cameras, and its images and mattes, which are decoded on demand and cached."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ class Mattes:
     """A camera's mattes of the selected frames.
 
     Attributes:
-        frames: one file per frame.
-        is_generated: whether fourd made them: then their pixels are those of the undistorted pictures.
+        frames: the matte files, one per frame.
+        is_generated: whether fourd made the mattes; generated mattes have the pixels of the undistorted images.
     """
 
     frames: CameraFrames
@@ -49,7 +49,13 @@ class Mattes:
 
 @dataclass(frozen=True)
 class Footage:
-    """A camera's selected frames and their size; mattes is None where the camera has none."""
+    """A camera's selected frames.
+
+    Attributes:
+        images: the images.
+        mattes: the mattes; None if the camera has none.
+        size: (width, height) of the stored images in pixels.
+    """
 
     images: CameraFrames
     mattes: Mattes | None
@@ -59,14 +65,14 @@ class Footage:
 class Capture:
     """Selected cameras and frames of a multi-view video.
 
-    Pictures and mattes are undistorted and scaled to match ``cameras``. They are decoded on demand and kept in one
-    cache of bounded size, so that memory does not grow with the number of frames. Not thread-safe.
+    Images and mattes are undistorted and scaled to match ``cameras``. They are decoded on demand and kept in a cache
+    of bounded size, so that memory does not grow with the number of frames. The class is not thread-safe.
 
     Attributes:
         path: the capture's folder.
         names: camera names.
-        cameras: pinholes without distortion, in the order of ``names``.
-        frame_names: names of the selected frames: their files' names without suffix.
+        cameras: pinhole cameras without distortion, in the order of ``names``.
+        frame_names: names of the selected frames, which are the names of their files without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
     """
@@ -97,11 +103,11 @@ class Capture:
 
     @property
     def distorted_cameras(self) -> tuple[Camera, ...]:
-        """The cameras of the stored pictures: at full size, with distortion."""
+        """The cameras of the stored images, at full size and with distortion."""
         return self._distorted_cameras
 
     def with_cameras(self, cameras: Sequence[Camera]) -> Capture:
-        """The same pictures with other pinhole cameras, one for each of ``names``."""
+        """Copy the capture with other pinhole cameras, one for each of ``names``; the images are the same."""
         other = copy(self)
         other.cameras = tuple(cameras)
         return other
@@ -117,21 +123,32 @@ class Capture:
         return all(footage.mattes is not None for footage in self._footage)
 
     def time(self, frame: int) -> float:
-        """Time in [0, 1] of a selected frame within the whole capture: f / (F - 1), 0 when F = 1."""
+        """Time of a selected frame in [0, 1]: f / (F - 1) for frame number f of F frames in the whole capture.
+
+        The time is 0 if the capture has one frame.
+        """
         return self.frame_numbers[frame] / max(self.total_frames - 1, 1)
 
     def image(self, camera: int, frame: int) -> Picture:
-        """(H, W, 3) uint8 RGB, read-only. Raises UserError when the file is damaged or of another size."""
+        """Undistorted RGB image (H, W, 3) uint8 of a camera and frame; the array is read-only.
+
+        Raises:
+            UserError: if the file is damaged or has another size than the camera.
+        """
         frames = self._footage[camera].images
         return self._cache.get(("image", camera, frame), lambda: self._read(frames, camera, frame))
 
     def mask(self, camera: int, frame: int) -> Picture:
-        """(H, W) uint8 matte, 255 = object, read-only. Raises UserError as image, and without mattes."""
+        """Undistorted matte (H, W) uint8 of a camera and frame, 255 = object; the array is read-only.
+
+        Raises:
+            UserError: if there are no mattes, or the file is damaged or has another size than the camera.
+        """
         mattes = self._footage[camera].mattes
         if mattes is None:
             raise UserError(
                 f"{self.path / 'masks' / self.names[camera]}: expected mattes (FRAME.png), got none; "
-                f"make them: fourd matte {self.path}"
+                f"make them with: fourd matte {self.path}"
             )
         return self._cache.get(
             ("matte", camera, frame), lambda: self._read(mattes.frames, camera, frame, mattes.is_generated)
@@ -143,8 +160,8 @@ class Capture:
         height, width = picture.shape[:2]
         if (width, height) != (distorted.width, distorted.height):
             raise UserError(
-                f"{frames.describe(frame)}: expected {distorted.width} x {distorted.height} pixels, as camera "
-                f"'{self.names[index]}' has, got {width} x {height}; export it again at that size"
+                f"{frames.describe(frame)}: expected {distorted.width} x {distorted.height} pixels like camera "
+                f"'{self.names[index]}', got {width} x {height}; export it again at the expected size"
             )
         if distorted.distortion is not None and not is_undistorted:
             maps = self._cache.get(index, lambda: _undistortion_maps(distorted))
@@ -167,31 +184,30 @@ def open_capture(
     cache_frames: int = 0,
     mattes: bool = True,
 ) -> Capture:
-    """Open a capture of the EasyMocap layout: images/CAM/FRAME.jpg|png, masks/CAM/FRAME.png, intri.yml, extri.yml.
+    """Open a capture in the EasyMocap layout: images/CAM/FRAME.jpg or .png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
-    Without images/, the frames are those of videos/CAM.mp4 (or another suffix), read by seeking. No picture is decoded
-    here. Generated mattes are used where masks/ has none. Pictures and mattes are undistorted with K unchanged; pixels
-    outside the distorted picture are 0.
+    Without images/, frames are read from videos/CAM.mp4 (or another video suffix) by seeking. Opening decodes no
+    images. If masks/ has no mattes of a camera, generated mattes are used. Images and mattes are undistorted with
+    unchanged intrinsics K; pixels outside the distorted image are 0.
 
     Args:
         path: the capture's folder.
         views: names of the cameras to use; None for all.
-        frames: ``A:B[:S]``, indices in the capture's order of frames; None for all.
-        scale: factor on the pictures' size, in (0, 4].
-        cache_mb: size of the cache of decoded pictures in MiB.
-        cache_frames: number of frames, of all cameras, by which the cache is enlarged.
-        mattes: whether to open mattes, which must then be complete.
+        frames: frame range ``A:B[:S]`` of indices in the sorted list of frames; None for all.
+        scale: factor in (0, 4] by which images are resized.
+        cache_mb: size of the cache of decoded images in MiB.
+        cache_frames: number of frames of all cameras by which the cache is enlarged.
+        mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
 
     Raises:
-        UserError: when files are missing or inconsistent, or the selection is empty.
+        UserError: if files are missing or inconsistent, or the selection is empty.
     """
     path = Path(path)
     if not 0 < scale <= 4:
         raise UserError(f"--scale: expected a factor above 0 and at most 4, got {scale:g}")
     if not path.is_dir():
-        raise UserError(
-            f"{path}: expected a capture's folder, got {'a file' if path.exists() else 'nothing there'}; check the path"
-        )
+        got = "a file" if path.exists() else "no such folder"
+        raise UserError(f"{path}: expected a capture's folder, got {got}; check the path")
     calibrations = read_calibration(path)
     names = _select_cameras(path, calibrations, views)
     if camera_folders(path / "images"):
@@ -216,22 +232,28 @@ def open_capture(
 
 
 def _check_mattes(path: Path, names: Sequence[str], footage: Sequence[Footage]) -> None:
-    """Raise UserError where some cameras have mattes and others have none."""
+    """Check that either all cameras or no cameras have mattes.
+
+    Raises:
+        UserError: if some cameras have mattes and others have none.
+    """
     for name, of_camera in zip(names, footage, strict=True):
         if (of_camera.mattes is None) != (footage[0].mattes is None):
             unmatted = name if of_camera.mattes is None else names[0]
             raise UserError(
-                f"{path / 'masks' / unmatted}: expected mattes, as other cameras have them, got none; "
-                "add them or leave the camera out with --views"
+                f"{path / 'masks' / unmatted}: expected mattes, since other cameras have mattes, got none; "
+                "add them or exclude the camera with --views"
             )
 
 
 def _list_picture_frames(path: Path, names: Sequence[str]) -> list[str]:
-    """Names of all frames that any camera has a picture of, in order."""
+    """Sorted names of all frames of which at least one camera has an image."""
     found = {name: find_pictures(path / "images" / name) for name in names}
     for name in names:
         if not found[name]:
-            raise UserError(f"{path / 'images' / name}: expected pictures (FRAME.jpg or .png), got none; restore them")
+            raise UserError(
+                f"{path / 'images' / name}: expected images (FRAME.jpg or FRAME.png), got none; restore them"
+            )
     return sort_frames(set().union(*found.values()))
 
 
@@ -249,7 +271,10 @@ def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
     """Names of the frames that all videos have."""
     total = common_frames(videos)
     if total < 1:
-        raise UserError(f"{path / VIDEOS}: expected videos with frames in common, got none; import with other offsets")
+        raise UserError(
+            f"{path / VIDEOS}: expected at least one frame that all videos have, got none; import again with other "
+            "--offset values"
+        )
     return [frame_name(number) for number in range(total)]
 
 
@@ -260,7 +285,7 @@ def _open_video(video: Video, selected: range) -> Footage:
 
 
 def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
-    """The user's mattes of the chosen frames, else generated ones, else None."""
+    """Open the user's mattes of the chosen frames, or else the generated mattes; None if there are no mattes."""
     for folder, is_generated in ((path / "masks" / name, False), (path / MATTES / name, True)):
         files = find_pictures(folder)
         if files:
@@ -268,7 +293,7 @@ def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
             if error is not None and is_generated:
                 count = sum(stem in files for stem in chosen)
                 raise UserError(
-                    f"{folder}: expected mattes of {len(chosen)} frames, got {count}; make the others: "
+                    f"{folder}: expected mattes of {len(chosen)} frames, got {count}; make the missing mattes with: "
                     f"fourd matte {path}"
                 ) from error
             if error is not None:
@@ -278,7 +303,11 @@ def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
 
 
 def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Sequence[str] | None) -> list[str]:
-    """Names of the selected cameras, after a check that each has a calibration and a folder of pictures or a video."""
+    """Names of the selected cameras.
+
+    Raises:
+        UserError: if a selected camera has no calibration, or neither a folder of images nor a video.
+    """
     found = camera_folders(path / "images")
     folder = "images"
     if not found and (path / VIDEOS).is_dir():
@@ -289,18 +318,18 @@ def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Seq
         if name not in calibrations:
             raise UserError(
                 f"{path / 'intri.yml'}: expected camera '{name}', since {folder}/{name} exists, got no such name; "
-                "calibrate it or leave it out with --views"
+                "calibrate the camera or exclude it with --views"
             )
         if name not in found:
             raise UserError(
-                f"{path / folder / name}: expected the pictures of camera '{name}' of intri.yml, got none there; "
-                "restore them or leave the camera out with --views"
+                f"{path / folder / name}: expected images of camera '{name}', which is in intri.yml, got none; "
+                "restore them or exclude the camera with --views"
             )
     return names
 
 
 def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int, int]) -> Camera:
-    """The camera with its distortion, of the pictures' ``size`` where the calibration has none."""
+    """Create the camera with distortion; its size is ``size`` if the calibration has no size."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = size
@@ -311,9 +340,10 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
 
 
 def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
-    """(2, H, W) positions x and y in the distorted picture of a pinhole's pixels with the same K.
+    """Maps (2, H, W) of x and y: for each pixel of a pinhole camera with the same K, its position in the stored image.
 
-    OpenCV's pixel coordinates are 0 at pixel centres, fourd's at corners: half a pixel apart.
+    In OpenCV, the first pixel's centre is at 0; in fourd, its corner is at 0. The principal point is therefore shifted
+    by half a pixel.
     """
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
@@ -322,18 +352,18 @@ def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
 
 
 class _ArrayCache:
-    """Arrays by key within a budget of bytes; the least recently used is evicted first."""
+    """Cache of arrays by key with a maximum size in bytes; the least recently used array is evicted first."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
         self._arrays: LRUCache[object, NDArray[Any]] = LRUCache(max_bytes, getsizeof=lambda array: array.nbytes)
 
     def __reduce__(self) -> tuple[type[_ArrayCache], tuple[int]]:
-        """Pickled without its content; another process fills its own."""
+        """Pickle an empty cache, so that the arrays are not sent to other processes."""
         return _ArrayCache, (self._max_bytes,)
 
     def get(self, key: object, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """The cached array, or a new one; an array larger than the budget is not cached."""
+        """Return the cached array, or make and cache it; an array larger than the whole cache is not cached."""
         if key in self._arrays:
             return self._arrays[key]
         array = make()

@@ -1,4 +1,4 @@
-"""Random access to a video's frames by number, by seeking; nothing is unpacked to disk."""
+"""Random access to a video's frames by number, by seeking; frames are not extracted to disk."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from fourd.capture.matroska import missing_bytes
 from fourd.errors import UserError
 
 MAX_JITTER = 0.25
-"""Largest deviation from a constant frame rate, in frame intervals. A dropped frame gives at least 0.5."""
+"""Maximum deviation of a frame's time from a constant frame rate, in frame intervals.
+
+A dropped frame causes a deviation of at least 0.5.
+"""
 
 
 @dataclass(frozen=True)
@@ -23,11 +26,12 @@ class VideoIndex:
     """Times and keyframes of a video.
 
     Attributes:
-        width, height: of the decoded frames, in pixels.
+        width: width of the decoded frames in pixels.
+        height: height of the decoded frames in pixels.
         frames: number of frames.
-        start: presentation time of frame 0, seconds.
-        fps: frames per second.
-        keyframes: numbers of the frames that can be decoded without earlier ones, ascending.
+        start: presentation time of frame 0 in seconds.
+        fps: frame rate in 1/s.
+        keyframes: ascending numbers of the frames that can be decoded without earlier frames.
     """
 
     width: int
@@ -42,36 +46,37 @@ class VideoIndex:
         return self.start + frame / self.fps
 
     def keyframe_before(self, frame: int) -> int:
-        """The last keyframe at or before ``frame``; 0 where there is none."""
+        """Number of the last keyframe at or before ``frame``; 0 if there is no such keyframe."""
         count = int(np.searchsorted(self.keyframes, frame, side="right"))
         return self.keyframes[count - 1] if count else 0
 
 
 def index_video(path: Path) -> VideoIndex:
-    """Index a video from its packets; decodes its first and last frame as a check.
+    """Index a video from its packets, and decode its first and last frame as a check.
 
     Raises:
-        UserError: when the file is no video, is truncated, has rotation metadata, or has a variable frame rate.
+        UserError: if the file is not a video, is truncated, or has rotation metadata or a variable frame rate.
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy it again")
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
-                raise UserError(f"{path}: expected a video, got a file without pictures; remove it")
+                raise UserError(f"{path}: expected a video, got a file without a video stream; remove the file")
             stream = container.streams.video[0]
             declared = stream.frames
             packets = [(packet.pts, packet.is_keyframe) for packet in container.demux(stream) if packet.pts is not None]
             base = stream.time_base
         if not packets or base is None:
-            raise UserError(f"{path}: expected a video's frames, got none; copy it again")
+            raise UserError(f"{path}: expected a video with frames, got no frames; copy the file again")
         if len(packets) < declared:
             raise _truncated(path, len(packets), declared)
         missing = missing_bytes(path)
         if missing:
             size = path.stat().st_size
             raise UserError(
-                f"{path}: expected {size + missing} bytes, as its header declares, got {size}; copy or record it again"
+                f"{path}: expected {size + missing} bytes according to the file's header, got {size}; copy or record "
+                "the video again"
             )
         packets.sort()
         fps = _constant_rate(path, np.array([pts for pts, _ in packets], np.int64), base)
@@ -86,9 +91,10 @@ def index_video(path: Path) -> VideoIndex:
 
 
 class VideoReader:
-    """Reads frames of a video. Frames in ascending order are decoded once; others from the keyframe before them.
+    """Reads frames of a video by number.
 
-    Not thread-safe. Close it, or use it as a context manager.
+    Reading frames in ascending order decodes each frame once. For other frames, the reader seeks to the keyframe
+    before the frame and decodes from there. Close the reader or use it as a context manager. It is not thread-safe.
     """
 
     def __init__(self, path: Path, index: VideoIndex) -> None:
@@ -100,7 +106,7 @@ class VideoReader:
         self._last: tuple[int, NDArray[np.uint8]] | None = None
 
     def __reduce__(self) -> tuple[type[VideoReader], tuple[Path, VideoIndex]]:
-        """Pickled without the open file; another process opens it again."""
+        """Pickle the reader without its open file; the next read in another process opens the file again."""
         return VideoReader, (self.path, self.index)
 
     def __enter__(self) -> VideoReader:
@@ -117,11 +123,11 @@ class VideoReader:
             self._container = None
 
     def read(self, frame: int) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 RGB of a frame by number, read-only.
+        """Decode a frame to RGB (H, W, 3) uint8; the array is read-only.
 
         Raises:
-            UserError: when the video is damaged there or ends before.
-            ValueError: when the number is out of range.
+            UserError: if the video is damaged or ends before the frame.
+            ValueError: if the frame number is out of range.
         """
         if not 0 <= frame < self.index.frames:
             raise ValueError(f"frame: expected 0 to {self.index.frames - 1}, got {frame}")
@@ -140,7 +146,7 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # Frames earlier than the keyframe may follow it in the file, and some containers seek too far.
+            # A frame may be stored after a keyframe that is displayed later, and some containers seek too far.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -148,7 +154,7 @@ class VideoReader:
         return np.asarray(found.to_ndarray(format="rgb24"), np.uint8)
 
     def _decode_until(self, wanted: int) -> av.VideoFrame | None:
-        """Decode up to the frame ``wanted``; None where it is missing."""
+        """Decode frames until number ``wanted``, and return that frame; None if it is missing."""
         for frame in self._frames:
             if frame.pts is None or frame.time_base is None:
                 continue
@@ -170,27 +176,35 @@ class VideoReader:
 
 
 def _first_size(path: Path) -> tuple[int, int]:
-    """(width, height) of the first frame; raises UserError for rotation metadata."""
+    """Width and height in pixels of the first frame.
+
+    Raises:
+        UserError: if the video has rotation metadata or no frame can be decoded.
+    """
     with av.open(str(path)) as container:
         for frame in container.decode(video=0):
             if frame.rotation % 360:
                 raise UserError(
-                    f"{path}: expected frames stored upright, got rotation metadata of {frame.rotation % 360} degrees, "
-                    "as phones write it; rotate the frames: "
-                    f"ffmpeg -i {path.name} -crf 12 upright-{path.name}"
+                    f"{path}: expected frames stored upright, got rotation metadata of {frame.rotation % 360} degrees; "
+                    f"rotate the frames with: ffmpeg -i {path.name} -crf 12 upright-{path.name}"
                 )
             return frame.width, frame.height
-    raise UserError(f"{path}: expected a video's frames, got none that can be decoded; copy it again")
+    raise UserError(f"{path}: expected a video with frames, got no frame that can be decoded; copy the file again")
 
 
 def _constant_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> Fraction:
-    """The constant frame rate in 1/s; rounding of times to the container's ticks is tolerated."""
+    """Compute the constant frame rate in 1/s from presentation times; rounding to the container's ticks is allowed.
+
+    Raises:
+        UserError: if the frame rate is not constant.
+    """
     if len(pts) == 1:
         return Fraction(1)
     step = Fraction(int(pts[-1] - pts[0]), len(pts) - 1)
     if step <= 0:
         raise UserError(
-            f"{path}: expected frames at increasing times, got several at one time; re-encode it with ffmpeg"
+            f"{path}: expected frames at increasing times, got several frames at the same time; re-encode the video "
+            "with ffmpeg"
         )
     jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step)) / float(step)
     if jitter.max() > MAX_JITTER and jitter.max() * float(step) > 1:
@@ -198,15 +212,15 @@ def _constant_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> Fracti
         raise UserError(
             f"{path}: expected a constant frame rate, got intervals of {1e3 * steps.min():.1f} to "
             f"{1e3 * steps.max():.1f} ms (first deviation at frame {int(np.argmax(jitter > MAX_JITTER))}); re-encode "
-            f"it: ffmpeg -i {path.name} -fps_mode cfr -crf 12 even-{path.name}"
+            f"the video with: ffmpeg -i {path.name} -fps_mode cfr -crf 12 even-{path.name}"
         )
     return (1 / (step * base)).limit_denominator(1001)
 
 
 def _truncated(path: Path, got: int, declared: int) -> UserError:
-    return UserError(f"{path}: expected {declared} frames, got {got} before its end; copy or record it again")
+    return UserError(f"{path}: expected {declared} frames, got {got}; copy or record the video again")
 
 
 def _damaged(path: Path, error: Exception) -> UserError:
     reason = getattr(error, "strerror", None) or str(error)
-    return UserError(f"{path}: expected a whole video, got '{reason}'; copy it again")
+    return UserError(f"{path}: expected a complete video, got '{reason}'; copy the file again")

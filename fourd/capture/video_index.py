@@ -1,4 +1,4 @@
-"""Cached video indices, so that each video is read through once across all commands."""
+"""Cache of video indices on disk, so that commands read each whole video only once."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from fourd.progress import Track
 
 
 def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dict[str, VideoIndex]:
-    """The indices of videos by camera, from ``folder``/.fourd/videos.json.
+    """Return the index of each video by camera name, using the cache file ``folder``/.fourd/videos.json.
 
-    Videos that the file lacks are indexed, and added to it one by one.
+    Videos that are not in the cache file are indexed, and their indices are written to the file one by one.
 
     Args:
-        files: videos by camera.
+        files: path of each video by camera name.
         folder: the capture's folder.
-        track: wraps loops for progress.
+        track: progress callback.
 
     Raises:
-        UserError: when a video cannot be used, or the file is damaged.
+        UserError: if a video cannot be used, or the cache file is damaged.
     """
     path = folder / CACHE
     known = read_entries(path)
@@ -39,9 +39,18 @@ def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dic
 
 
 def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> None:
-    """Index and cache the videos of a capture without videos.json, so that opening it does not read them through.
+    """Index the videos that are not in the capture's videos.json, and cache the indices on disk.
 
-    Does nothing where the capture has pictures or its folder is not writable. Raises UserError as cached_indices.
+    Opening the capture then does not read whole videos. The function does nothing if the capture has image files or
+    its folder is not writable.
+
+    Args:
+        capture: the capture's folder.
+        names: names of the cameras whose videos are indexed; None for all.
+        track: progress callback.
+
+    Raises:
+        UserError: if a video cannot be used, or a file with indices is damaged.
     """
     if camera_folders(capture / "images") or not os.access(capture, os.W_OK):
         return

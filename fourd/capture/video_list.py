@@ -1,4 +1,4 @@
-"""videos.json: a capture's videos, the index of their frames, and their offsets in time."""
+"""Reading and writing of videos.json, which lists a capture's videos, their frame indices and time offsets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.files import write_text_atomically
 
 NAME = "videos.json"
 CACHE = DERIVED / NAME
-"""Cached indices of an import's source, and of a capture that has no videos.json."""
+"""Cache file with video indices, for the source of an import and for captures without videos.json."""
 VERSION = 1
 
 Entry = dict[str, Any]
@@ -28,8 +28,8 @@ class Video:
 
     Attributes:
         path: the video file.
-        index: the index of its frames.
-        offset: the video's frame number of the capture's frame 0, at least 0.
+        index: frame count, times and keyframes of the video.
+        offset: number, at least 0, of the video's frame that is frame 0 of the capture.
     """
 
     path: Path
@@ -38,21 +38,22 @@ class Video:
 
     @property
     def frames_left(self) -> int:
-        """Number of frames from the offset on, at least 0."""
+        """Number of frames of the video from the offset to the end, at least 0."""
         return max(0, self.index.frames - self.offset)
 
 
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
-    """The videos of ``capture``/videos by camera, indexed by videos.json or else by .fourd/videos.json.
+    """List the videos in ``capture``/videos by camera name.
 
-    Videos that both lack are indexed without being cached, unlike :func:`fourd.capture.video_index.index_capture`.
+    Their indices are read from videos.json, or else from .fourd/videos.json. Videos that are in neither file are
+    indexed, but the index is not cached; :func:`fourd.capture.video_index.index_capture` caches it.
 
     Args:
         capture: the capture's folder.
-        names: the cameras; None for all.
+        names: names of the cameras; None for all.
 
     Raises:
-        UserError: when two videos have one name, videos.json is damaged, or a video cannot be used.
+        UserError: if two videos have the same name, videos.json is damaged, or a video cannot be used.
     """
     files = find_videos(capture / VIDEOS)
     path, cache = capture / NAME, capture / CACHE
@@ -67,28 +68,28 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
 
 
 def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
-    """Write videos.json atomically."""
+    """Write the videos.json of a capture atomically."""
     write_entries(capture / NAME, {name: make_entry(video) for name, video in videos.items()})
 
 
 def write_entries(path: Path, entries: Mapping[str, Entry]) -> None:
-    """Write a videos.json atomically."""
+    """Write entries by camera name to a file in the format of videos.json, atomically."""
     write_text_atomically(path, json.dumps({"version": VERSION, "cameras": entries}, indent=1) + "\n")
 
 
 def align_offsets(offsets: Mapping[str, int]) -> dict[str, int]:
-    """The offsets shifted so that the smallest is 0."""
+    """Shift all offsets by the same number so that the smallest is 0."""
     least = min(offsets.values(), default=0)
     return {name: offset - least for name, offset in offsets.items()}
 
 
 def common_frames(videos: Mapping[str, Video]) -> int:
-    """Number of frames that all videos have after their offsets."""
+    """Number of frames of the capture: frames after the offset that all videos have."""
     return min((video.frames_left for video in videos.values()), default=0)
 
 
 def make_entry(video: Video) -> Entry:
-    """A video's entry in videos.json."""
+    """Create a video's entry for videos.json."""
     status = video.path.stat()
     index = asdict(video.index) | {"start": str(video.index.start), "fps": str(video.index.fps)}
     return {
@@ -100,15 +101,15 @@ def make_entry(video: Video) -> Entry:
 
 
 def is_entry_current(entry: Entry | None, path: Path) -> bool:
-    """Whether an entry has the file's name and size."""
+    """Whether the name and size in an entry are those of the file."""
     return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
 
 
 def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
-    """The video ``path`` by its entry in ``listing``; without an entry, or for a changed file, it is indexed again.
+    """Create the video from its entry in the file ``listing``; index it again if it has no entry or has changed.
 
     Raises:
-        UserError: when the entry is damaged or the video cannot be used.
+        UserError: if the entry is damaged or the video cannot be used.
     """
     if entry is None:
         return Video(path, index_video(path), 0)
@@ -126,7 +127,11 @@ def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
 
 
 def read_entries(path: Path) -> dict[str, Entry]:
-    """The entries of a videos.json by camera; empty if it does not exist. Raises UserError where it is damaged."""
+    """Read the entries of a file in the format of videos.json by camera name; empty if the file does not exist.
+
+    Raises:
+        UserError: if the file is damaged.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["version"] != VERSION:
@@ -139,5 +144,5 @@ def read_entries(path: Path) -> dict[str, Entry]:
 
 
 def _damaged(listing: Path, expected: str) -> UserError:
-    fix = "delete it" if listing.parent.name == CACHE.parent.name else "import again"
-    return UserError(f"{listing}: expected {expected}, got something else; {fix}")
+    fix = "delete the file" if listing.parent.name == CACHE.parent.name else "import again"
+    return UserError(f"{listing}: expected {expected}, got invalid content; {fix}")

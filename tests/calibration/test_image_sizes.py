@@ -40,7 +40,7 @@ def _off_centre_cameras() -> list[Camera]:
 
 
 def test_hypotheses_fit_the_sizes() -> None:
-    """Catches a letterbox for equal aspect ratios, and a crop to more pixels than there are."""
+    """Catches a letterbox hypothesis for equal aspect ratios, and a crop hypothesis for a larger image."""
     camera = _off_centre_cameras()[0]
     assert list(size_hypotheses(camera, 1088, 1920)) == ["unchanged"]
     assert list(size_hypotheses(camera, 544, 960)) == ["scaled", "cropped centre"]
@@ -52,7 +52,7 @@ def test_hypotheses_fit_the_sizes() -> None:
 
 
 def test_hypotheses_move_the_principal_point_with_the_pixels() -> None:
-    """Catches a shift to the wrong side, and bars on one side alone."""
+    """Catches a shift to the wrong side, and bars on only one side."""
     camera = _off_centre_cameras()[0]
     middle = camera.intrinsics[:2, 2]
     found = {name: camera.intrinsics[:2, 2] for name, camera in size_hypotheses(camera, 1080, 1920).items()}
@@ -94,7 +94,7 @@ def test_borders_decide_without_matches(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("bar", [0.0, 3.0, 7.06, 12.5])
 def test_black_borders_have_subpixel_accuracy(rng: np.random.Generator, bar: float) -> None:
-    """Catches a mixed row that counts whole, and noise or dark pictures taken for borders."""
+    """Catches a partly covered row that counts as a full row, and noise or dark images measured as borders."""
     camera = room_cameras(1, 240, 320)[0]
     scene = Room(rng).picture(camera, oversampling=1)
     scene = (scene // 2 + 100).astype(np.uint8)
@@ -109,7 +109,7 @@ def test_black_borders_have_subpixel_accuracy(rng: np.random.Generator, bar: flo
 
 
 def test_mirrored_principal_points_are_found(rng: np.random.Generator) -> None:
-    """Catches one choice for all cameras, and a good calibration reported as mirrored."""
+    """Catches a search that mirrors all cameras in the same way, and a correct calibration reported as mirrored."""
     cameras = _off_centre_cameras()
     matches = _project_to_matches(rng, cameras)
     fine = choose_principal_points(matches, cameras)
@@ -126,7 +126,7 @@ def test_mirrored_principal_points_are_found(rng: np.random.Generator) -> None:
 
 
 def test_matches_on_a_plane_do_not_follow_a_wrong_calibration() -> None:
-    """Catches a search that returns its starting point."""
+    """Catches a search that returns the position predicted by the calibration."""
     true = room_cameras(4, 640, 480, np.array([-0.08, 0.02, 0, 0]))
     room = Room(np.random.default_rng(2))
     pictures = [room.picture(true[index]) for index in (0, 3)]
@@ -141,7 +141,7 @@ def test_matches_on_a_plane_do_not_follow_a_wrong_calibration() -> None:
 
 @pytest.mark.slow
 def test_real_recording_is_letterboxed_and_mirrored() -> None:
-    """Catches a wrong choice on real pictures: 1080 px wide ones are letterboxed, rotated cameras are mirrored."""
+    """Catches a wrong choice on real images: images of 1080 px width are letterboxed, rotated cameras are mirrored."""
     if not BALANCE.is_dir():
         pytest.skip(f"no real capture at {BALANCE}")
     cameras = list(read_cameras(BALANCE / "Calib.qca.txt").values())
@@ -155,7 +155,7 @@ def test_real_recording_is_letterboxed_and_mirrored() -> None:
         assert found.max_difference(Borders(0, 7.06, 0, 7.06)) < 0.5
     boxed = [size_hypotheses(camera, *size) for camera, size in zip(cameras, sizes, strict=True)]
     start = [found.get("letterboxed", camera) for found, camera in zip(boxed, cameras, strict=True)]
-    # The treadmill's top, within 2 cm of z = 0 by the calibration.
+    # The treadmill's top, which is within 2 cm of z = 0 according to the calibration.
     top = PlanePatch(np.array([-2.6, 1.3, 0]), np.array([1.0, 0, 0]), np.array([0, -1.0, 0]), 3.5, 2.6, 400)
     matches = {
         (i, j): match_on_plane(pictures[i], pictures[j], (start[i], start[j]), top)

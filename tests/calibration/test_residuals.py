@@ -1,4 +1,4 @@
-"""Epipolar residuals: small for a true calibration, large for a wrong camera, none without matches."""
+"""Epipolar residuals: small for a true calibration, large for a wrong camera, and None if there are no matches."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_only_the_bad_camera_is_named(room: tuple[list[Camera], list[Picture]]) 
 
 
 def test_matches_do_not_depend_on_the_poses(room: tuple[list[Camera], list[Picture]]) -> None:
-    """Catches a filter that keeps the matches that suit a wrong calibration."""
+    """Catches a filter that keeps only the matches that fit a wrong calibration."""
     cameras, pictures = room
     wrong = [_rotate(camera, 2) if index == 2 else camera for index, camera in enumerate(cameras)]
     true, other = match_pairs(pictures, cameras), match_pairs(pictures, wrong)
@@ -124,7 +124,7 @@ def test_planar_scene_keeps_the_matches_on_the_plane_alone(rng: np.random.Genera
 
 
 def test_distances_are_perpendicular_to_the_line(rng: np.random.Generator) -> None:
-    """Catches a wrong scale, and shifts along the epipolar line that count."""
+    """Catches a wrong scale, and distances that include shifts along the epipolar line."""
     near = np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]])
     left = Camera(near, np.eye(3), np.zeros(3), 640, 480)
     right = Camera(near, np.eye(3), np.array([-0.5, 0, 0]), 640, 480)
@@ -145,7 +145,7 @@ def test_distortion_round_trip(rng: np.random.Generator) -> None:
 
 
 def test_no_camera_is_bad_without_enough_evidence() -> None:
-    """Catches a bad camera among two, or where all disagree."""
+    """Catches a camera reported as bad if there are only two cameras or if all pairs disagree."""
     assert find_bad_cameras({(0, 1): 50.0}) == ()
     assert find_bad_cameras({(0, 1): 50.0, (0, 2): 60.0, (1, 2): 40.0}) == ()
     assert find_bad_cameras({(0, 1): 0.5, (0, 2): 60.0}) == ()
@@ -154,7 +154,7 @@ def test_no_camera_is_bad_without_enough_evidence() -> None:
 
 
 def test_neighbours_in_a_ring_are_paired() -> None:
-    """Catches pairs from opposite sides, which see nothing in common, and a ring that is not closed."""
+    """Catches pairs on opposite sides of a ring, which have no surface in common, and a ring that is not closed."""
     pairs = select_pairs(ring_cameras(20, 64))
     assert all(min((j - i) % 20, (i - j) % 20) <= 4 for i, j in pairs)
     assert (0, 19) in pairs
@@ -162,7 +162,7 @@ def test_neighbours_in_a_ring_are_paired() -> None:
 
 
 def test_pictures_of_another_size_are_refused() -> None:
-    """Catches residuals of the wrong pixels."""
+    """Catches residuals computed for images that do not have their camera's size."""
     cameras = room_cameras(2)
     with pytest.raises(ValueError, match=r"pictures\[1\]: expected 360 x 480 x 3"):
         match_pairs([np.zeros((360, 480, 3), np.uint8), np.zeros((360, 470, 3), np.uint8)], cameras)
@@ -178,7 +178,7 @@ def test_features_with_several_orientations_match_once(room: tuple[list[Camera],
 
 @pytest.mark.slow
 def test_real_ring_has_no_bad_camera_until_one_is_rotated() -> None:
-    """Catches false alarms on tiles and bare walls, and a bad camera that is missed there."""
+    """Catches false alarms on tiles and bare walls, and a bad camera that is not found there."""
     if not (CAPTURES / "fox_run").is_dir():
         pytest.skip(f"no real capture at {CAPTURES / 'fox_run'}")
     capture = open_capture(CAPTURES / "fox_run")

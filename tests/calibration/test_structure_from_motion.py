@@ -74,7 +74,7 @@ def test_same_pictures_give_the_same_cameras(pictures: dict[str, list[Picture]],
 
 @pytest.mark.slow
 def test_unmatched_camera_is_named(pictures: dict[str, list[Picture]], rng: np.random.Generator) -> None:
-    """Catches a camera that is dropped silently, and good ones dropped with it."""
+    """Catches a camera that is dropped without an error, and valid cameras that are dropped with it."""
     other = [cv2.GaussianBlur(rng.integers(0, 256, (300, 400, 3), dtype=np.uint8), (0, 0), 2)]
     with pytest.raises(
         UserError, match=r"expected images with enough matches, got too few for lost; give the cameras more ove"
@@ -155,7 +155,7 @@ def test_board_gives_the_pose_from_any_side(angle: float) -> None:
 
 
 def test_picture_without_a_board_is_refused() -> None:
-    """Catches a pose from nothing, and impossible numbers of corners."""
+    """Catches a pose from an image without a board, and invalid numbers of corners."""
     camera = _camera_above_board(0.3, 0.03)
     with pytest.raises(UserError, match="expected a chessboard of 8 x 5 inner corners, got none"):
         board_pose(np.full((480, 640, 3), 200, np.uint8), camera, Board(8, 5, 0.03))
@@ -164,7 +164,7 @@ def test_picture_without_a_board_is_refused() -> None:
 
 
 def test_cameras_align_to_known_poses(truth: dict[str, Camera], rng: np.random.Generator) -> None:
-    """Catches an inverse similarity, and a scale that changes with one pose alone."""
+    """Catches an inverted similarity transform, and a scale that changes although only one pose is known."""
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     shift, scale = rng.normal(size=3), 2.5

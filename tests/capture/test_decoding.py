@@ -1,4 +1,4 @@
-"""Decoding of picture files: JPEG and PNG alone, whatever a file's suffix."""
+"""Decoding of image files: only JPEG and PNG are decoded, whatever a file's suffix."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ def test_other_formats_are_refused(tmp_path: Path, decode: Callable[[Path], obje
     """Catches a decoder chosen by content: an EPS that is named .jpg runs PostScript in Ghostscript."""
     path = tmp_path / "000000.jpg"
     path.write_bytes(encode(file_format))
-    with pytest.raises(UserError, match="expected a whole JPEG or PNG picture, got something else; copy"):
+    with pytest.raises(UserError, match="expected a complete JPEG or PNG image, got another format; copy"):
         decode(path)
 
 
 @pytest.mark.usefixtures("no_ghostscript")
 def test_check_refuses_eps_in_images_and_masks(tmp_path: Path) -> None:
-    """Catches a picture of a capture that is opened by other means than the decoders."""
+    """Catches an image of a capture that is opened without the functions of the decoding module."""
     capture = write_ball_capture(tmp_path, cameras=3)
     (capture / "images" / "01" / "000001.png").write_bytes(encode("EPS"))
     (capture / "masks" / "02" / "000001.png").write_bytes(encode("EPS"))
     problems = check_capture(capture, deep=True).problems
     assert len(problems) == 2
-    assert all("expected a whole JPEG or PNG picture, got something else" in problem for problem in problems)
+    assert all("expected a complete JPEG or PNG image, got another format" in problem for problem in problems)
 
 
 def test_alpha_is_read_and_opaque_without_a_channel(tmp_path: Path) -> None:
-    """Catches holes of a plate that are lost, and pictures without alpha that count as holes."""
+    """Catches holes of a plate that are lost, and images without alpha that count as holes."""
     path = tmp_path / "plate.png"
     rgba = np.full((4, 5, 4), 200, np.uint8)
     rgba[1, 2, 3] = 0

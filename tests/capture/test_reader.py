@@ -1,4 +1,4 @@
-"""Opening and checking captures: content, cost, and every way in which a capture can be broken."""
+"""Opening and checking captures: content, cost, and errors for damaged captures."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_calibration_round_trip(tmp_path: Path) -> None:
 
 
 def test_sizes_are_optional_and_rotations_may_be_vectors(capture: Path) -> None:
-    """Catches EasyMocap's own files refused: they often lack H, W and Rot."""
+    """Catches files of EasyMocap's own tools that are refused, because they often lack H, W and Rot."""
     intri, extri = capture / "intri.yml", capture / "extri.yml"
     intri.write_text(re.sub(r"(?m)^[HW]_\d\d: .*\n", "", intri.read_text()))
     rotations = r"(?m)^Rot_\d\d: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: \[[^\]]*\]\n"
@@ -170,19 +170,19 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a missing picture in the middle",
         lambda c: (c / "images" / "02" / "000001.png").unlink(),
-        r"images/02/000001.png: expected a picture, as other cameras have of that frame, got none; restore it",
+        r"images/02/000001.png: expected an image, since other cameras have this frame, got no such file; restore the",
     ),
     (
         "a missing matte",
         lambda c: (c / "masks" / "02" / "000001.png").unlink(),
-        r"masks/02/000001.png: expected a picture",
+        r"masks/02/000001.png: expected an image",
     ),
-    ("a truncated PNG", _truncate_png, r"images/03/000001.png: expected a whole JPEG or PNG picture, got"),
-    ("a truncated JPEG", _truncate_jpeg, r"images/03/000001.jpg: expected a whole JPEG or PNG picture, got"),
+    ("a truncated PNG", _truncate_png, r"images/03/000001.png: expected a complete JPEG or PNG image, got"),
+    ("a truncated JPEG", _truncate_jpeg, r"images/03/000001.jpg: expected a complete JPEG or PNG image, got"),
     (
         "text instead of a picture",
         lambda c: (c / "images" / "03" / "000001.png").write_text("hello"),
-        r"000001.png: expected a whole JPEG or PNG picture, got something else; copy the file again",
+        r"000001.png: expected a complete JPEG or PNG image, got another format; copy the file again",
     ),
     ("a mask of another size", _small_mask, r"masks/04/000002.png: expected 64 x 64 pixels.*got 64 x 32"),
     (
@@ -198,12 +198,12 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "a truncated matrix",
         lambda c: edit(c / "intri.yml", r"(K_03: (?:.*\n){4}\s+data: \[ )[^,]*,", r"\g<1>"),
-        r"intri.yml: K_03: expected a whole matrix, got a truncated one; copy",
+        r"intri.yml: K_03: expected a complete matrix, got a truncated one; copy",
     ),
     (
         "a camera in intri.yml without pictures",
         lambda c: shutil.rmtree(c / "images" / "06"),
-        r"images/06: expected the pictures of camera '06' of intri.yml, got none there",
+        r"images/06: expected images of camera '06', which is in intri.yml, got none",
     ),
     (
         "pictures without calibration",
@@ -223,7 +223,7 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
     (
         "two pictures of one frame",
         lambda c: shutil.copy(c / "images" / "01" / "000000.png", c / "images" / "01" / "000000.jpg"),
-        r"images/01/000000.png: expected one picture per frame",
+        r"images/01/000000.png: expected one image per frame",
     ),
 ]
 
@@ -275,7 +275,7 @@ def test_check_reports_all_errors(capture: Path) -> None:
 
 
 def test_check_continues_after_an_invalid_calibration(capture: Path) -> None:
-    """Catches a check that reports the first invalid camera alone, and no invalid pictures."""
+    """Catches a check that reports only the first invalid camera, and no invalid images."""
     text = (capture / "extri.yml").read_text()
     for name in ("02", "05"):
         text = re.sub(rf"(T_{name}:.*?data: \[)[^,]*", r"\1.Nan", text, flags=re.DOTALL)
@@ -306,7 +306,7 @@ def test_check_warns_of_inverted_mattes(capture: Path) -> None:
 
 
 def test_other_folders_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="expected a capture's folder, got nothing there"):
+    with pytest.raises(UserError, match="expected a capture's folder, got no such folder"):
         open_capture(tmp_path / "none")
     with pytest.raises(UserError, match=r"intri.yml: expected the cameras' calibration, got no such file"):
         open_capture(tmp_path)

@@ -1,4 +1,4 @@
-"""Symbolic links at or below CAPTURE/.fourd: refused before files are deleted there."""
+"""Symbolic links at or below CAPTURE/.fourd are refused before files are deleted there."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_links_are_refused_and_their_targets_kept(
 
 
 def test_other_folders_may_hold_links(tmp_path: Path) -> None:
-    """Catches --out folders that are refused for a link in .fourd, which they do not touch."""
+    """Catches --out folders outside .fourd that are refused because of a link in .fourd."""
     (tmp_path / ".fourd").mkdir()
     (tmp_path / ".fourd" / "mattes").symlink_to(tmp_path)
     refuse_symlinks(tmp_path, tmp_path / "hulls")

@@ -1,4 +1,4 @@
-"""Random access to video frames, and videos that are assert_refused."""
+"""Random access to video frames, and videos that are refused."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_reader_can_be_pickled(tmp_path: Path) -> None:
 
 
 def test_seek_starts_at_the_keyframe_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches decoding from the start of the video, and a seek for each next frame."""
+    """Catches decoding from the start of the video, and a seek before each consecutive frame."""
     path = write_numbered_video(tmp_path / "video.mp4")
     seeks = []
     seek = VideoReader._seek
@@ -103,10 +103,10 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     """Catches FFmpeg's exceptions that reach the user."""
     text = tmp_path / "notes.mp4"
     text.write_text("not a video at all")
-    assert_refused(text, r"expected a whole video, got '.+'; copy it again")
+    assert_refused(text, r"expected a complete video, got '.+'; copy the file again")
     assert_refused(tmp_path / "gone.mp4", "got no such file")
     (tmp_path / "empty.mp4").write_bytes(b"")
-    assert_refused(tmp_path / "empty.mp4", "expected a whole video")
+    assert_refused(tmp_path / "empty.mp4", "expected a complete video")
 
 
 def test_truncated_mp4_is_refused(tmp_path: Path) -> None:
@@ -114,28 +114,28 @@ def test_truncated_mp4_is_refused(tmp_path: Path) -> None:
     whole = write_numbered_video(tmp_path / "whole.mp4")
     cut = tmp_path / "cut.mp4"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-    assert_refused(cut, "expected a whole video")
+    assert_refused(cut, "expected a complete video")
     front = write_numbered_video(tmp_path / "front.mp4", index_first=True)
     cut.write_bytes(front.read_bytes()[: front.stat().st_size * 3 // 4])
-    assert_refused(cut, r"expected 40 frames, got \d+ before its end; copy or record it again")
+    assert_refused(cut, r"expected 40 frames, got \d+; copy or record the video again")
 
 
 @pytest.mark.parametrize(("name", "codec"), [("video.webm", "libvpx-vp9"), ("video.mkv", "libx264")])
 def test_truncated_matroska_is_refused(name: str, codec: str, tmp_path: Path) -> None:
-    """Catches a truncated WebM, which has no frame count, taken for a shorter one; and a whole one refused."""
+    """Catches a truncated WebM that is accepted because it has no frame count, and a complete WebM that is refused."""
     path = write_numbered_video(tmp_path / name, codec=codec)
     whole = path.read_bytes()
     assert index_video(path).frames == 40
     for share in (0.6, 0.9):
         path.write_bytes(whole[: int(share * len(whole))])
         got = int(share * len(whole))
-        assert_refused(path, rf"expected {len(whole)} bytes, as its header declares, got {got}; copy or record it")
+        assert_refused(path, rf"expected {len(whole)} bytes according to the file's header, got {got}; copy or record")
     path.write_bytes(whole + b"\0")
     assert missing_bytes(path) == 0
 
 
 def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
-    """Catches a live recording refused: its length is unknown when its header is written."""
+    """Catches a live recording that is refused; its header has no length."""
     path = write_numbered_video(tmp_path / "video.webm", codec="libvpx-vp9")
     content = bytearray(path.read_bytes())
     offset = content.index(SEGMENT) + len(SEGMENT)
@@ -149,7 +149,7 @@ def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
 
 
 def test_dropped_frame_is_refused(tmp_path: Path) -> None:
-    """Catches cameras out of sync by a frame after a dropped one."""
+    """Catches a dropped frame, after which the cameras are out of sync by one frame."""
     times = [*range(20), *range(21, 41)]
     assert_refused(
         write_numbered_video(tmp_path / "video.mp4", times=times),
@@ -175,10 +175,12 @@ def test_rotation_metadata_is_refused(tmp_path: Path) -> None:
 
 
 def test_videos_of_one_name_are_refused(tmp_path: Path) -> None:
-    """Catches one of two videos of a name that is silently ignored."""
+    """Catches two videos of the same name of which one is ignored without an error."""
     for name in ("a.mp4", "a.mov"):
         write_numbered_video(tmp_path / name, range(2))
-    with pytest.raises(UserError, match=r"a.mp4: expected each camera once, got a.mov of the same name; rename one"):
+    with pytest.raises(
+        UserError, match=r"a.mp4: expected one video per camera, got a.mov of the same name; rename one"
+    ):
         find_videos(tmp_path)
 
 
@@ -225,7 +227,7 @@ def test_capture_without_a_list_is_indexed_once(tmp_path: Path, monkeypatch: pyt
     assert list_videos(tmp_path)["a"].index.frames == 35
     assert indexed == [paths[1], paths[0]]
     (tmp_path / CACHE).write_text("{")
-    with pytest.raises(UserError, match=r"\.fourd/videos.json: expected .*; delete it"):
+    with pytest.raises(UserError, match=r"\.fourd/videos.json: expected .*; delete the file"):
         list_videos(tmp_path)
 
 
@@ -239,7 +241,7 @@ def test_damaged_list_is_reported(text: str, tmp_path: Path) -> None:
 
 
 def test_newer_list_is_refused(tmp_path: Path) -> None:
-    """Catches a newer format that is read as this version."""
+    """Catches a file of a newer format version that is read as the current version."""
     (tmp_path / NAME).write_text(json.dumps({"version": 2, "cameras": {}}))
     with pytest.raises(UserError, match="expected version 1, got 2"):
         list_videos(tmp_path)

@@ -63,6 +63,6 @@ def test_an_empty_hull_has_no_box() -> None:
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_few_views_are_supported(count: int) -> None:
-    """Catches order statistics over more views than exist."""
+    """Catches an order statistic whose rank exceeds the number of views."""
     cells, evidence = silhouettes(count, np.zeros(3), 0.3)
     assert cells.scores(evidence).prior(0).shape == (SIZE, SIZE)

@@ -21,7 +21,7 @@ def test_the_colour_with_the_largest_weight_wins(rng: np.random.Generator) -> No
 
 
 def test_a_pixel_without_background_frames_is_not_confident(rng: np.random.Generator) -> None:
-    """Catches holes taken as known background."""
+    """Catches pixels without background frames that are reported as known background."""
     rgb = rng.integers(95, 105, (20, 4, 4, 3)).astype(np.uint8)
     found = fit_background(rgb, np.full((20, 4, 4), 0.02, np.float32), 3.0)
     assert found.confidence.max() < 0.2

@@ -67,7 +67,7 @@ def test_uneven_light_and_shadow_are_not_foreground(rng: np.random.Generator, co
     assert matte.dtype == np.uint8
     assert overlap(matte, alpha) > 0.985
     assert error.mean() < 0.0025
-    # Inside the soft edge; a distance in chroma alone, which fails on dark clothes, has an error of 0.15.
+    # Error inside the soft edge. A distance that ignores luma fails on dark clothes; its error is 0.15.
     assert error[(alpha > 0.02) & (alpha < 0.98)].mean() < 0.06
     assert (matte[alpha < 1e-3] > 64).mean() < 2e-4
     assert (matte[alpha > 0.999] < 192).mean() < 2e-3
@@ -90,7 +90,7 @@ def test_specks_are_removed_and_an_empty_picture_stays_empty(rng: np.random.Gene
 
 
 def test_screen_colour_is_that_of_its_median_light(rng: np.random.Generator) -> None:
-    """Catches a mode over brightness, which returns the colour of the shadow or of a subject at the border."""
+    """Catches an estimate by brightness that returns the colour of the shadow or of a subject at the border."""
     picture, _ = synthetic_picture(rng, GREEN)
     picture[250:, :120] = (190, 150, 130)
     screen = find_screen([picture, picture[:, ::-1]])
@@ -114,7 +114,7 @@ def test_pictures_without_a_screen_are_refused(rng: np.random.Generator, kind: s
 
 
 def test_parse_screen_validates_its_argument() -> None:
-    """Catches greys and typing errors, which would make every matte empty or full."""
+    """Catches grey colours and typing errors that are accepted and make every matte empty or full."""
     assert parse_screen("0,177, 64") == ScreenColour((0.0, 177.0, 64.0))
     for text in ("0,177", "green", "0,300,0", "0,-1,4", "1.5,2,3"):
         with pytest.raises(UserError, match=r"^--screen: expected R,G,B"):
@@ -124,7 +124,7 @@ def test_parse_screen_validates_its_argument() -> None:
 
 
 def test_distance_is_zero_in_any_light_and_one_for_greys() -> None:
-    """Catches chroma that is not compared at the pixel's own luma."""
+    """Catches chroma that is compared without scaling it to the pixel's luma."""
     screen = ScreenColour(GREEN)
     light = np.linspace(0.45, 1.3, 9)[:, None] * np.array(GREEN)
     np.testing.assert_allclose(screen_distance(light, screen), 0, atol=1e-3)

@@ -40,7 +40,7 @@ def test_densities_integrate_to_one() -> None:
 
 
 def test_global_histogram_is_used_without_pixels_nearby() -> None:
-    """Catches a division of zero by zero, and distant pixels for which every colour is unknown."""
+    """Catches a division of zero by zero, and uniform densities at pixels far from all selected pixels."""
     picture = halves()
     counted = np.zeros(picture.shape[:2], bool)
     counted[:, :20] = True
@@ -53,7 +53,7 @@ def test_global_histogram_is_used_without_pixels_nearby() -> None:
 
 
 def test_mixture_averages_densities(rng: np.random.Generator) -> None:
-    """Catches averaged logarithms, with which a colour that one camera lacks becomes impossible."""
+    """Catches averaged logarithms, which make a colour impossible if one camera lacks it."""
     red, blue = (ColourHistogram.from_colours(np.tile(np.array(colour, np.uint8), (500, 1))) for colour in (RED, BLUE))
     mixture = ColourHistogram.mixture([red, blue], [0.7, 0.3])
     seen = np.array([RED, BLUE], np.uint8)

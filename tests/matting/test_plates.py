@@ -48,7 +48,7 @@ def test_plate_excludes_subject_and_exposure_changes(moving_square: Path, tmp_pa
 
 
 def test_a_missing_matte_leaves_no_ghost(moving_square: Path, tmp_path: Path) -> None:
-    """Catches a single pass, in which a frame with an empty matte adds its subject."""
+    """Catches a single pass, in which a frame with an empty matte adds the subject to the plate."""
     cv2.imwrite(str(moving_square / "masks" / "00" / "000007.png"), np.zeros((64, 64), np.uint8))
     plate = clean_plate(open_capture(moving_square), 0)
     stage = np.load(tmp_path / "stage.npy")

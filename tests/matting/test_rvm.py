@@ -27,7 +27,7 @@ def forward(self, src, r1: Optional[Tensor], r2: Optional[Tensor], r3: Optional[
 
 
 def script(path: Path, result: str = "alpha", program: str = PROGRAM) -> Path:
-    # A new class for each program, since a class's compiled program cannot be replaced.
+    # Each program needs a new class, because the compiled program of a class cannot be replaced.
     module = torch.jit.script(type("Small", (nn.Module,), {})())
     module.define(program.replace("RESULT", result))
     torch.jit.save(module, str(path))

@@ -37,7 +37,7 @@ def test_mattes_match_the_subject(made: Path) -> None:
 
 
 def test_mattes_do_not_flicker(made: Path) -> None:
-    """Catches flicker: pixels that differ from the frames before and after, which agree."""
+    """Catches flicker: pixels that differ from both the previous and the next frame, while these two are equal."""
 
     def flips(folder: Path) -> float:
         shares = []
@@ -55,7 +55,9 @@ def test_only_missing_files_are_made_again(made: Path, tmp_path: Path) -> None:
     before = contents(made)
     lost = made / MATTES / "03" / "000004.png"
     lost.unlink()
-    with pytest.raises(UserError, match=r"mattes/03: expected mattes of 6 frames, got 5; make the others: fourd matte"):
+    with pytest.raises(
+        UserError, match=r"mattes/03: expected mattes of 6 frames, got 5; make the missing mattes with: fourd matte"
+    ):
         open_capture(made)
     half = made / MATTES / "03" / ".unfinished-000005-killed.png"
     half.write_bytes(b"half")
@@ -78,7 +80,7 @@ def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
 
 
 def test_a_capture_is_opened_once(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches folders of thousands of files that each process lists twice, once to size its cache."""
+    """Catches processes that list folders of thousands of files a second time to determine the cache size."""
     opened = []
 
     def counted(path: Path, **options: Any) -> Capture:
@@ -108,7 +110,7 @@ def test_changed_settings_invalidate_mattes(tmp_path: Path) -> None:
 
 
 def test_a_capture_without_motion_is_an_error(tmp_path: Path) -> None:
-    """Catches mattes of noise or a traceback without a moving subject."""
+    """Catches mattes of noise, or a traceback, for captures without a moving subject."""
     capture = write_capture_without_masks(tmp_path, frames=4, size=64)
     for folder in (capture / "images").iterdir():
         first = (folder / "000000.png").read_bytes()
@@ -119,7 +121,7 @@ def test_a_capture_without_motion_is_an_error(tmp_path: Path) -> None:
 
 
 def test_inconsistent_views_are_an_error(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a traceback from an empty hull, as with videos of different scenes or a wrong calibration."""
+    """Catches a traceback from an empty hull, for example with videos of different scenes or a wrong calibration."""
     capture = write_capture_without_masks(tmp_path, frames=4, size=64)
     for index, folder in enumerate(sorted((capture / "images").iterdir())):
         for path in folder.iterdir():

@@ -76,7 +76,7 @@ def test_camera_without_motion_has_no_confidence_and_no_influence(rng: np.random
 
 
 def test_outlier_pair_does_not_move_the_solution(rng: np.random.Generator) -> None:
-    """Catches plain least squares: two cameras share a second motion that the others do not see."""
+    """Catches plain least squares: two cameras share a second motion that is not visible in the others."""
     shifts = np.array([0, 5, 5, -3, -3])
     pairs = list(combinations(range(5), 2))
     lags = np.array([shifts[j] - shifts[i] + rng.uniform(-0.2, 0.2) for i, j in pairs])
@@ -93,13 +93,13 @@ def test_single_camera_has_no_offset() -> None:
 
 
 def test_too_few_frames_are_refused() -> None:
-    """Catches correlations over a few frames, which are always high."""
+    """Catches correlations over only a few frames, which are high for any signals."""
     with pytest.raises(ValueError, match="expected at most 8 for videos of 20 frames, got 10"):
         estimate_offsets([np.ones(20), np.ones(30)], max_offset=10)
 
 
 def _render_square(rng: np.random.Generator, positions: list[int]) -> list[NDArray[np.float64]]:
-    """Pictures of a square at x = ``positions`` in front of a textured backdrop."""
+    """Images of a square at x = ``positions`` in front of a textured background."""
     backdrop = gaussian_filter1d(rng.uniform(40, 200, size=(60, 80)), 2, axis=1)
     pictures = []
     for x in positions:
@@ -168,7 +168,7 @@ def balance() -> list[Array]:
 
 @pytest.mark.slow
 def test_seven_missing_frames_of_a_real_camera_are_found(balance: list[Array]) -> None:
-    """Catches an estimate that works on synthetic bursts alone, whichever camera lost frames."""
+    """Catches an estimate that works only on synthetic bursts; each camera in turn lacks frames."""
     whole = estimate_offsets(balance, max_offset=20)
     for camera in range(1, 4):
         cut = [energy[7:] if index == camera else energy for index, energy in enumerate(balance)]

@@ -1,4 +1,4 @@
-"""Synthetic captures: true ground truth, bytes determined by the settings, and no damage to other folders."""
+"""Synthetic captures: correct ground truth, bytes determined by the settings, and no damage to other folders."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_capture_opens_with_every_camera_and_frame(folder: Path) -> None:
 
 
 def test_mask_depth_and_picture_agree(folder: Path) -> None:
-    """Catches a mask, a depth map and a picture of different poses."""
+    """Catches a mask, a depth map and an image that show different poses."""
     capture = open_capture(folder)
     for camera, name in enumerate(capture.names):
         plate = cv2.imread(str(folder / "truth" / "bgs" / f"{name}.png"))[..., ::-1].astype(int)
@@ -172,7 +172,7 @@ def test_intersections_lie_on_the_rounded_cone(rng: np.random.Generator, length:
 
 
 def test_soft_mask_is_the_coverage(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a mask that is thresholded, or sampled off the pixel's centre."""
+    """Catches a mask that is thresholded, or whose samples are not symmetric about the pixel's centre."""
     camera, plate = _test_camera(40), np.zeros((40, 40, 3))
     ball = Part(np.eye(3), np.zeros(3), np.ones(3), 0.0, (0.4, 0.4), Pattern("plain", (1, 1, 1), (0, 0, 0)))
     mask = render_figure([ball], camera, plate, 0.0).mask
@@ -224,7 +224,7 @@ def test_finished_captures_are_kept_until_settings_change(tmp_path: Path) -> Non
 
 
 def test_other_folders_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a generator that writes among the user's own files, or removes them."""
+    """Catches a generator that writes into a folder with the user's files, or removes them."""
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "mine.txt").write_text("mine")
     assert main(["synth", str(tmp_path), "--frames", "1", "--size", "32"]) == 2
