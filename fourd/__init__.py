@@ -1,12 +1,12 @@
 """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
-Importing this package loads nothing native and no torch; each package loads what
-it needs when it is imported itself.
+Importing this package loads neither native modules nor torch. Each subpackage loads
+its dependencies when it is imported.
 """
 
 from importlib.metadata import PackageNotFoundError, version
 
 try:
     __version__ = version("fourd")
-except PackageNotFoundError:  # sources on the path, not installed
+except PackageNotFoundError:  # imported from a source folder without installation
     __version__ = "0+unknown"

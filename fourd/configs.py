@@ -1,7 +1,7 @@
-"""Typed dataclass configs to YAML and back: an unknown key or a wrong type is an error that names it.
+"""Convert typed dataclass configs to YAML and back. An unknown key or a wrong type raises an error with the key's name.
 
-Scalars are read by the type of the field, not by YAML 1.1's guess: ``test_views: [05, 11]`` gives the names "05" and
-"11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. A file cannot create objects of other types.
+The type of the field decides how a scalar is read, not YAML 1.1's rules: ``test_views: [05, 11]`` gives the names "05"
+and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. Tags in a file cannot create Python objects.
 """
 
 from __future__ import annotations
@@ -33,17 +33,16 @@ _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "
 
 
 def load_overlay(base: Config, path: Path) -> Config:
-    """``base`` with the values of the YAML file ``path``; other fields stay.
+    """Return ``base`` with the values of the YAML file ``path``; other fields are unchanged.
 
     Args:
         base: a frozen dataclass instance. Fields may be bool, int, float, str, Path, Literal,
-            tuples of these, any of them or None, and further dataclasses.
-        path: a YAML mapping of field names to values; an empty file changes nothing.
+            tuples of these, optional (``X | None``), and nested dataclasses.
+        path: a file with a YAML mapping of field names to values. An empty file returns ``base``.
 
     Raises:
-        UserError: names the file, the key and the line of: a missing file, invalid YAML, an unknown key (with the
-            nearest known one), a repeated key, a value of the wrong type, or a value that the dataclass's
-            ``__post_init__`` refuses with a ValueError.
+        UserError: the file is missing, the YAML is invalid, a key is unknown or repeated, a value has the wrong type,
+            or ``__post_init__`` of the dataclass raises ValueError. The message names the file, the line and the key.
         TypeError: a field has a type that is not listed above, which is a bug in the dataclass.
     """
     node = _parse_file(path)
@@ -53,16 +52,17 @@ def load_overlay(base: Config, path: Path) -> Config:
 
 
 def set_values(base: Config, assignments: Sequence[str], option: str = "--set") -> Config:
-    """``base`` with values from the command line; other fields stay.
+    """Return ``base`` with values from the command line; other fields are unchanged.
 
     Args:
-        base: as for :func:`load_overlay`.
-        assignments: KEY=VALUE each. Dots in KEY separate nested fields; VALUE is YAML. The last assignment to a key
-            holds, and all are applied before the dataclasses validate.
-        option: the option's name, for errors.
+        base: a frozen dataclass instance, with the field types of :func:`load_overlay`.
+        assignments: strings KEY=VALUE. Dots in KEY separate nested fields; VALUE is YAML. If a key is assigned twice,
+            the last assignment wins. The dataclasses validate after all assignments.
+        option: name of the option, for error messages.
 
     Raises:
-        UserError: names the option and the key, as :func:`load_overlay`.
+        UserError: an assignment is not KEY=VALUE, a key is unknown, or a value is invalid. The message names the option
+            and the key.
     """
     root = yaml.MappingNode(_MAP_TAG, [])
     for assignment in assignments:
@@ -74,23 +74,23 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
 
 
 def assigned_keys(assignments: Sequence[str]) -> set[str]:
-    """The keys of assignments as :func:`set_values` takes them."""
+    """The keys of assignments in the format of :func:`set_values`."""
     return {assignment.partition("=")[0].strip() for assignment in assignments}
 
 
 def to_yaml(config: object) -> str:
-    """All fields of a dataclass as YAML text that :func:`load_overlay` reads back to an equal instance."""
+    """Convert all fields of a dataclass to YAML text. :func:`load_overlay` reads the text back to an equal instance."""
     return yaml.dump(_plain(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
 
 
 def save_config(config: object, path: Path) -> None:
-    """Write the text of :func:`to_yaml` atomically."""
+    """Write a dataclass as a YAML file, atomically."""
     write_text_atomically(path, to_yaml(config))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Place:
-    """Where a value comes from, for errors: a file or an option, and the dotted key."""
+    """Source of a value for error messages: a file or an option, and the dotted key."""
 
     source: str
     key: str
@@ -110,7 +110,7 @@ class _Place:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Lists on one line, mappings indented, no anchors."""
+    """Writes lists on one line, indents mappings, and writes no anchors."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
@@ -120,13 +120,13 @@ _Dumper.add_representer(list, lambda dumper, data: dumper.represent_sequence("ta
 
 
 def _parse_file(path: Path) -> yaml.Node | None:
-    """The file's node tree. Nodes are composed but not constructed, so no tag can create an object."""
+    """Parse a file to a tree of YAML nodes. Nodes are not constructed, so tags cannot create Python objects."""
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise UserError(f"{path}: expected a YAML file, got '{error.strerror}'; name a readable file") from error
     except UnicodeDecodeError as error:
-        raise UserError(f"{path}: expected UTF-8 text, got other bytes; save the file as UTF-8") from error
+        raise UserError(f"{path}: expected UTF-8 text, got invalid UTF-8; save the file as UTF-8") from error
     try:
         return yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
@@ -185,7 +185,10 @@ def _overlay(base: Any, node: yaml.Node, place: _Place) -> Any:
 
 
 def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str, yaml.Node]]:
-    """The mapping's keys, each known and present once, with their values' nodes; null is an empty mapping."""
+    """The keys of a mapping with the nodes of their values. null counts as an empty mapping.
+
+    Raises UserError if a key is unknown or repeated.
+    """
     if _plain_tag(node) == _NULL_TAG:
         return []
     if not isinstance(node, yaml.MappingNode):
@@ -210,7 +213,7 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 
 
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
-    """The node's value as ``kind``. ``base`` is the value it replaces, whose other fields stay."""
+    """Convert a node to the type ``kind``. If ``base``, the old value, is a dataclass, its other fields are kept."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
         return _overlay(base if isinstance(base, kind) else _blank(kind, node, place), node, place)
@@ -224,7 +227,7 @@ def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
 
 
 def _blank(kind: type, node: yaml.Node, place: _Place) -> Any:
-    """A dataclass of defaults, to overlay where the base has None."""
+    """A dataclass with default values, used as base if the old value is None."""
     try:
         return kind()
     except TypeError as error:
@@ -298,7 +301,7 @@ def _float(text: str) -> float:
 
 
 def _plain_tag(node: yaml.Node) -> str | None:
-    """The tag that YAML gives an unquoted scalar; None for quoted scalars, collections and explicit tags."""
+    """The implicit tag of an unquoted scalar; None for quoted scalars, collections and explicit tags."""
     if isinstance(node, yaml.ScalarNode) and node.style is None and node.tag in _PLAIN_TAGS:
         return node.tag
     return None
@@ -309,7 +312,7 @@ def _is_text(node: yaml.Node) -> bool:
 
 
 def _describe(node: yaml.Node) -> str:
-    """A value for an error message, on one line of at most 60 characters."""
+    """Format a value for an error message: one line, at most 60 characters."""
     if not isinstance(node, yaml.ScalarNode):
         return "a list" if isinstance(node, yaml.SequenceNode) else "a mapping"
     if _plain_tag(node) == _NULL_TAG:
@@ -320,14 +323,14 @@ def _describe(node: yaml.Node) -> str:
 
 
 def _yaml_word(option: object) -> str:
-    """How an option of a Literal is written in YAML."""
+    """The YAML text of an option of a Literal."""
     if option is None or isinstance(option, bool):
         return {None: "null", True: "true", False: "false"}[option]
     return str(option)
 
 
 def _plain(value: Any) -> Any:
-    """Dataclasses as mappings, tuples as lists, paths as text."""
+    """Convert dataclasses to dicts, tuples to lists, and paths to text."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {field.name: _plain(getattr(value, field.name)) for field in dataclasses.fields(value) if field.init}
     if isinstance(value, (tuple, list)):

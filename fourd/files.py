@@ -1,4 +1,4 @@
-"""Atomic writing: a file has either its old or its whole new content, never a part."""
+"""Atomic writing: a file has either its old content or its complete new content."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 UNFINISHED = ".unfinished-"
-"""Prefix of the names of temporary files during writing."""
+"""Prefix of the names of temporary files."""
 
 
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success fsync it and rename it over ``target``.
 
-    For writers that need a path. If the body raises, the temporary file is removed and ``target`` is unchanged; a
-    killed process leaves it behind for :func:`remove_unfinished`. The temporary name keeps the suffix of ``target``,
-    by which some writers choose their format.
+    For writers that need a path. If the body raises, the temporary file is removed and ``target`` is unchanged. A
+    killed process leaves the temporary file behind; :func:`remove_unfinished` removes it. The temporary name keeps the
+    suffix of ``target``, because some writers choose their format by it.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +38,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, name) or error.errno is None:
             raise
-        # Report the name that the user knows.
+        # Report the target: the user does not know the temporary name.
         raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -58,21 +58,21 @@ def write_text_atomically(target: Path | str, content: str) -> None:
 def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
     """Remove the temporary files of killed processes in ``folder``, and below it when ``deep``.
 
-    Not safe while another process writes there: its temporary files are removed too.
+    Do not call it while another process writes there: the temporary files of that process are removed too.
     """
     for path in Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*"):
         path.unlink(missing_ok=True)
 
 
 def remove_unfinished_file(target: Path | str) -> None:
-    """Remove the temporary files of killed processes for one target, and no others beside it."""
+    """Remove the temporary files that killed processes left for one target. Other files are kept."""
     target = Path(target)
     for path in target.parent.glob(f"{UNFINISHED}{glob.escape(target.stem)}-????????{glob.escape(target.suffix)}"):
         path.unlink(missing_ok=True)
 
 
 def is_unused(folder: Path | str) -> bool:
-    """Whether a folder is missing, or contains no files but temporary ones of killed processes."""
+    """Whether a folder is missing, or contains only temporary files of killed processes."""
     folder = Path(folder)
     if not folder.is_dir():
         return not folder.exists()

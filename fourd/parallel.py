@@ -1,4 +1,4 @@
-"""A process pool that yields results as they come and leaves no process behind."""
+"""A process pool that yields each result as soon as it is ready and terminates all its processes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ Result = TypeVar("Result")
 Item = TypeVar("Item")
 
 MAX_BLOCK = 16
-"""Items per job: few, so that all cores finish together; many, since each job opens its files again."""
+"""Maximum number of items per job. Small jobs let all cores finish together; large jobs reopen files less often."""
 POLL_SECONDS = 0.2
+"""Interval in seconds at which the queue of results is read."""
 
 
 def core_count() -> int:
@@ -30,16 +31,17 @@ def core_count() -> int:
 
 
 def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item]]:
-    """Blocks of consecutive items, several per worker."""
+    """Split items into blocks of consecutive items, with several blocks per worker."""
     length = max(1, min(MAX_BLOCK, len(items) // (3 * workers)))
     return [items[start : start + length] for start in range(0, len(items), length)]
 
 
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """Yield the results of ``work`` for all jobs in the order of completion; in this process for one worker or job.
+    """Yield the results of ``work`` for all jobs in the order of completion.
 
-    When the consumer stops or a job fails, the processes are terminated; they also end when this process is killed.
-    Jobs must therefore write files atomically.
+    One worker or one job runs in this process, without a pool. The processes of the pool are terminated when the
+    consumer stops or a job fails, and they exit when this process is killed. Jobs must therefore write files
+    atomically.
     """
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
@@ -65,14 +67,14 @@ def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], worke
 
 
 _results: SimpleQueue[Any]
-"""In a process of the pool: the queue of its results."""
+"""Queue of results. It is set only in the processes of the pool."""
 
 
 def _initialize(results: SimpleQueue[Any]) -> None:
     """Set up a process of the pool.
 
-    It ignores Ctrl-C, which reaches all processes of a terminal and which the parent handles, ends with its parent,
-    and uses one OpenCV thread, since the other cores run other processes.
+    The process ignores Ctrl-C: the terminal sends it to all processes, and the parent handles it. The process exits
+    when its parent exits. It uses one OpenCV thread, because the other cores run other processes of the pool.
     """
     global _results
     cv2.setNumThreads(1)
@@ -95,7 +97,7 @@ def _run_job(work: Callable[[Job], Iterable[object]], job: Job) -> None:
 
 @contextmanager
 def _block_interrupts() -> Iterator[None]:
-    """Defer Ctrl-C until the end of the block; processes started in it inherit the blocked signal."""
+    """Defer Ctrl-C until the end of the block. Processes that start in the block inherit the blocked signal."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,4 +1,4 @@
-"""Progress of all stages: a bar on a terminal, occasional lines in a file."""
+"""Progress reports of all stages: a bar on a terminal, or a line every 30 seconds in a file."""
 
 from __future__ import annotations
 
@@ -14,30 +14,32 @@ from rich.text import Text
 
 Item = TypeVar("Item")
 Log = Callable[[str], None]
-"""Logging callback: called with one line at a time."""
+"""Logging callback. It is called with one line of text."""
 
 LINE_SECONDS = 30.0
-"""Interval between lines where there is no terminal."""
+"""Interval in seconds between progress lines if the output is not a terminal."""
 RATE_SECONDS = 60.0
+"""Minimum length in seconds of the window that the rate is measured over."""
 RATE_ITEMS = 20
+"""Minimum number of items in the window that the rate is measured over."""
 MIN_LOGGED_SECONDS = 2.0
-"""Shorter phases get no line."""
+"""Phases that take fewer seconds print no line."""
 
 
 class Track(Protocol):
-    """Wraps a loop for progress."""
+    """Wraps an iterable to report progress."""
 
     def __call__(self, items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-        """The same items; ``count`` is their number, ``what`` describes the work."""
+        """Yield the same items. ``count`` is the number of items, ``what`` describes the work."""
 
 
 def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-    """The items, without progress."""
+    """Return the items without progress reports."""
     return items
 
 
 def console_log(console: Console) -> Log:
-    """A logging callback that prints lines unchanged."""
+    """A logging callback that prints each line unchanged."""
 
     def log(line: str) -> None:
         console.print(line, soft_wrap=True, markup=False)
@@ -47,12 +49,12 @@ def console_log(console: Console) -> Log:
 
 @dataclass(frozen=True)
 class Tracker:
-    """Progress with the remaining time: a bar if the console is a terminal, else lines."""
+    """Progress with an estimate of the remaining time: a bar if the console is a terminal, else lines."""
 
     console: Console
 
     def track(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
-        """Yield the items, counting them as they are done."""
+        """Yield the items and report progress after each item."""
         return self._bar(items, count, what) if self.console.is_terminal else self._lines(items, count, what)
 
     def _bar(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
@@ -90,19 +92,19 @@ class Tracker:
 
 
 class EndEstimate:
-    """Estimates when a phase ends from the rate of its last items.
+    """Estimates the end of a phase from the rate of the last items.
 
-    The rate is over the last minute, and over at least 20 items: enough to be stable when processes finish items
-    together, few enough to follow a change of the machine's load.
+    The rate is measured over the last minute and at least 20 items. The estimate is then stable when several processes
+    finish items at the same time, and still follows changes of the machine's load.
     """
 
     def __init__(self, start: float, count: int) -> None:
-        """For a phase of ``count`` items that starts at ``start``, in seconds of any clock."""
+        """Start a phase of ``count`` items at the time ``start``, in seconds of any clock."""
         self._count = count
         self._marks = deque([(start, 0)])
 
     def update(self, now: float, done: int) -> float:
-        """The estimated end of the phase on the same clock, after ``done`` items, more than at the last call."""
+        """Return the estimated end of the phase on the same clock. ``done`` counts finished items and must increase."""
         self._marks.append((now, done))
         while len(self._marks) > RATE_ITEMS + 1 and self._marks[1][0] <= now - RATE_SECONDS:
             self._marks.popleft()
@@ -111,7 +113,7 @@ class EndEstimate:
 
 
 def format_duration(seconds: float) -> str:
-    """H:MM:SS of whole seconds; negative times count as 0."""
+    """Format a duration as H:MM:SS, rounded to seconds. Negative durations count as 0."""
     minutes, rest = divmod(round(max(0.0, seconds)), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 

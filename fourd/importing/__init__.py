@@ -1,1 +1,1 @@
-"""Import of other programs' captures: formats, alignment in time, calibration, and writing."""
+"""Import of captures in the formats of other programs: reading, time alignment, calibration and writing."""

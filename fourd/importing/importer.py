@@ -1,4 +1,4 @@
-"""Import of a source in any format: read, align in time, fit the calibration to the images, write the capture."""
+"""Import of a source in any format: read it, align it in time, check or make the calibration, write the capture."""
 
 from __future__ import annotations
 
@@ -34,8 +34,10 @@ from fourd.progress import Log, Track
 Indices = Mapping[str, VideoIndex]
 
 MAX_SAMPLE_FRAMES = 3
+"""Number of frames that are matched between cameras, for captures with few cameras."""
 FEW_CAMERAS = 5
-"""With more cameras one frame has enough matches, and three would take minutes."""
+"""Maximum number of cameras of a capture with few cameras. With more cameras, one frame has enough matches and three
+frames would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,8 @@ class ImportOptions:
         apply_sync: estimate the offsets and apply the confident ones.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even where the source has a calibration.
-        distance: known distance between two cameras, for the unit.
-        board: chessboard in the first frames, for the world's origin and axes.
+        distance: known distance between two cameras, which sets the unit.
+        board: chessboard in the first frames, which sets the world's origin and axes.
     """
 
     copy: bool = False
@@ -69,18 +71,19 @@ class ImportOptions:
 def import_source(
     source_format: Format, source: Path, out: Path, options: ImportOptions, *, log: Log, warn: Log, track: Track
 ) -> None:
-    """Write ``source`` as a capture into the folder ``out``; the same call again completes what is missing.
+    """Write ``source`` as a capture into the folder ``out``. The same call again completes an interrupted import.
 
     Args:
-        source_format: the source's format.
-        source: path that ``source_format`` reads.
+        source_format: format of the source.
+        source: file or folder in this format.
         out: a new or empty folder, or one with an earlier import of this source.
         options: the user's options.
-        log, warn: called with one line for each finding or choice, and for each suspected error.
-        track: wraps loops for progress.
+        log: called with one line for each result or choice.
+        warn: called with one line for each suspected error.
+        track: wraps loops to report progress.
 
     Raises:
-        UserError: as the importer and the later steps; the calibration is written last.
+        UserError: when the source or an option is invalid. The calibration is written after all other files.
     """
     refuse_symlinks(out, out / DERIVED)
     before = read_record(out)
@@ -122,7 +125,7 @@ def import_source(
 
 
 def _check_options(imported: Imported, source: Path, options: ImportOptions) -> bool:
-    """Check the options before minutes of work; whether the cameras are to be calibrated from their images."""
+    """Check the options before work starts. Returns whether the cameras must be calibrated from their images."""
     if options.sync and options.apply_sync:
         raise UserError("--apply-sync: expected it without --sync, got both; choose one")
     if options.apply_sync and options.offsets:
@@ -134,7 +137,7 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
         return True
     if uncalibrated:
         raise UserError(
-            f"{source}: expected a calibration of every camera, got none of {', '.join(uncalibrated)}; add it, move "
+            f"{source}: expected a calibration of every camera, got none for {', '.join(uncalibrated)}; add it, move "
             "their files away, or calibrate all with --calibrate"
         )
     for name in (options.distance.first, options.distance.second) if options.distance else ():
@@ -150,13 +153,13 @@ def _has_calibration(out: Path) -> bool:
 def _estimate_offsets(
     imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
 ) -> dict[str, int]:
-    """Log the estimated offsets; the offsets to apply."""
+    """Estimate and log the offsets. Returns the offsets to apply."""
     found = find_offsets(imported.cameras, indices, out, track)
     names = [camera.name for camera in imported.cameras]
     applied = confident_offsets(names, found) if options.apply_sync else dict(options.offsets)
     for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True):
         is_small = 0 < abs(frames) <= UNRELIABLE_FRAMES
-        hint = f"; offsets up to {UNRELIABLE_FRAMES} frames are within the method's error" if is_small else ""
+        hint = f"; offsets up to {UNRELIABLE_FRAMES} frames are within the error of the estimate" if is_small else ""
         state = ""
         if options.apply_sync:
             state = ", applied" if name in applied else ", not applied" if frames else ""
@@ -175,7 +178,7 @@ def _calibrate(
     warn: Log,
     track: Track,
 ) -> Imported:
-    """The source with cameras that fit its images."""
+    """Return the source with cameras that are calibrated from its images, or checked against them."""
     names = [camera.name for camera in imported.cameras]
     with SynchronizedFrames(imported.cameras, indices, offsets) as frames:
         has_few = len(names) <= FEW_CAMERAS
@@ -220,7 +223,7 @@ def _write(
     *,
     with_calibration: bool,
 ) -> list[str]:
-    """Write missing files, and the calibration if ``with_calibration``."""
+    """Write missing files. Write the calibration if ``with_calibration``. Returns notes."""
     if not with_calibration:
         imported = replace(imported, cameras=tuple(replace(camera, calibration=None) for camera in imported.cameras))
     return write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)

@@ -1,4 +1,4 @@
-""".fourd/import.json: source and options of an import, so that no other capture is overwritten."""
+"""The record .fourd/import.json of an import: source and options. It prevents overwriting another capture."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class ImportRecord:
-    """An import into a folder.
+    """Record of an import into a folder.
 
     Attributes:
         source: the source's path.
-        format: the name of its format.
-        calibration, files: digests of its content; see :func:`digests`.
-        options: the command's options.
+        format: name of the source's format.
+        calibration: hash of the source's calibration; see :func:`digests`.
+        files: hash of the names and sizes of the source's files; see :func:`digests`.
+        options: options of the command.
         offsets: applied delays of the videos in frames.
-        unpacked: whether frames of these videos with these offsets were written as images.
+        unpacked: whether the videos' frames, with these offsets, were written as images.
         done: whether the import finished.
-        warnings: its warnings.
+        warnings: warnings of the import.
     """
 
     source: str
@@ -45,7 +46,7 @@ class ImportRecord:
 
 
 def read_record(out: Path) -> ImportRecord | None:
-    """The record in the folder ``out``; None where it is missing or empty.
+    """Read the record in the folder ``out``. None if the folder is missing or empty.
 
     Raises:
         UserError: when ``out`` is a file, or contains files without a valid record.
@@ -55,14 +56,14 @@ def read_record(out: Path) -> ImportRecord | None:
     path = out / RECORD
     if not path.is_file():
         got = "one with other files" if out.is_dir() else "a file"
-        raise UserError(f"{out}: expected a new folder, or one of an import, got {got}; name another")
+        raise UserError(f"{out}: expected a new folder, or one of an import, got {got}; name another folder")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content.pop("version") != VERSION:
             raise ValueError
         return ImportRecord(**content | {"warnings": tuple(content["warnings"])})
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{path}: expected the record of an import, got something else; name another folder") from error
+        raise UserError(f"{path}: expected the record of an import, got other content; name another folder") from error
 
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:
@@ -78,7 +79,7 @@ def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping
     """Raise UserError when the folder contains unpacked frames of other videos or with other offsets."""
     if before.unpacked and before.files != files:
         raise UserError(
-            f"{out}: expected the videos whose frames were unpacked there, got others; import into another folder"
+            f"{out}: expected the videos whose frames were unpacked there, got other videos; import into another folder"
         )
     if before.unpacked and before.offsets != dict(offsets):
         raise UserError(
@@ -93,7 +94,7 @@ def write_record(out: Path, record: ImportRecord) -> None:
 
 
 def digests(imported: Imported) -> tuple[str, str]:
-    """Hashes of a source's calibration, and of the names and sizes of its files."""
+    """Compute two hashes of a source: of its calibration, and of the names and sizes of its files."""
     calibrations, files = hashlib.sha256(), hashlib.sha256()
     for camera in imported.cameras:
         calibration = camera.calibration

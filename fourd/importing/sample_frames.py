@@ -1,4 +1,4 @@
-"""Decoded frames of a source, aligned in time, before the capture is written."""
+"""Reads time-aligned frames from a source before the capture is written."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ class EncodedFrames:
     frames: EncodedPictures
 
     def read(self, frame: int) -> Picture:
-        """(H, W, 3) uint8 RGB, as stored. Raises UserError unless it is a whole JPEG or PNG."""
+        """Decode a frame to RGB, (H, W, 3) uint8, without undistortion. Raises UserError if it is damaged."""
         return decode_rgb_bytes(self.frames.read(frame), self.describe(frame))
 
     def describe(self, frame: int) -> str:
-        """The frame's name for error messages."""
+        """Name of a frame for error messages."""
         return f"frame {frame}{self.frames.suffix}"
 
 
 class SynchronizedFrames:
-    """Frames of all cameras of a source by number; a context manager, which closes the videos.
+    """Frames of all cameras of a source, by number. A context manager that closes the videos at exit.
 
     Attributes:
         names: the cameras' names.
-        counts: number of frames of each camera, after the offsets.
+        counts: number of frames of each camera, without the frames that its offset skips.
         count: number of frames that all cameras have.
     """
 
@@ -50,11 +50,11 @@ class SynchronizedFrames:
 
         Args:
             cameras: the source's cameras.
-            indices: indices of the videos by camera name.
+            indices: video indices by camera name.
             offsets: delays of the videos in frames.
 
         Raises:
-            UserError: when the cameras have no common frame.
+            UserError: when there is no frame that all cameras have.
         """
         self.names = tuple(camera.name for camera in cameras)
         starts = align_offsets({name: offsets.get(name, 0) for name in indices})
@@ -66,7 +66,7 @@ class SynchronizedFrames:
         self.counts = tuple(count for _, count in opened)
         self.count = max(0, min(self.counts, default=0))
         if not self.count:
-            raise UserError(f"{cameras[0].name}: expected a frame that all cameras have, got none; check the offsets")
+            raise UserError(f"{cameras[0].name}: expected frames that all cameras have, got none; check the offsets")
 
     def __enter__(self) -> SynchronizedFrames:
         return self
@@ -75,11 +75,11 @@ class SynchronizedFrames:
         self._stack.close()
 
     def picture(self, camera: int, frame: int) -> Picture:
-        """(H, W, 3) uint8 RGB of a camera's frame, as stored."""
+        """Read a frame of a camera as RGB, (H, W, 3) uint8, without undistortion."""
         return self._sources[camera].read(frame)
 
     def pictures(self, frame: int) -> list[Picture]:
-        """The images of all cameras at one frame."""
+        """Read the images of all cameras at one frame."""
         return [source.read(frame) for source in self._sources]
 
     def _open_frames(self, frames: Frames, index: VideoIndex | None, start: int) -> tuple[CameraFrames, int]:

@@ -1,4 +1,4 @@
-"""Time offsets between a source's cameras, estimated from reduced grey images of all frames."""
+"""Time offsets between a source's cameras, estimated from downscaled grey images of all frames."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ MAX_OFFSET_FRAMES = 300
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of an applied offset."""
 UNRELIABLE_FRAMES = 3
-"""Offsets up to this many frames are within the method's error."""
+"""Error of the estimate in frames. --apply-sync applies only larger offsets."""
 PLOT = DERIVED / "sync.png"
 
 
 def find_offsets(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
 ) -> Offsets:
-    """Estimate each camera's delay relative to the first and plot it as ``out``/.fourd/sync.png.
+    """Estimate the delay of each camera relative to the first, and plot it to ``out``/.fourd/sync.png.
 
-    Searches offsets up to a third of the shortest camera's frames, and up to 300.
+    The maximum offset is a third of the frames of the shortest camera, and at most 300 frames.
 
     Raises:
         UserError: when there are too few frames, or a frame cannot be decoded.
@@ -40,7 +40,7 @@ def find_offsets(
         max_offset = min(frames.count // 3, frames.count - MIN_OVERLAP, MAX_OFFSET_FRAMES)
         if max_offset < 1:
             raise UserError(
-                f"--sync: expected more than {MIN_OVERLAP} frames of each camera, got {frames.count}; use --offset"
+                f"--sync: expected more than {MIN_OVERLAP} frames per camera, got {frames.count}; use --offset instead"
             )
         energies = []
         for index, name in enumerate(frames.names):
@@ -52,7 +52,7 @@ def find_offsets(
 
 
 def confident_offsets(names: Iterable[str], found: Offsets) -> dict[str, int]:
-    """The offsets to apply by camera: those of more than 3 frames with a confidence of at least 0.5."""
+    """Select the offsets to apply, by camera: more than 3 frames, with a confidence of at least 0.5."""
     return {
         name: frames
         for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True)

@@ -1,4 +1,4 @@
-"""Writing a source as a capture: files are linked, or copied on request."""
+"""Writes a source as a capture. Files are linked, or copied on request."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ from fourd.progress import Track
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 JPEG_QUALITY = 95
 LONG_KEYFRAME_INTERVAL = 250
-"""In frames; reading a frame decodes all frames since the keyframe before it."""
+"""Keyframe interval, in frames, above which a note suggests --unpack. Reading a frame decodes all frames since the last
+keyframe."""
 
 
 @dataclass(frozen=True)
 class ImportSettings:
-    """How a source becomes a capture.
+    """Settings for writing a source as a capture.
 
     Attributes:
         copy: copy files instead of linking them.
@@ -53,22 +54,22 @@ class ImportSettings:
 def write_capture(
     imported: Imported, indices: Mapping[str, VideoIndex], out: Path, settings: ImportSettings, track: Track
 ) -> list[str]:
-    """Write ``imported`` into the folder ``out``; a second call with the same source completes it.
+    """Write ``imported`` into the folder ``out``. A second call with the same source completes an interrupted one.
 
-    The calibration files contain the calibrated cameras.
+    The calibration files contain only the cameras with a calibration.
 
     Args:
         imported: the source's content.
-        indices: indices of the videos by camera name.
+        indices: video indices by camera name.
         out: the capture's folder.
-        settings: copy or link, unpack, offsets.
-        track: wraps loops for progress.
+        settings: how files and frames are written.
+        track: wraps loops to report progress.
 
     Returns:
-        notes: different frame counts, skipped frames.
+        Notes for the user, one line each: frame rates, unused frames and long keyframe intervals.
 
     Raises:
-        UserError: when a camera's name is no valid file name, a video cannot be used, or an offset is of no camera.
+        UserError: when a camera's name is not a valid file name, a video cannot be used, or an offset names no camera.
     """
     check_import(imported, settings)
     videos = _align_videos(imported.cameras, indices, settings.offsets)
@@ -93,14 +94,14 @@ def write_capture(
 
 
 def check_import(imported: Imported, settings: ImportSettings) -> None:
-    """Check that camera names are valid file names and offsets are of videos. Raises UserError as write_capture."""
+    """Raise UserError unless camera names are valid file names and offsets name cameras with videos."""
     _check_names(imported.cameras)
     frames = {camera.name: camera.frames for camera in imported.cameras}
     for name in settings.offsets:
         if name not in frames:
             raise UserError(f"--offset: expected a camera among {', '.join(frames)}, got '{name}'; name one of them")
         if not isinstance(frames[name], VideoFile):
-            raise UserError(f"--offset: expected a video of '{name}', got images; rename them so that frames agree")
+            raise UserError(f"--offset: expected a video of '{name}', got images; rename them to align the frames")
 
 
 def _check_names(cameras: Sequence[ImportedCamera]) -> None:
@@ -116,18 +117,20 @@ def _check_names(cameras: Sequence[ImportedCamera]) -> None:
 def _align_videos(
     cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
 ) -> dict[str, Video]:
-    """The videos by camera name, with the smallest offset at 0."""
+    """Videos by camera name, with offsets that are shifted so that the smallest is 0."""
     files = video_files(cameras)
     starts = align_offsets({name: offsets.get(name, 0) for name in files})
     videos = {name: Video(path, indices[name], starts[name]) for name, path in files.items()}
     for name, video in videos.items():
         if not video.frames_left:
-            raise UserError(f"--offset: expected less than {video.index.frames} frames of '{name}', got {video.offset}")
+            raise UserError(
+                f"--offset: expected less than {video.index.frames} frames for '{name}', got {video.offset}"
+            )
     return videos
 
 
 def _check_rates(videos: Mapping[str, Video]) -> list[str]:
-    """Notes on frame rates and counts; raises UserError for different rates."""
+    """Return notes on frame rates and frame counts. Raises UserError for different rates."""
     if not videos:
         return []
     first, reference = next(iter(videos.items()))
@@ -135,7 +138,7 @@ def _check_rates(videos: Mapping[str, Video]) -> list[str]:
         if abs(video.index.fps / reference.index.fps - 1) * video.index.frames > 0.5:
             raise UserError(
                 f"{video.path}: expected {float(reference.index.fps):g} frames per second, as {first} has, "
-                f"got {float(video.index.fps):g}; write it at that rate, or leave it out"
+                f"got {float(video.index.fps):g}; convert it to that rate, or leave it out"
             )
     notes = [f"{len(videos)} videos at {float(reference.index.fps):g} frames per second"]
     count = common_frames(videos)
@@ -146,7 +149,7 @@ def _check_rates(videos: Mapping[str, Video]) -> list[str]:
             notes.append(f"{name}: its first {video.offset} frames are skipped because of the offsets")
         longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
         if longest > LONG_KEYFRAME_INTERVAL:
-            notes.append(f"{name}: {longest} frames between keyframes; --unpack makes random access faster")
+            notes.append(f"{name}: {longest} frames between keyframes: --unpack makes random access faster")
     return notes
 
 
@@ -184,7 +187,7 @@ def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
 
 
 def _link_or_copy(source: Path, target: Path, copy: bool) -> None:
-    """Link ``target`` to ``source``, or copy it there; does nothing where that is done."""
+    """Link ``target`` to ``source``, or copy ``source`` to ``target``, unless that is already done."""
     source = source.resolve()
     if target.is_symlink() or target.exists():
         is_link = target.resolve() == source

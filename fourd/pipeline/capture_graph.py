@@ -1,4 +1,4 @@
-"""The part of the graph that leads to a capture with mattes and plates; it needs no training packages."""
+"""The stages up to a capture with mattes and plates. They need no training packages."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ MASKS = "masks"
 
 
 def has_masks(capture: Path) -> bool:
-    """Whether a capture has masks of its own."""
+    """Whether a capture has its own masks in masks/."""
     return bool(camera_folders(capture / MASKS))
 
 
 def is_usable(source: Path) -> bool:
-    """Whether a folder is a capture that needs no import: it has masks, or mattes can be written into it."""
+    """Whether a folder is a capture that needs no import. It must have masks, or be writable for mattes."""
     is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 
 
 def stages_to_capture(source: Path, imported: Path) -> tuple[AnyStage, ...]:
-    """From any source to a capture in the folder ``imported``; empty where ``source`` is one already."""
+    """Stages from any source to a capture in the folder ``imported``; empty if ``source`` is a usable capture."""
     return () if is_usable(source) else (import_stage(source, imported),)
 
 
 def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """From a capture to mattes, unless it has masks of its own, and to plates."""
+    """Stages that make mattes, unless the capture has its own masks, and plates."""
     stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
     if plates:
         stages.append(capture_plates_stage(capture, settings))

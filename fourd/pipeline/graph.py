@@ -1,7 +1,7 @@
-"""The graph: which stages lead from an input to an end, in an order that respects their dependencies.
+"""The graph of stages: selects the stages that an input needs, in the order of their dependencies.
 
-import > check > mattes > plates > adjust > carve (or points) > background > train > bake. Whether a stage is needed is
-decided by the config (object or full scene, adjusted cameras, given points) and by what the capture holds.
+The order is import, check, mattes, plates, adjust, carve (or points), background, train, bake. The config (object or
+full scene, adjusted cameras, given points) and the contents of the capture decide which stages are needed.
 """
 
 from __future__ import annotations
@@ -32,9 +32,10 @@ class RunRequest:
     Attributes:
         capture: the capture's folder.
         run: the run's folder.
-        train: the config.
-        points_from: folder with the user's own FRAME.ply files in place of carving.
-        lpips_weights: file or folder with the weights of LPIPS; None looks in the usual caches.
+        train: the training config.
+        points_from: folder with the user's own FRAME.ply files, which replace carving; None: carve.
+        lpips_weights: file or folder with the weights of LPIPS. None: the default locations, see
+            :func:`~fourd.training.losses.lpips.load_lpips`.
     """
 
     capture: Path
@@ -45,11 +46,11 @@ class RunRequest:
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """From a capture with masks or mattes to everything that training starts from.
+    """Stages from a capture with masks or mattes to all inputs of training.
 
     Args:
         request: the run.
-        plates: whether the run makes missing plates; False where another stage of the graph makes them.
+        plates: whether the run makes missing plates. False if another stage of the graph makes them.
     """
     capture, run, train = request.capture, request.run, request.train
     selection, adjusted = DataSelection.of(train), train.refine.cameras
@@ -70,13 +71,13 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
 
 
 def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """From a capture with masks or mattes to a trained run; ``plates`` as in :func:`stages_to_first_points`."""
+    """Stages from a capture with masks or mattes to a trained run; ``plates`` as in :func:`stages_to_first_points`."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
     return (*stages_to_first_points(request, plates=plates), train_stage(files, request.train))
 
 
 def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> tuple[AnyStage, ...]:
-    """From a capture to the scene file ``scene``."""
+    """Stages from a capture to the scene file ``scene``."""
     train = request.train
     made: tuple[AnyStage, ...] = ()
     if not has_masks(request.capture):

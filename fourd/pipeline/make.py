@@ -1,4 +1,4 @@
-"""Entry points that run the graph: a scene file, or a run that is ready to train."""
+"""Entry points that run the graph and make a scene file, or a run that is ready to train."""
 
 from __future__ import annotations
 
@@ -33,31 +33,35 @@ def make_scene(
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
-    The stages' results lie in the folder OUT.work: ``capture/`` where ``source`` has to be imported, ``run/``, and
-    ``stages.json``. A changed input or setting runs the stages again that depend on it; an interrupted stage resumes.
+    Intermediate results are kept beside ``out``: for ``scene.4dv`` in ``scene.work/``, which contains ``capture/`` (if
+    ``source`` needs an import), ``run/`` and ``stages.json``. After a change of an input or a setting, the stages that
+    depend on it run again. An interrupted stage resumes.
 
     Args:
-        source: a capture, or anything that :mod:`fourd.importing` reads.
+        source: a capture, or any source that :mod:`fourd.importing` can read.
         out: the .4dv file to write.
         train: the training config.
-        mattes: how mattes are made where the capture has no masks.
+        mattes: settings of the mattes, used if the capture has no masks.
         context: console and number of processes.
         points_from: folder with the user's own FRAME.ply files in place of carving.
-        lpips_weights: file or folder with the weights of LPIPS; None looks in the usual caches.
+        lpips_weights: file or folder with the weights of LPIPS. None: the default locations, see
+            :func:`~fourd.training.losses.lpips.load_lpips`.
 
     Raises:
-        UserError: for wrong input, and where OUT.work is a folder that ``fourd make`` did not create.
+        UserError: for wrong input, and if the folder of intermediate results was not created by ``fourd make``.
     """
     work = out.with_suffix(".work")
     if not (work / RECORD).exists() and not is_unused(work):
-        raise UserError(f"{work}: expected a folder made by fourd make, got another; move it or choose another -o")
+        raise UserError(
+            f"{work}: expected a folder made by fourd make, got a folder with other files; move it or choose another -o"
+        )
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
     runner = Runner(context, work / RECORD)
     imports = stages_to_capture(source, work / CAPTURE)
     runner.run(imports)
-    # The rest of the graph depends on what the import found.
+    # The other stages depend on the contents of the imported capture.
     capture = work / CAPTURE if imports else source
     request = RunRequest(capture, work / RUN, train, points_from, lpips_weights)
     runner.run(stages_to_scene(request, mattes, out))
@@ -66,19 +70,17 @@ def make_scene(
 def create_run(
     capture: Path, folder: Path, train: TrainConfig, points_from: Path | None = None, context: Context | None = None
 ) -> Run:
-    """Run every stage before training and write the run's config.yaml.
-
-    A folder with results of an interrupted call is resumed.
+    """Run all stages before training and write the run's config.yaml. An interrupted call resumes.
 
     Args:
         capture: the capture's folder, with masks or mattes.
-        folder: the run's folder: new, empty, or interrupted before training.
-        train: the config.
+        folder: the run's folder: new, empty, or left by an interrupted call.
+        train: the training config.
         points_from: folder with the user's own FRAME.ply files in place of carving.
-        context: console and number of processes; silent and one process when None.
+        context: console and number of processes. None: no output and one process.
 
     Raises:
-        UserError: for wrong input, and where ``folder`` is a run already or holds other files.
+        UserError: for wrong input, and if ``folder`` is already a run or contains other files.
     """
     require_new_run(folder)
     Runner(context or Context()).run(stages_to_first_points(RunRequest(capture, folder, train, points_from)))

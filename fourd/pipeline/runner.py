@@ -1,4 +1,4 @@
-"""The runner of stages: caches results by key, resumes interrupted stages and reports progress."""
+"""The runner executes stages, skips those that are up to date, and resumes interrupted ones."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Execute = Callable[[AnyStage, Context], None]
 
 
 def run_here(stage: AnyStage, context: Context) -> None:
-    """Execute a stage's work in this process."""
+    """Execute the work of a stage in this process."""
     stage.run(context)
 
 
 class Runner:
     """Runs stages in order.
 
-    With a record, each stage is reported, a stage whose key and outputs are unchanged is skipped, and a stage that
-    starts with a new key first removes what the old key left behind. Without a record every stage is executed silently;
-    its work keeps finished files.
+    With a record file, the runner prints the state of each stage and skips a stage if its key is unchanged and its
+    outputs exist. A stage with a new key first removes the files of its old key. Without a record file, the runner
+    executes every stage and prints nothing itself; the work of a stage keeps files that are finished.
     """
 
     def __init__(self, context: Context, record: Path | None = None, execute: Execute = run_here) -> None:
@@ -32,9 +32,10 @@ class Runner:
 
         Args:
             context: console and number of processes for the stages' work.
-            record: JSON file of the keys that stages started and finished with; written atomically after each change.
-            execute: runs the work of one stage and returns when its outputs are written. Replace it to execute
-                stages in other processes or on a cluster.
+            record: JSON file with the key of each started and each finished stage. It is written atomically after each
+                change.
+            execute: function that runs the work of one stage and returns when the outputs are written. Replace it to
+                execute stages in other processes or on a cluster.
         """
         self._context = context
         self._record = record
@@ -43,7 +44,7 @@ class Runner:
         self._keys: dict[str, str] = {}
 
     def run(self, stages: Sequence[AnyStage]) -> None:
-        """Run ``stages``, each after the stages that it depends on."""
+        """Run ``stages`` in the given order. Each must come after the stages that it depends on."""
         for stage in stages:
             self._run_stage(stage)
 
@@ -54,7 +55,7 @@ class Runner:
             self._report(f"{stage.name}: up to date{result}")
             return
         if self._record is not None and self._known.get(_started(stage)) != key:
-            # Forget first: if the removal is interrupted, no key may match what remains.
+            # Delete the keys first: if the removal is interrupted, no key may match the remaining files.
             self._write({stage.name: None, _started(stage): None})
             for leftovers in stage.leftovers:
                 leftovers.remove()
@@ -78,12 +79,12 @@ class Runner:
 
 
 def _started(stage: AnyStage) -> str:
-    """The record's entry for the key that a stage started with."""
+    """Name of the entry in the record that contains the key of a started stage."""
     return f"{stage.name} started"
 
 
 def _read_record(record: Path | None) -> dict[str, str]:
-    """The keys in a record file; empty where it is missing or damaged, which runs all stages."""
+    """The keys in a record file. They are empty if the file is missing or damaged, so that all stages run."""
     if record is None:
         return {}
     try:

@@ -1,4 +1,4 @@
-"""A stage: a frozen, picklable value that holds one step of the pipeline, from files to files."""
+"""A stage: a frozen, picklable description of one step of the pipeline, which reads files and writes files."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Context:
-    """What a runner gives a stage's work besides files and settings. Results do not depend on it.
+    """Runtime context of a stage: console and worker count. Results do not depend on it.
 
     Attributes:
-        console: where progress and log lines go.
+        console: console for progress and log lines.
         workers: number of processes that the work may use.
     """
 
@@ -40,17 +40,17 @@ class Context:
 
     @property
     def log(self) -> Log:
-        """Lines on the console."""
+        """Logging callback that prints lines on the console."""
         return console_log(self.console)
 
 
 @dataclass(frozen=True)
 class Artefact:
-    """Files that a stage reads, identified by names, sizes and modification times.
+    """Files that a stage reads. Their names, sizes and modification times identify their version.
 
     Attributes:
         path: a file, or the folder that ``patterns`` are relative to.
-        patterns: glob patterns; empty for the file ``path`` itself.
+        patterns: glob patterns; empty if ``path`` is a file.
     """
 
     path: Path
@@ -70,10 +70,10 @@ class Artefact:
 
 @dataclass(frozen=True)
 class Leftovers:
-    """Content of a folder that a run of the stage with another key leaves behind.
+    """Files that the stage wrote into a folder with another key, and that must be removed before it starts.
 
     Attributes:
-        folder: the folder to empty; it may be absent.
+        folder: the folder to empty. It may be missing.
         keep: names of entries that belong to other stages.
     """
 
@@ -95,17 +95,18 @@ class Leftovers:
 
 @dataclass(frozen=True)
 class Stage(Generic[Files, Settings]):
-    """One step of the pipeline. It pickles, so that a runner can execute it in another process or on another machine.
+    """One step of the pipeline. It is picklable, so a runner can execute it in another process or on another machine.
 
     Attributes:
         name: unique within a graph.
-        work: a module-level function. It reads and writes ``files`` by ``settings``; a second call with the same
-            arguments resumes an interrupted one.
-        files: typed paths for ``work``.
-        settings: everything besides the content of files that the result depends on. Part of the key.
-        inputs: artefacts read. Their fingerprints are part of the key.
-        outputs: artefacts written. All exist once the stage is finished.
-        leftovers: what to remove before work starts with a new key.
+        work: a module-level function that reads and writes ``files`` according to ``settings``. A second call with the
+            same arguments resumes an interrupted call.
+        files: dataclass with the paths that ``work`` reads and writes.
+        settings: dataclass with all parameters that affect the result, apart from the content of files. They are part
+            of the key.
+        inputs: artefacts that ``work`` reads. Their fingerprints are part of the key.
+        outputs: paths that ``work`` writes. All exist when the stage is finished.
+        leftovers: files to remove before ``work`` starts with a new key.
         after: names of stages that must finish first. Their keys are part of the key.
     """
 
@@ -122,7 +123,7 @@ class Stage(Generic[Files, Settings]):
         """A hash of everything that the result depends on.
 
         Args:
-            keys: keys of the stages in ``after``, by name. Names that the graph does not hold count as absent.
+            keys: keys of earlier stages, by name. A name in ``after`` without a key is ignored.
         """
         parts = [
             self.name,
@@ -137,7 +138,7 @@ class Stage(Generic[Files, Settings]):
         return all(path.exists() for path in self.outputs)
 
     def run(self, context: Context | None = None) -> None:
-        """Do the work; silently and in one process when ``context`` is None, as in a process that has no console."""
+        """Execute the work. Without a context, it uses one process and prints nothing."""
         self.work(self.files, self.settings, context or Context())
 
 

@@ -43,7 +43,7 @@ def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytes
     """Catches a mistyped format taken for a path, and a missing source."""
     out = tmp_path / "out"
     assert "got 'easymocab'; did you mean 'easymocap'?" in refused_line(capsys, "easymocab", ball_capture, out)
-    assert "got nothing there; check the path" in refused_line(capsys, tmp_path / "gone", out)
+    assert "but it does not exist; check the path" in refused_line(capsys, tmp_path / "gone", out)
     assert "expected [FORMAT] SRC OUT, got 1 arguments" in refused_line(capsys, ball_capture)
     (tmp_path / "empty").mkdir()
     line = refused_line(capsys, tmp_path / "empty", out)
@@ -100,7 +100,7 @@ def test_uncalibrated_cameras_are_named(tmp_path: Path, capsys: pytest.CaptureFi
     calibrations = read_calibration(source)
     write_calibration(source, ["a", "b"], [calibrations[name].camera(32, 48) for name in ("a", "b")])
     line = refused_line(capsys, source, tmp_path / "out")
-    assert "expected a calibration of every camera, got none of c; add it" in line
+    assert "expected a calibration of every camera, got none for c; add it" in line
     assert "--calibrate" in line
 
 

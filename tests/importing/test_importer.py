@@ -197,7 +197,7 @@ def test_unpacked_frames_keep_their_offsets(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"expected the offsets of the frames unpacked there \(none\), got b=2"):
         run_import(source, tmp_path / "out", unpack=True, offsets={"b": 2})
     write_numbered_video(source / "videos" / "b.mp4", range(41))
-    with pytest.raises(UserError, match="expected the videos whose frames were unpacked there, got others"):
+    with pytest.raises(UserError, match="expected the videos whose frames were unpacked there, got other videos"):
         run_import(source, tmp_path / "out", unpack=True)
 
 

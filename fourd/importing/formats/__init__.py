@@ -1,4 +1,4 @@
-"""One module per format; each reads a source into an :class:`~fourd.importing.formats.imported.Imported`.
+"""One module per format. Each module reads a source into an :class:`~fourd.importing.formats.imported.Imported`.
 
 To add a format:
 

@@ -1,8 +1,8 @@
 """ActorsHQ: calibration.csv beside rgbs/CAM/CAM_rgb000000.jpg and masks/CAM/CAM_mask000000.png.
 
-A row holds the camera-to-world pose (OpenCV axes) as a rotation vector and a position in metres. Focal lengths and
-principal points are in units of the image's width and height, so that the origin is the first pixel's corner, as in
-fourd.
+A row of the CSV contains the camera-to-world pose (OpenCV axes) as a rotation vector and a position in metres.
+Focal lengths and principal points are in units of the image's width and height. The origin is therefore the corner of
+the first pixel, as in fourd.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, in metres.
+    """Read the cameras of ``source``, in metres.
 
     Raises:
         UserError: when the CSV lacks a column or a number, names a camera twice, or cameras do not match.
@@ -49,7 +49,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """The cameras of a calibration.csv by name, in metres. Raises UserError as read."""
+    """Read the cameras of a calibration.csv by name, in metres. Raises UserError like :func:`read`."""
     try:
         rows = list(csv.DictReader(read_file(path).decode("utf-8-sig").splitlines(), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:

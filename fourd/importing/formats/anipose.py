@@ -1,6 +1,7 @@
-"""Anipose and Pose2Sim: a calibration TOML beside the videos, with one world-to-camera table per camera.
+"""Anipose and Pose2Sim: a calibration TOML beside the videos, with a table per camera that has a world-to-camera pose.
 
-Both calibrate with OpenCV, whose origin is the first pixel's centre: half a pixel is added to the principal points.
+Both calibrate with OpenCV, whose origin is the centre of the first pixel. In fourd it is the corner, so half a pixel is
+added to the principal points.
 """
 
 from __future__ import annotations
@@ -27,20 +28,20 @@ from fourd.importing.formats.imported import Imported
 
 KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
 HEAD_BYTES = 4096
-"""Bytes of a file that hold its first camera's table."""
+"""Number of bytes at the start of a file that contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
-"""Above this median distance between cameras the unit is millimetres."""
+"""Threshold of the median distance between cameras. Above it, the unit is assumed to be millimetres."""
 MAX_PIXELS = 1 << 20
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is such a TOML file, or a folder with one."""
+    """Whether ``source`` is a calibration TOML, or a folder with one."""
     return bool(_find_files(source))
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, a folder with the TOML and videos, or the TOML file beside the videos.
+    """Read the cameras of ``source``: a folder with the TOML and videos, or the TOML file beside the videos.
 
     Raises:
         UserError: when there is no such TOML or several, it does not parse, a value is missing or invalid, a lens is a
@@ -57,7 +58,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
-    """The cameras of a calibration TOML by name, and notes. Raises UserError as read."""
+    """Read the cameras of a calibration TOML by name, and notes. Raises UserError like :func:`read`."""
     try:
         data = tomllib.loads(read_file(path).decode())
     except (ValueError, RecursionError) as error:
@@ -104,7 +105,7 @@ def _make_camera(where: str, table: dict[str, object]) -> Camera:
 
 
 def _guess_unit(cameras: list[Camera]) -> tuple[float, str]:
-    """Metres per unit of the file, judged by the distances between the cameras, and a note on it."""
+    """Estimate the file's unit in metres from the distances between the cameras. Returns the unit and a note."""
     centres = np.stack([camera.centre for camera in cameras])
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)[np.triu_indices(len(centres), 1)]
     if not len(distances):
@@ -124,7 +125,7 @@ def _scale_camera(camera: Camera, scale: float) -> Camera:
 
 
 def _find_files(source: Path) -> list[Path]:
-    """Calibrations among the TOML files of a folder, or the file itself, detected by the keys of the first table."""
+    """Find calibration files: the file itself, or TOML files in a folder. The keys of the first table identify them."""
     candidates = [source / name for name in list_entries(source)] or [source]
     return [path for path in candidates if path.suffix.lower() == ".toml" and _has_cameras(read_head(path, HEAD_BYTES))]
 

@@ -26,11 +26,17 @@ LENS_MODELS = {
     "OPENCV": (2, 4),
     "FULL_OPENCV": (2, 8),
 }
-"""Numbers of focal lengths, before the principal point, and of distortion coefficients after it, in OpenCV's order."""
+"""Number of focal lengths and number of distortion coefficients of each lens model.
+
+The parameters are the focal lengths, the principal point, and the distortion coefficients in OpenCV's order.
+"""
 PARAMETER_COUNTS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
-"""Number of parameters by lens model id in cameras.bin."""
+"""Number of parameters of each lens model, by its id in cameras.bin."""
 MAX_MOTION = 1e-3
-"""Largest difference between a static camera's images: rotation in radians, position as a share of the rig's size."""
+"""Maximum pose difference between the images of a static camera.
+
+The rotation difference is in radians, the position difference relative to the size of the rig.
+"""
 
 
 def looks_like(source: Path) -> bool:
@@ -39,7 +45,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, a folder with the model and the videos or images, in the model's unit of length.
+    """Read the cameras of ``source``, a folder with the model and the videos or images, in the model's unit of length.
 
     Raises:
         UserError: when the model is damaged, a lens model is not OpenCV's, a camera moves or changes its intrinsics, or
@@ -57,7 +63,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """The cameras of a model's folder by name. Raises UserError as read."""
+    """Read the cameras of a model folder by name. Raises UserError like :func:`read`."""
     model = _load_model(path)
     images: dict[str, list[Any]] = defaultdict(list)
     for image in sorted((model.images[number] for number in model.reg_image_ids()), key=lambda image: image.name):
@@ -79,7 +85,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarray], rig_size: float) -> Camera:
-    """The camera of the first image, after a check that the other images agree with it."""
+    """The camera of the first image. Raises UserError if the other images have another camera."""
     camera, pose = model.cameras[images[0].camera_id], poses[0]
     for image, other in zip(images[1:], poses[1:], strict=True):
         angle = float(np.linalg.norm(other[:, :3] - pose[:, :3])) / np.sqrt(2)
@@ -112,7 +118,7 @@ def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarr
 
 
 def _pose(image: Any) -> np.ndarray:
-    """(3, 4) world-to-camera; ``cam_from_world`` is a method from pycolmap 3.12 on."""
+    """World-to-camera matrix (3, 4). ``cam_from_world`` is a method since pycolmap 3.12."""
     pose = image.cam_from_world
     return np.asarray((pose() if callable(pose) else pose).matrix(), np.float64)
 
@@ -131,7 +137,7 @@ def _load_model(path: Path) -> Any:
 
 
 def _check_whole(path: Path) -> None:
-    """Raise UserError for truncated files: pycolmap reads beyond their end, or hangs."""
+    """Raise UserError for truncated files, because pycolmap reads beyond their end or hangs."""
     for name in ("rigs.bin", "cameras.bin", "frames.bin", "images.bin", "points3D.bin"):
         file = path / name
         if not file.is_file():

@@ -29,8 +29,8 @@ class Format:
     Attributes:
         name: its name on the command line.
         summary: what a source contains, for help texts.
-        looks_like: whether a path is such a source, judged by names and first bytes alone.
-        read: reads the cameras of a source; raises UserError.
+        looks_like: function that tests whether a path has this format, from file names and first bytes only.
+        read: function that reads the cameras of a source. It raises UserError.
     """
 
     name: str
@@ -50,17 +50,17 @@ FORMATS = (
     Format("easymocap", "intri.yml, extri.yml, images/CAM/ or videos/", easymocap.looks_like, easymocap.read),
     Format("videos", "videos or folders of images, no calibration", videos.looks_like, videos.read),
 )
-"""In the order of detection: the most specific first."""
+"""All formats in the order of detection: the most specific ones first."""
 
 
 def pick_format(name: str | None, source: Path) -> Format:
-    """The format with that name, or for None the first that the source looks like.
+    """Find the format with the name ``name``, or for None the first format that the source matches.
 
     Raises:
         UserError: when the source is missing, the name is unknown, or no format fits.
     """
     if not source.exists():
-        raise UserError(f"{source}: expected files to import, got nothing there; check the path")
+        raise UserError(f"{source}: expected files to import, but it does not exist; check the path")
     by_name = {each.name: each for each in FORMATS}
     if name is not None and name not in by_name:
         near = get_close_matches(name, by_name, 1)
@@ -70,6 +70,6 @@ def pick_format(name: str | None, source: Path) -> Format:
     if found is None:
         raise UserError(
             f"{source}: expected {', or '.join(f'{each.summary} ({each.name})' for each in FORMATS)}, "
-            "got none of these; name the folder that holds them"
+            "got none of these; name the folder that contains them"
         )
     return found

@@ -1,7 +1,8 @@
 """DNA-Rendering: NAME.smc (HDF5) with encoded images, NAME_annots.smc with calibration and mattes.
 
-Later parts of the data set hold the calibration in NAME.smc. RT is camera-to-world, in metres. The origin of pixels is
-the first one's centre, as in OpenCV, which the data set's tools use: half a pixel is added to the principal points.
+Later parts of the data set contain the calibration in NAME.smc. RT is camera-to-world, in metres. The
+data set's tools use OpenCV, whose origin is the centre of the first pixel. In fourd it is the corner, so half a pixel
+is added to the principal points.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 GROUPS = ("Camera_5mp", "Camera_12mp")
 MAX_SOFT_LINKS = 16
 HEADER_BYTES = 1 << 16
-"""Bytes of an encoded image that contain its size."""
+"""Number of bytes at the start of an encoded image that contain its size."""
 
 
 def looks_like(source: Path) -> bool:
@@ -37,11 +38,11 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, in metres, named by their two-digit numbers; images are read one at a time.
+    """Read the cameras of ``source``, in metres. Their names are two-digit numbers. Images are read one at a time.
 
     Raises:
-        UserError: when there is no NAME.smc or several, it is no HDF5, refers to other files, lacks a group or a value,
-            or has another number of mattes than images.
+        UserError: when there is no NAME.smc or several, it is not HDF5, refers to other files, lacks a group or a
+            value, or the numbers of mattes and images differ.
     """
     files = _find_files(source)
     if len(files) != 1:
@@ -89,10 +90,10 @@ def read(source: Path) -> Imported:
 
 
 class _Smc:
-    """An open HDF5 file; errors name the file and the group."""
+    """An open HDF5 file. Error messages name the file and the group."""
 
     def __init__(self, path: Path) -> None:
-        import h5py  # Imported here, since no other format needs it.
+        import h5py  # Imported here, because no other format needs it.
 
         self.path = path
         self.h5py = h5py
@@ -113,7 +114,7 @@ class _Smc:
             return self._resolve(name) is not None
 
     def numbered(self, name: str, required: bool = True) -> dict[int, str]:
-        """Paths of a group's members by number, ascending; empty for an optional group that is missing."""
+        """Paths of the members of a group by number, in ascending order. Empty if an optional group is missing."""
         with self._report_errors(name):
             group = self._get(name)
             if group is None and not required:
@@ -143,7 +144,7 @@ class _Smc:
         return EncodedPictures(len(paths), suffix, partial(_read_picture, self.path, tuple(paths))), size
 
     def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """A dataset's finite numbers of that shape; flattened for (-1,)."""
+        """Read a dataset of finite numbers with the shape ``shape``. The shape (-1,) flattens it."""
         with self._report_errors(name):
             value = self._dataset(name)[()]
         return parse_numbers(f"{self.path}: {name}", np.ravel(value) if shape == (-1,) else value, shape)
@@ -173,9 +174,9 @@ class _Smc:
         return None if path is None else self.file[path]
 
     def _resolve(self, name: str) -> str | None:
-        """An object's path through hard links alone; None where it is missing.
+        """Resolve the path of an object through hard links only; None if it is missing.
 
-        External links are refused before their file is opened: an import would copy its content into the capture.
+        External links are rejected before their file is opened. Otherwise an import would copy its content.
         """
         path, parts, soft_links = "/", name.split("/"), 0
         while parts:
@@ -203,7 +204,7 @@ class _Smc:
 
     @contextmanager
     def _report_errors(self, name: str) -> Iterator[None]:
-        """Turn the exceptions that h5py raises for damaged files into UserErrors."""
+        """Convert the exceptions that h5py raises for damaged files to UserErrors."""
         try:
             yield
         except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
@@ -217,7 +218,7 @@ def _read_picture(path: Path, datasets: tuple[str, ...], index: int) -> bytes:
 
 
 def _read_cameras(smc: _Smc, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
-    """The cameras of Camera_Parameter that have images, by number; sizes are those of the images."""
+    """Read the cameras of Camera_Parameter that have images, by number. The image sizes are read from the images."""
     cameras = {}
     for number, group_path in smc.numbered("Camera_Parameter").items():
         if number not in pictures:
@@ -239,7 +240,7 @@ def _find_files(source: Path) -> list[Path]:
 
 
 def _find_annotations(path: Path) -> Path | None:
-    """NAME_annots.smc beside NAME.smc, or in ../annotations/, where the data set has it beside main/."""
+    """Find NAME_annots.smc beside NAME.smc, or in ../annotations/, which is beside main/ in the data set."""
     name = f"{path.stem}{ANNOTATIONS}"
     paths = [path.with_name(name), path.parent.parent / "annotations" / name]
     return next((found for found in paths if found.is_file()), None)

@@ -1,6 +1,6 @@
 """EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext, optionally masks/CAM/.
 
-Pixel coordinates are kept: fourd's own captures have this layout, and EasyVolcap writes COLMAP's convention there.
+Pixel coordinates are not converted: fourd's own captures have this layout, and EasyVolcap writes COLMAP's convention.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, in the calibration's own unit of length.
+    """Read the cameras of ``source``, in the calibration's unit of length.
 
     Raises:
-        UserError: as read_calibration, when cameras and calibrations do not match, or an image has no matte.
+        UserError: when read_calibration raises it, cameras and calibrations do not match, or an image has no matte.
     """
     path = source / INTRINSICS_NAME
     calibrations = read_calibration(source)
@@ -43,7 +43,7 @@ def read(source: Path) -> Imported:
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
-    """The camera; a missing size is that of its first image, or 1 x 1 without images."""
+    """Make the camera. A missing size is read from its first image; without images it is 1 x 1."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = (1, 1) if frames is None else _size(frames)
@@ -54,7 +54,7 @@ def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames
 
 
 def _size(frames: Frames) -> tuple[int, int]:
-    """(width, height) from a header."""
+    """Read (width, height) from the header of the first image or video."""
     if isinstance(frames, PictureFiles):
         return picture_size(frames.paths[0])
     assert isinstance(frames, VideoFile)

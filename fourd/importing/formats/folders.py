@@ -1,4 +1,4 @@
-"""Helpers of the importers: each camera's frames and mattes, and checked values of calibration files."""
+"""Helpers of the importers: find the frames and mattes of each camera, and check the values of calibration files."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from fourd.importing.formats.imported import Frames, ImportedCamera, PictureFile
 Array = NDArray[np.float64]
 
 MAX_VALUE = 1e100
-"""Larger numbers count as not finite, since their products may not be finite."""
+"""Maximum magnitude of a number. Larger numbers count as not finite, because their products may overflow."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw")
-"""Folders of a source that may contain the cameras' frames, in this order; the last two are anipose's."""
+"""Folders of a source that may contain the cameras' frames, in order of preference. The last two are Anipose's."""
 
 
 def list_entries(folder: Path) -> list[str]:
-    """Names in ``folder``, sorted; empty where it cannot be listed."""
+    """Sorted names in ``folder``; empty if it cannot be listed."""
     try:
         return sorted(os.listdir(folder))
     except (OSError, ValueError):
@@ -32,7 +32,7 @@ def list_entries(folder: Path) -> list[str]:
 
 
 def read_head(path: Path, count: int) -> bytes:
-    """The first ``count`` bytes of a file or fewer; empty where it cannot be read."""
+    """Read up to ``count`` bytes from the start of a file. Empty if it cannot be read."""
     try:
         with open(path, "rb") as file:
             return file.read(count)
@@ -41,7 +41,7 @@ def read_head(path: Path, count: int) -> bytes:
 
 
 def read_file(path: Path) -> bytes:
-    """A file's content. Raises UserError where it cannot be read."""
+    """Read the content of a file. Raises UserError if it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -49,10 +49,10 @@ def read_file(path: Path) -> bytes:
 
 
 def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[str, Frames]:
-    """Each camera's frames by its name: the videos or folders of images in the first of ``folders`` that has any.
+    """Find the frames of each camera, by name: videos or folders of images, in the first of ``folders`` that has any.
 
     Raises:
-        UserError: when two cameras have one name, or no folder has any.
+        UserError: when two cameras have the same name, or no folder has frames.
     """
     for folder_name in folders:
         folder = source / folder_name
@@ -73,7 +73,7 @@ def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[st
 
 
 def picture_files(folder: Path) -> PictureFiles | None:
-    """A folder's images, ordered by number; None where it has none."""
+    """The images in a folder, ordered by number; None if there are none."""
     by_stem = find_pictures(folder)
     if not by_stem:
         return None
@@ -81,9 +81,9 @@ def picture_files(folder: Path) -> PictureFiles | None:
 
 
 def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
-    """A camera's mattes, matched to its images by number; None where the folder has none.
+    """Find the mattes of a camera and match them to its images by number. None if the folder has no mattes.
 
-    For a video all mattes of the folder, since its number of frames is unknown here.
+    For a video, all mattes in the folder are returned, because its number of frames is not known here.
 
     Raises:
         UserError: when an image has no matte.
@@ -110,9 +110,9 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 
 
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
-    """The name in the calibration of each camera with frames: equal, or with the same unique number.
+    """Match cameras with frames to cameras in the calibration: by equal name, or by an equal and unique number in it.
 
-    Returns a dict from the frames' name to the calibration's name; cameras without a calibration are left out.
+    Returns a dict from names of frames to names in the calibration, without the cameras that have no calibration.
 
     Raises:
         UserError: when no camera has a calibration.
@@ -136,16 +136,16 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
 def join_calibrations(
     frames: Mapping[str, Frames], calibrations: Mapping[str, Camera], path: Path, mattes: Sequence[Path] = ()
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """The cameras of ``frames`` with their calibrations, matched by match_names, and notes on missing parts.
+    """Combine frames and calibrations, matched by :func:`match_names`. Returns cameras, and notes on missing parts.
 
     Args:
-        frames: by camera name.
-        calibrations: by their names in the file ``path``.
-        path: the calibration file, for errors.
+        frames: frames by camera name.
+        calibrations: cameras by their names in the file ``path``.
+        path: the calibration file, for error messages.
         mattes: folders that may contain a folder of mattes for each camera; the first one with mattes is used.
 
     Raises:
-        UserError: as match_names and find_mattes.
+        UserError: when match_names or find_mattes raises it.
     """
     pairs = match_names(list(calibrations), frames, path)
     cameras = []
@@ -167,10 +167,10 @@ def join_calibrations(
 
 
 def parse_numbers(where: str, value: object, shape: tuple[int, ...]) -> Array:
-    """An array of finite numbers of that shape (-1 for any length) from a parsed value.
+    """Convert a parsed value to an array of finite numbers with the shape ``shape`` (-1: any length).
 
     Raises:
-        UserError: starting with ``where``.
+        UserError: when the value has another shape or type. The message starts with ``where``.
     """
     expected = " x ".join("some" if size < 0 else str(size) for size in shape) or "1"
     try:
@@ -193,7 +193,7 @@ def make_camera(
     size: tuple[float, float],
     distortion: Array | None = None,
 ) -> Camera:
-    """A Camera of ``size`` (width, height); invalid values raise UserError starting with ``where``."""
+    """Make a Camera of ``size`` (width, height). For invalid values, raises UserError that starts with ``where``."""
     if not np.allclose(intrinsics[2], (0, 0, 1)):
         raise UserError(f"{where}: expected a last row of 0 0 1, got {intrinsics[2].tolist()}; calibrate again")
     try:
@@ -203,6 +203,6 @@ def make_camera(
 
 
 def _last_number(name: str) -> int | None:
-    """The last number in a name."""
+    """The last number in a name, as text."""
     digits = re.findall(r"\d+", name)
     return int(digits[-1]) if digits else None

@@ -1,4 +1,4 @@
-"""What every importer returns: cameras in fourd's conventions and the location of their frames."""
+"""The result of every importer: cameras in fourd's conventions and the locations of their frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class PictureFiles:
 
 @dataclass(frozen=True)
 class VideoFile:
-    """One video; without an offset its frame n is the capture's frame n."""
+    """One video. Without an offset, frame n of the video is frame n of the capture."""
 
     path: Path
 
@@ -30,7 +30,7 @@ class EncodedPictures:
     Attributes:
         count: number of frames.
         suffix: suffix of the files to write, such as ``.jpg``.
-        read: the encoded bytes of a frame by index.
+        read: function that returns the encoded bytes of a frame by index.
     """
 
     count: int
@@ -46,7 +46,7 @@ class ImportedCamera:
     """One camera of a source.
 
     Attributes:
-        name: unique within the source; letters, digits, ``_``, ``-`` and ``.``.
+        name: unique name in the source, of letters, digits, ``_``, ``-`` and ``.``.
         calibration: pose and intrinsics with distortion, OpenCV axes, in metres where the source is metric; width and
             height are those that the calibration was made for. None where the source has no calibration.
         frames: the images.
@@ -61,11 +61,11 @@ class ImportedCamera:
 
 @dataclass(frozen=True)
 class Imported:
-    """The content of a source; no image is decoded.
+    """The content of a source. No image is decoded.
 
     Attributes:
-        cameras: in the source's order; at least one.
-        notes: information for the user, one line each: units, axes, cameras left out.
+        cameras: at least one camera, in the order of the source.
+        notes: lines of information for the user, on units, axes and cameras that are not imported.
     """
 
     cameras: tuple[ImportedCamera, ...]
@@ -73,5 +73,5 @@ class Imported:
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:
-    """Paths of the cameras' videos by camera name, for the cameras that have one."""
+    """Paths of the videos by camera name. Cameras without a video are left out."""
     return {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}

@@ -1,7 +1,8 @@
 """Neural 3D Video: poses_bounds.npy (LLFF) beside camNN.mp4.
 
-A row holds a 3 x 5 matrix and two depth bounds. The matrix's columns are the camera's axes down, right and backwards
-in the world, its position, and height, width and focal length. The principal point is the image's centre.
+A row contains a 3 x 5 matrix and two depth bounds. The columns of the matrix are the camera's axes down, right
+and backwards in world coordinates, its position, and the vector (height, width, focal length). The
+principal point is the image's centre.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``; rows belong to the videos in the order of their names.
+    """Read the cameras of ``source``. Row i belongs to video i, with videos sorted by name.
 
     Raises:
-        UserError: when the file is no array of that shape, or the numbers of videos and rows differ.
+        UserError: when the file does not contain an array of N x 17 numbers, or the numbers of videos and rows differ.
     """
     path = source / NAME
     rows = _rows(path)
@@ -55,7 +56,7 @@ def read(source: Path) -> Imported:
 
 def _rows(path: Path) -> Array:
     try:
-        # Memory mapping reports a header with a wrong size before memory is allocated.
+        # With memory mapping, a header with a wrong size is an error before memory is allocated.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(array, np.ndarray):
             raise ValueError("an archive of arrays")

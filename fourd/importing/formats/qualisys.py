@@ -1,8 +1,8 @@
 """Qualisys Track Manager: NAME.qca.txt (XML) beside the videos.
 
-A camera's ``transform`` holds its position in the world in millimetres, and a rotation whose rows are the camera's
-axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths and principal points are in 1/64 pixel of
-the sensor; ``fov_video`` is the part of the sensor in the video.
+A camera's ``transform`` contains its position in the world in millimetres, and a rotation. The rows of the
+rotation are the camera's axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths
+and principal points are in 1/64 pixel of the sensor; ``fov_video`` is the part of the sensor in the video.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, a folder with NAME.qca.txt and videos, or that file beside the videos.
+    """Read the cameras of ``source``: a folder with NAME.qca.txt and videos, or the file beside the videos.
 
     Raises:
         UserError: when the XML does not parse, a value is missing, or cameras and videos do not match.
@@ -55,7 +55,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """The cameras of a .qca.txt file by serial, in metres. Raises UserError as read."""
+    """Read the cameras of a .qca.txt file by serial number, in metres. Raises UserError like :func:`read`."""
     try:
         root = ElementTree.fromstring(path.read_bytes())
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -64,7 +64,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
     for node in root.iter("camera"):
         serial = node.get("serial", "")
         if not serial or serial in cameras:
-            raise UserError(f"{path}: expected a unique serial, got '{serial}'; export it again")
+            raise UserError(f"{path}: expected a unique serial number, got '{serial}'; export it again")
         if node.get("active", "1") == "1":
             cameras[serial] = _CameraNode(path, serial, node).camera()
     if not cameras:
@@ -73,7 +73,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 class _CameraNode:
-    """One camera's XML element; errors name the camera."""
+    """The XML element of one camera. Error messages name the camera."""
 
     def __init__(self, path: Path, serial: str, node: ElementTree.Element) -> None:
         self.where = f"{path}: camera '{serial}'"
@@ -81,7 +81,7 @@ class _CameraNode:
 
     def camera(self) -> Camera:
         if self.value(".", "viewrotation", 0.0) != 0:
-            raise UserError(f"{self.where}: expected viewrotation 0, got another; export without rotated views")
+            raise UserError(f"{self.where}: expected viewrotation 0, got another value; export without rotated views")
         left, top = self.value("fov_video", "left"), self.value("fov_video", "top")
         width = round(self.value("fov_video", "right") - left) + 1
         height = round(self.value("fov_video", "bottom") - top) + 1

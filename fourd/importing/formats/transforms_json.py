@@ -1,6 +1,6 @@
 """transforms.json of nerfstudio and instant-ngp: camera-to-world poses (x right, y up, z backwards).
 
-The first pixel's centre is (0.5, 0.5), as in fourd. Without times every entry is a camera with one frame.
+The first pixel's centre is (0.5, 0.5), as in fourd. Without times, every entry is a camera with one frame.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ MAX_PIXELS = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """One image: its path in the JSON, its files, its camera, and its time or None."""
+    """One image: path in the JSON, image file, matte file, camera, and time (None without times)."""
 
     path: PurePosixPath
     picture: Path
@@ -48,7 +48,7 @@ class _Entry:
 
     @property
     def key(self) -> tuple[float, ...]:
-        """Equal for entries with equal pose and intrinsics."""
+        """Key that is equal for entries with equal pose and intrinsics."""
         camera = self.camera
         parts = [camera.rotation, camera.translation, camera.intrinsics, np.array([camera.width, camera.height])]
         parts += [] if camera.distortion is None else [camera.distortion]
@@ -61,7 +61,8 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``. With times, entries of one folder, or else of one pose and intrinsics, form a camera.
+    """Read the cameras of ``source``. With times, the entries in one folder form a camera. If the entries of a folder
+    differ in pose or intrinsics, the entries with equal pose and intrinsics form a camera instead.
 
     Raises:
         UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leaves the
@@ -74,12 +75,12 @@ def read(source: Path) -> Imported:
         raise UserError(f"{path}: expected JSON, got '{error}'; export it again") from error
     listed = data.get("frames") if isinstance(data, dict) else None
     if not isinstance(listed, list) or not listed or not all(isinstance(entry, dict) for entry in listed):
-        raise UserError(f"{path}: expected 'frames', a list of entries with poses, got none; export it again")
+        raise UserError(f"{path}: expected a list 'frames' of entries with poses, got none; export it again")
     entries = [_entry(path, index, {**data, **entry}) for index, entry in enumerate(listed)]
     timed = sum(entry.time is not None for entry in entries)
     if timed not in (0, len(entries)):
         raise UserError(
-            f"{path}: expected a time in all {len(entries)} entries or in none, got {timed}; add the others"
+            f"{path}: expected a time in all {len(entries)} entries or in none, got a time in {timed}; add the others"
         )
     masked = sum(entry.mask is not None for entry in entries)
     cameras = []
@@ -94,12 +95,13 @@ def read(source: Path) -> Imported:
     ]
     ignored = [key for key in IGNORED if key in data]
     notes += [f"ignored: {', '.join(ignored)}"] if ignored else []
-    notes += [f"mattes left out: {masked} of {len(entries)} entries have one"] if 0 < masked < len(entries) else []
+    if 0 < masked < len(entries):
+        notes.append(f"mattes not imported: only {masked} of {len(entries)} entries have one")
     return Imported(tuple(cameras), tuple(notes))
 
 
 def _entry(path: Path, index: int, values: Mapping[str, object]) -> _Entry:
-    """An entry from its values, merged with those of the whole file."""
+    """Make an entry from its values, merged with the values of the whole file."""
     where = f"{path}: entry {index}"
     relative, picture = _find_picture(path, f"{where}: file_path", values.get("file_path"))
     mask = None
@@ -147,17 +149,17 @@ def _make_camera(where: str, values: Mapping[str, object], picture: Path) -> Cam
 
 
 def _focal(angle: float, pixels: float) -> float:
-    """Focal length in pixels from a field of view in radians; 0 for an impossible one."""
+    """Focal length in pixels from a field of view in radians; 0 if the field of view is not in (0, pi)."""
     return pixels / 2 / math.tan(angle / 2) if 0 < angle < math.pi else 0.0
 
 
 def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath, Path]:
-    """A path from the JSON, which must stay within the JSON's folder, and the image file there."""
+    """Check a path from the JSON, which must not leave the JSON's folder, and find the image file at the path."""
     if not isinstance(value, str) or not value or "\0" in value:
         raise UserError(f"{where}: expected an image's path, got '{value!r}'; export it again")
     relative = PurePosixPath(value.replace("\\", "/"))
     if relative.is_absolute() or ".." in relative.parts or ":" in relative.parts[0]:
-        raise UserError(f"{where}: expected a path within {path.parent}, got '{value}'; write it relative to that")
+        raise UserError(f"{where}: expected a path within {path.parent}, got '{value}'; write a relative path")
     target = path.parent / relative
     for suffix in ("", *PICTURE_SUFFIXES):
         found = target.with_name(target.name + suffix)
@@ -167,7 +169,7 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
 
 
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
-    """Each entry as a camera, named by its file, by its folder, or by both: the first that is unique."""
+    """Make a camera of each entry. Its name is the file name, the folder name or the path: the first that is unique."""
     stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
     folders = [entry.path.parent.name for entry in entries]
     paths = ["_".join((*entry.path.parent.parts, stem)) for entry, stem in zip(entries, stems, strict=True)]
@@ -179,7 +181,7 @@ def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
 
 
 def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
-    """The entries of each camera, by time."""
+    """Group the entries by camera and sort each group by time."""
     folders: dict[str, list[_Entry]] = {}
     poses: dict[tuple[float, ...], list[_Entry]] = {}
     for entry in entries:
@@ -205,7 +207,7 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
 
 
 def _clean(name: str) -> str:
-    """``name`` with the characters that camera names cannot contain replaced."""
+    """Replace the characters of ``name`` that a camera name must not contain."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".-")
 
 

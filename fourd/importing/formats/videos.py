@@ -1,4 +1,4 @@
-"""A folder of videos or of folders of images, without calibration."""
+"""A folder that contains videos, or folders of images, without calibration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from fourd.importing.formats.imported import Imported, ImportedCamera
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` has a video or a folder of images."""
+    """Whether ``source`` contains a video or a folder of images."""
     try:
         return bool(find_frames(source))
     except (UserError, OSError):
@@ -18,10 +18,10 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Cameras of ``source``, without calibration.
+    """Read the cameras of ``source``, without calibration.
 
     Raises:
-        UserError: when there are none, or two of one name.
+        UserError: when there are no cameras, or two cameras have the same name.
     """
     cameras = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
     return Imported(cameras, ("no calibration found: cameras are calibrated from their images",))

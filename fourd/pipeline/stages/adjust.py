@@ -28,7 +28,7 @@ TILT = 12
 
 @dataclass(frozen=True)
 class AdjustFiles:
-    """Capture and run folder; cameras go to ``calibration/start/`` of the run."""
+    """Capture folder and run folder. The cameras are written to ``calibration/start/`` in the run folder."""
 
     capture: Path
     run: Path
@@ -36,7 +36,7 @@ class AdjustFiles:
 
 @dataclass(frozen=True)
 class AdjustSettings:
-    """The selection, and the keys of :class:`RefineConfig` that adjustment reads."""
+    """Selected views and frames, and the keys of :class:`RefineConfig` that the adjustment uses."""
 
     selection: DataSelection
     poses: bool
@@ -61,7 +61,7 @@ class AdjustSettings:
 
 
 def adjust_stage(capture: Path, run: Path, settings: AdjustSettings) -> Stage[AdjustFiles, AdjustSettings]:
-    """Adjust the cameras that the run ``run`` starts with."""
+    """Create the stage that adjusts the initial cameras of the run in the folder ``run``."""
     return Stage(
         "adjust",
         run_adjust,
@@ -74,9 +74,9 @@ def adjust_stage(capture: Path, run: Path, settings: AdjustSettings) -> Stage[Ad
 
 
 def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -> None:
-    """Adjust the training cameras by matched features and write them; an existing result is kept.
+    """Bundle-adjust the training cameras from matched features and write them. An existing result is kept.
 
-    Held-out cameras are not used and stay as given.
+    Held-out cameras are not used and not changed.
     """
     if (files.run / CALIBRATION / START / INTRINSICS_NAME).exists():
         return
@@ -95,7 +95,7 @@ def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -
         )
     if unmatched:
         which = "all cameras" if len(unmatched) == len(names) else f"cameras {', '.join(unmatched)}"
-        log(f"cameras: too few features match between views; {which} start as given")
+        log(f"cameras: too few features match between views; {which} keep the given calibration")
     cameras = list(capture.cameras)
     for index, camera in zip(views.training, found.cameras, strict=True):
         cameras[index] = camera
@@ -103,7 +103,7 @@ def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -
 
 
 def _prior(capture: Capture, training: list[int], settings: AdjustSettings) -> Prior:
-    """Standard deviations of the given calibration's errors, by camera."""
+    """Prior of the adjustment: standard deviations of the errors of the given calibration, by camera."""
     given = [capture.cameras[index] for index in training]
     focus = viewing_centre(given)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])

@@ -1,4 +1,4 @@
-"""Background: first points of a full scene's static background, from clean plates."""
+"""Background: initial points of the static background of a full scene, from clean plates."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class BackgroundFiles:
 
     Attributes:
         capture: the capture's folder.
-        run: the run's folder; points go to ``background/points.ply`` in it.
-        seeds: the user's own PLY of background points; None finds them in the plates.
+        run: the run's folder. The points are written to ``background/points.ply`` in it.
+        seeds: the user's own PLY file of background points. None: the points are computed from the plates.
         adjusted: whether the run has adjusted cameras.
     """
 
@@ -46,7 +46,7 @@ class BackgroundFiles:
 
 @dataclass(frozen=True)
 class BackgroundSettings:
-    """The selection, and the keys of :class:`BackgroundConfig` that decide the first points."""
+    """Selected views and frames, and the keys of :class:`BackgroundConfig` that affect the initial points."""
 
     selection: DataSelection
     points: int
@@ -64,7 +64,7 @@ class BackgroundSettings:
 def background_stage(
     files: BackgroundFiles, settings: BackgroundSettings
 ) -> Stage[BackgroundFiles, BackgroundSettings]:
-    """Find the first points of the background of a full scene."""
+    """Create the stage that computes the initial background points of a full scene."""
     inputs = [Artefact(files.capture, INPUT_PATTERNS + MATTE_PATTERNS + PLATE_PATTERNS)]
     if files.seeds is not None:
         inputs.append(Artefact(files.seeds.parent, (glob.escape(files.seeds.name),)))
@@ -81,7 +81,7 @@ def background_stage(
 
 
 def run_background(files: BackgroundFiles, settings: BackgroundSettings, context: Context) -> None:
-    """Write the points; an existing file is kept. Held-out views are not used."""
+    """Compute and write the points. An existing file is kept. Held-out views are not used."""
     target = files.run / BACKGROUND / POINTS
     if target.exists():
         return
@@ -106,19 +106,22 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
 
 
 def _log_unstable(shares: dict[str, float], log: Log) -> None:
-    """Warn of cameras whose background changes over time; ``shares`` maps them to the share of changing pixels."""
+    """Warn about cameras whose background changes over time.
+
+    ``shares`` maps the name of each such camera to the share of changing pixels.
+    """
     if not shares:
         return
     worst = max(shares, key=lambda name: shares[name])
     others = f" (and {len(shares) - 1} more)" if len(shares) > 1 else ""
     log(
-        f"background: up to {shares[worst]:.0%} of camera '{worst}'{others} outside the mattes changes over time; "
-        "a static background keeps the mean, in which moving things are blurred: include them in the mattes"
+        f"background: camera '{worst}'{others}: up to {shares[worst]:.0%} of the pixels outside the mattes change over "
+        "time. The static background shows their mean, so moving objects are blurred; include them in the mattes"
     )
 
 
 def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, context: Context) -> ColouredPoints:
-    """Points of the surfaces in the plates, by the method that the settings name."""
+    """Compute points on the surfaces in the plates with the method in the settings."""
     count, seed, workers = settings.points, settings.seed, context.workers
     if settings.seeding == "sfm":
         return seed_from_stereo(plates, count, seed=seed, workers=workers, log=context.log, track=context.track)
@@ -128,7 +131,7 @@ def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, co
 
 
 def _read_seeds(path: Path, count: int, seed: int) -> ColouredPoints:
-    """The user's own points; a uniform random draw of ``count`` where there are more."""
+    """Read the user's own points. If there are more than ``count``, keep a uniform random sample."""
     xyz, rgb = read_ply(path)
     if len(xyz) == 0:
         raise UserError(f"{path}: expected points of the background, got none; use another PLY")

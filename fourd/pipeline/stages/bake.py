@@ -1,4 +1,4 @@
-"""Baking: a trained run becomes a .4dv scene."""
+"""Baking: convert a trained run to a .4dv scene."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class BakeFiles:
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """Points composited per pixel, and frames per second on playback."""
+    """Number of points composited per pixel, and playback rate in frames per second."""
 
     layers: int = BAKED_LAYERS
     fps: float = 30.0
 
 
 def bake_stage(files: BakeFiles, settings: BakeSettings) -> Stage[BakeFiles, BakeSettings]:
-    """Bake the run's newest checkpoint."""
+    """Create the stage that bakes the newest checkpoint of a run."""
     return Stage("bake", run_bake, files, settings, outputs=(files.scene,), after=("train",))
 
 

@@ -1,4 +1,4 @@
-"""Carving: visual hulls from mattes give the first points of each frame and the scene's bounds."""
+"""Carving: compute the initial points of each frame and the scene's bounds from visual hulls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class CarveFiles:
     Attributes:
         capture: the capture's folder.
         hull: folder for FRAME.ply and bounds.json.
-        run: run folder with adjusted cameras; None for the capture's cameras.
+        run: run folder with adjusted cameras. None: the cameras of the capture.
     """
 
     capture: Path
@@ -32,13 +32,14 @@ class CarveFiles:
 
 @dataclass(frozen=True)
 class CarveStageSettings:
-    """The selection, whose held-out views are not carved from, and the parameters of carving.
+    """Selected views and frames, and the parameters of carving.
 
     Attributes:
-        points: points of each frame.
-        agreement: share in (0, 1] of the views that see a point and must hold it.
-        least_views: share in (0, 1] of all views that must see a point.
-        seed: seed of the points' order.
+        selection: views and frames. Held-out views are not used.
+        points: maximum number of points per frame.
+        agreement: minimum share in (0, 1] of mattes that contain a point, among the views that see it.
+        least_views: minimum share in (0, 1] of all views that must see a point.
+        seed: random seed of the order of the points.
     """
 
     selection: DataSelection
@@ -49,7 +50,7 @@ class CarveStageSettings:
 
 
 def carve_stage(capture: Path, hull: Path, settings: CarveStageSettings) -> Stage[CarveFiles, CarveStageSettings]:
-    """Carve ``capture`` into the folder ``hull``."""
+    """Create the stage that carves ``capture`` and writes the points to the folder ``hull``."""
     return Stage(
         "carve",
         run_carve,
@@ -63,7 +64,7 @@ def carve_stage(capture: Path, hull: Path, settings: CarveStageSettings) -> Stag
 def carve_run_stage(
     capture: Path, run: Path, settings: CarveStageSettings, adjusted: bool
 ) -> Stage[CarveFiles, CarveStageSettings]:
-    """Carve ``capture`` for the run ``run``, with its adjusted cameras where ``adjusted``."""
+    """Create the stage that carves ``capture`` for a run. With ``adjusted``, it uses the run's adjusted cameras."""
     return Stage(
         "carve",
         run_carve,
@@ -77,12 +78,12 @@ def carve_run_stage(
 
 
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
-    """Carve every frame; frames that an earlier call with the same settings finished are kept."""
+    """Carve every frame. Frames that an earlier call with the same settings finished are kept."""
     capture = _open_training_views(files, settings.selection)
     if not capture.has_masks:
         raise UserError(
-            f"{capture.path}: expected masks/CAM/FRAME.png to carve from, got none; "
-            f"make them: fourd matte {capture.path}"
+            f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
+            f"make mattes with: fourd matte {capture.path}"
         )
     files.hull.parent.mkdir(parents=True, exist_ok=True)
     carve_capture(
@@ -98,7 +99,7 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:
-    """The capture without held-out views: they must not shape the scene that they evaluate."""
+    """Open the capture without the held-out views, which must not influence the scene that they evaluate."""
     if not selection.test_views and files.run is None:
         views = None if selection.views is None else list(selection.views)
         return _open(files.capture, selection, views)

@@ -1,4 +1,4 @@
-"""Check: a capture's files are complete and consistent."""
+"""Check: verify that the files of a capture are complete and consistent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Stage
 
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
-"""A capture's own files."""
+"""Glob patterns of the input files of a capture, without derived files."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class CheckSettings:
 
 
 def check_stage(capture: Path) -> Stage[CheckFiles, CheckSettings]:
-    """Check ``capture``."""
+    """Create the stage that checks ``capture``."""
     return Stage(
         "check",
         run_check,
@@ -39,7 +39,7 @@ def check_stage(capture: Path) -> Stage[CheckFiles, CheckSettings]:
 
 
 def run_check(files: CheckFiles, settings: CheckSettings, context: Context) -> None:
-    """Index videos and check every file. Raises UserError with the first problem."""
+    """Index the videos and check all files. Raises UserError with the first problem."""
     track = context.track
     index_capture(files.capture, None, track)
     problems = check_capture(files.capture, track=track).problems

@@ -1,4 +1,4 @@
-"""Given points: the user's own FRAME.ply files take the place of carving."""
+"""Given points: the user's own FRAME.ply files replace carving."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
 @dataclass(frozen=True)
 class GivenPointFiles:
-    """Capture, folder of the user's points, and run folder; points go to ``hull/`` of the run."""
+    """Capture folder, folder of the user's points, and run folder. The points are written to ``hull/`` in the run."""
 
     capture: Path
     source: Path
@@ -29,7 +29,7 @@ class GivenPointFiles:
 
 @dataclass(frozen=True)
 class GivenPointSettings:
-    """The selection, whose frames are read; the number of points kept of each; the seed of the draw."""
+    """Selected frames, maximum number of points per frame, and the seed of the random sample."""
 
     selection: DataSelection
     points: int
@@ -39,7 +39,7 @@ class GivenPointSettings:
 def given_points_stage(
     capture: Path, source: Path, run: Path, settings: GivenPointSettings
 ) -> Stage[GivenPointFiles, GivenPointSettings]:
-    """Take the points in the folder ``source`` as the run's first points."""
+    """Create the stage that copies the points in the folder ``source`` as the initial points of a run."""
     return Stage(
         "points",
         run_given_points,
@@ -53,7 +53,7 @@ def given_points_stage(
 
 
 def run_given_points(files: GivenPointFiles, settings: GivenPointSettings, context: Context) -> None:
-    """Copy a uniform random draw of each frame's points; write the bounds of all of them, padded by 5%."""
+    """Copy a uniform random sample of each frame's points, and write the bounds of all points, padded by 5%."""
     capture = open_run_views(files.capture, settings.selection).capture
     rng = np.random.default_rng(settings.seed)
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)

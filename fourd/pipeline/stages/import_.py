@@ -1,4 +1,4 @@
-"""Import: another program's calibration and videos, or videos alone, become a capture."""
+"""Import: convert videos or images, with or without another program's calibration, to a capture."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ PATTERNS = ("*", "*/*", "*/*/*")
 
 @dataclass(frozen=True)
 class ImportFiles:
-    """``source`` is anything that ``fourd import`` reads; ``capture`` is the folder to write."""
+    """``source`` is a file or folder that ``fourd import`` can read; ``capture`` is the folder to write."""
 
     source: Path
     capture: Path
 
 
 def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOptions]:
-    """Import ``source`` into the folder ``capture``."""
+    """Create the stage that imports ``source`` into the folder ``capture``."""
     return Stage(
         "import",
         run_import,
@@ -34,7 +34,7 @@ def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOption
 
 
 def run_import(files: ImportFiles, options: ImportOptions, context: Context) -> None:
-    """Find the source's format and import it."""
+    """Detect the format of the source and import it."""
     log = context.log
     picked = pick_format(None, files.source)
     log(f"{files.source}: {picked.name}, {picked.summary}")

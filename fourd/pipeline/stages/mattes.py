@@ -1,4 +1,4 @@
-"""Mattes: foreground masks of every image, and a contact sheet to judge them by."""
+"""Mattes: foreground masks of all images, and a contact sheet to check them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 @dataclass(frozen=True)
 class MatteFiles:
-    """The capture's folder; mattes go to ``.fourd/mattes/`` in it."""
+    """The capture's folder. The mattes are written to ``.fourd/mattes/`` in it."""
 
     capture: Path
 
 
 @dataclass(frozen=True)
 class MatteStageSettings:
-    """Views and frames to make mattes of, and the method."""
+    """Selected views and frames, and the settings of matting."""
 
     views: tuple[str, ...] | None
     frames: str | None
@@ -31,7 +31,7 @@ class MatteStageSettings:
 
 
 def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
-    """Make the mattes of ``capture``, which has no masks/ of its own."""
+    """Create the stage that makes mattes for ``capture``, which must not have its own masks/."""
     return Stage(
         "mattes",
         run_mattes,
@@ -43,11 +43,11 @@ def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFile
 
 
 def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
-    """Make missing mattes, then the contact sheet. Files of an earlier call with the same settings are kept."""
+    """Make the missing mattes, then the contact sheet. Files of an earlier call with the same settings are kept."""
     selection = Selection(files.capture, settings.views, settings.frames)
     index_capture(files.capture, settings.views, context.track)
     made = make_mattes(selection, settings.mattes, context.workers, context.track)
-    context.log(f"{files.capture}: mattes of {made} frames made; mattes of the other frames are kept")
+    context.log(f"{files.capture}: made mattes of {made} frames; kept the mattes of the other frames")
     sheet = files.capture / SHEET
     if made or not sheet.exists():
         views = None if settings.views is None else list(settings.views)

@@ -1,4 +1,4 @@
-"""Plates: a clean image of the background for each camera, from images and mattes."""
+"""Plates: an image of the background without the subject for each camera, from images and mattes."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")
 RUN_KEY = "run"
-"""Key of the plates that a run makes; those of a capture are keyed by its mattes' settings."""
+"""Cache key of the plates of a run. The cache key of a capture's plates contains the settings of its mattes."""
 
 
 @dataclass(frozen=True)
 class RunPlateFiles:
-    """Capture and run folder; plates go to ``background/plates/`` of the run."""
+    """Capture folder and run folder. The plates are written to ``background/plates/`` in the run folder."""
 
     capture: Path
     run: Path
 
 
 def capture_plates_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
-    """Make the plates of ``capture`` in its folder ``.fourd/plates``."""
+    """Create the stage that makes the plates of ``capture`` in its folder ``.fourd/plates``."""
     return Stage(
         "plates",
         make_capture_plates,
@@ -45,7 +45,7 @@ def capture_plates_stage(capture: Path, settings: MatteStageSettings) -> Stage[M
 
 
 def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
-    """Make missing plates; plates of the same mattes are kept."""
+    """Make missing plates. Plates that were made from the same mattes are kept."""
     index_capture(files.capture, settings.views, context.track)
     selection = Selection(files.capture, settings.views, settings.frames)
     key = matte_key(selection.open(), settings.mattes)
@@ -53,7 +53,7 @@ def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context
 
 
 def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[RunPlateFiles, DataSelection]:
-    """Make plates of the training views for the run ``run``, where the capture lacks one of them."""
+    """Create the stage that makes plates of the training views of a run, unless the capture has all of them."""
     return Stage(
         "plates",
         make_run_plates,

@@ -1,4 +1,4 @@
-"""Training: the run's config.yaml, then steps until the budget is spent."""
+"""Training: write the run's config.yaml, then train until the budget is used up."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATIO
 
 @dataclass(frozen=True)
 class TrainFiles:
-    """Capture, run folder, and the weights of LPIPS (None looks in the usual caches)."""
+    """Capture folder, run folder, and the weights of LPIPS (None: the default locations, see :func:`load_lpips`)."""
 
     capture: Path
     run: Path
@@ -29,7 +29,7 @@ class TrainFiles:
 
 
 def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, TrainConfig]:
-    """Train the run to the end of the config's budget."""
+    """Create the stage that trains a run until the budget of the config is used up."""
     return Stage(
         "train",
         run_train,
@@ -42,18 +42,18 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
 
 
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
-    """Start the run, or resume it from its newest checkpoint; of a resumed run only the budget may differ."""
+    """Start the run, or resume it from its newest checkpoint. Only the budget of a resumed run may change."""
     lpips = load_lpips(files.lpips_weights)
     run = open_run(files.run) if (files.run / CONFIG_NAME).exists() else start_run(files.capture, files.run, config)
     if lpips is None:
-        context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (set --lpips-weights)")
+        context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
     budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
     summary = Trainer(run, lpips, context.console, budget).train()
     context.log(f"{files.run}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
 
 
 def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
-    """Write the config.yaml of a folder that holds the results of the stages before training."""
+    """Write config.yaml into a run folder that contains the results of the stages before training."""
     selection = DataSelection.of(train)
     capture = open_run_views(capture_path, selection, folder if train.refine.cameras else None).capture
     bounds = read_bounds(folder / HULL)

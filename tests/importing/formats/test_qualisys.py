@@ -75,7 +75,7 @@ def test_cameras_without_video_are_noted(source: Path) -> None:
     ("old", "new", "message"),
     [
         ("<calibration>", "<calibration", r"Calib.qca.txt: expected Qualisys' XML, got '.*'; export it again"),
-        ('serial="12"', 'serial="11"', r"expected a unique serial, got '11'"),
+        ('serial="12"', 'serial="11"', r"expected a unique serial number, got '11'"),
         ('viewrotation="0"', 'viewrotation="90"', r"camera '11': expected viewrotation 0"),
         ('skew="0.0"', 'skew="no"', r"camera '11': <intrinsic skew>: expected a number, got 'no'"),
         ('r11="', 'r11="nan" r19="', r"camera '11': rotation: expected finite numbers"),

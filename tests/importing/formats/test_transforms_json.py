@@ -114,7 +114,7 @@ def test_equal_file_names_use_the_folders_names(tmp_path: Path) -> None:
 INVALID_VALUES: list[tuple[dict[str, object], str]] = [
     (
         {"file_path": "../secret.png"},
-        r"entry 1: file_path: expected a path within .*, got '../secret.png'; write it",
+        r"entry 1: file_path: expected a path within .*, got '../secret.png'; write a",
     ),
     ({"file_path": "/etc/secret.png"}, r"entry 1: file_path: expected a path within .*, got '/etc/secret.png'"),
     ({"file_path": "images\\..\\..\\x.png"}, r"entry 1: file_path: expected a path within "),
@@ -140,7 +140,7 @@ INVALID_VALUES: list[tuple[dict[str, object], str]] = [
         r"entry 1: camera_model: expected OPENCV, .*, got OPENCV_FISHEYE; undistort",
     ),
     ({"is_fisheye": True}, r"entry 1: camera_model: expected OPENCV, .*, got a fisheye; undistort"),
-    ({"time": 0.5}, r"transforms.json: expected a time in all 3 entries or in none, got 1; add the others"),
+    ({"time": 0.5}, r"transforms.json: expected a time in all 3 entries or in none, got a time in 1; add the others"),
 ]
 
 
@@ -155,7 +155,7 @@ def test_invalid_values_are_reported(static: Path, values: dict[str, object], me
 @pytest.mark.parametrize("text", ["{", "[]", "{}", '{"frames": [1]}', "[" * 100_000])
 def test_other_json_is_refused(static: Path, text: str) -> None:
     (static / "transforms.json").write_text(text)
-    assert_refused(read, static, r"transforms.json: expected ('frames'|JSON)")
+    assert_refused(read, static, r"transforms.json: expected (a list 'frames'|JSON)")
 
 
 def test_missing_and_moving_frames_are_refused(tmp_path: Path) -> None:
