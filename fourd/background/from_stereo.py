@@ -54,7 +54,7 @@ def seed_from_stereo(
     if len(plates) < 2 or points < 1:
         raise ValueError(f"expected at least 2 plates and 1 point, got {len(plates)} and {points}")
     stereo = reconstruct_surfaces(plates, seed, workers, track)
-    log(f"features: {stereo.feature_count} triangulated, {stereo.reliable_count} of them in three plates or more")
+    log(f"features: {stereo.feature_count} triangulated, {stereo.reliable_count} of them seen in three plates or more")
     if stereo.feature_count < MIN_FEATURES:
         raise _overlap_error(f"{MIN_FEATURES} features", f"{stereo.feature_count}")
     if stereo.measured_share < MIN_SHARE:

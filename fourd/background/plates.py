@@ -1,4 +1,4 @@
-"""Clean plates for background seeding: provided by the user or made by ``fourd matte``."""
+"""Clean plates for background seeding, which the user provides or ``fourd matte`` makes."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ vary less along the horizon."""
 SMALL_GAP_DEG = 1.5
 """Size in degrees up to which a gap counts as the normal spacing between points and is closed."""
 RIM_FACTOR = 0.985
-"""Factor on the known inverse distances where the shell overlaps known points, so that it lies slightly behind them."""
+"""Factor on the inverse distances of known cells. It places the rim of the shell slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
 """Angle in degrees from the nearest known cell beyond which only one cell in sixteen gets a point."""
 OCCLUSION_RATIO = 0.9

@@ -165,7 +165,7 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
 
 
 def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | None, label: str) -> UserError:
-    """Build the error for an empty hull, which names the views that remove most of the other views' hull.
+    """Build the error for an empty hull. It names the three views that remove the most of the other views' hull.
 
     ``half`` is half the side of the search cube in world units.
     """

@@ -27,7 +27,7 @@ def colour_points(
 
     A view sees a point if the point faces the camera and lies at most a few point spacings behind the nearest point in
     the same cell of a coarse depth map. The weight is the fourth power of the cosine between normal and view direction.
-    It suppresses silhouette edges, where pixels mix with the background.
+    This weight suppresses silhouette edges, where pixels mix with the background.
 
     Args:
         xyz: (N, 3) world points.

@@ -80,7 +80,7 @@ class Silhouettes:
         return Silhouettes(origin, views, agreement, needed)
 
     def without(self, index: int) -> Silhouettes:
-        """Remove one view; ``needed`` is reduced if fewer views than that remain."""
+        """Remove one view; ``needed`` is reduced to the number of remaining views if it exceeds this number."""
         remaining = self.views[:index] + self.views[index + 1 :]
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 

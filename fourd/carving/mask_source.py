@@ -32,7 +32,7 @@ class MaskSource(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """Number of each frame in the capture; the first one need not be 0."""
+        """Frame number of each frame in the capture; the numbers need not start at 0."""
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
         """Matte (H, W) uint8; 255 is the object."""

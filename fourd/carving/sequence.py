@@ -203,9 +203,9 @@ class _Job:
 
 
 def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
-    """Carve a job's frames with worker processes if this saves time; yields what :func:`_carve_frames` yields.
+    """Carve a job's frames, with worker processes if this saves time.
 
-    The order of the frames is undefined.
+    Yields the same values as :func:`_carve_frames`, in an undefined order of frames.
     """
     numbers = job.capture.frame_numbers
     missing = [frame for frame in job.frames if not _frame_path(job.folder, numbers[frame]).exists()]

@@ -1,4 +1,4 @@
-"""A view of the object: one soft matte as a signed distance image, with its camera."""
+"""A view of the object: a camera and a signed distance image that is computed from a soft matte."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SilhouetteView:
         matrix: (3, 3) float32 matrix product K R of intrinsics and rotation.
         offset: (3,) float32 homogeneous projection of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: largest displacement in pixels, inside the image, of a point at depth 1 that is displaced by 1.
+        reach: upper bound, inside the image, of the displacement in pixels of a point at depth 1 that moves by 1.
         frame: left, top, right and bottom borders of the whole image in pixels.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. Outside the crop, the
             nearest pixel of the crop gives a lower bound of the distance to the object.

@@ -32,8 +32,7 @@ def box() -> Bounds:
 
 
 def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
-    """Catches half-pixel and sign errors: the hull must contain the ball, and touch it where the ball is tangential to
-    viewing rays."""
+    """Catches half-pixel and sign errors: the hull must contain the ball and touch it near its equator."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=4000)
     distance = np.linalg.norm(carved.xyz - CENTRE, axis=1)
     pixel = 2 / (1.1 * 128)

@@ -42,9 +42,9 @@ def add_field_depths(
 ) -> list[Surface]:
     """Add the field's median depths to the measured surfaces where another plate confirms them.
 
-    A cell is confirmed if at least one other plate's surface agrees with it and it occludes at most as many surfaces
-    as agree. Confirmed cells have support 1. Other cells take the extrapolated depth of ``continued``. If only one
-    plate sees a surface, colours do not determine its depth, and the field's depth there is noise around its prior.
+    A cell is confirmed if at least one other plate's surface agrees with the cell and the cell occludes at most as
+    many surfaces as agree. Confirmed cells get support 1. Other cells take the extrapolated depth of ``continued``. If
+    only one plate sees a surface, colours do not determine its depth, and the field's depth is noise around its prior.
 
     Args:
         field: the optimised field.

@@ -39,12 +39,12 @@ class RadianceField(nn.Module):
         )
 
     def density(self, xyz: Tensor) -> tuple[Tensor, Tensor]:
-        """World points (N, 3) -> densities (N,) and geometry features (N, 15), the input of :meth:`colour`."""
+        """Compute densities (N,) and geometry features (N, 15) of world points (N, 3) for :meth:`colour`."""
         output = self.density_layers(encode_hash_grid(self.contraction.to_unit(xyz), self.table, self.shape))
         return bounded_exp(output[:, 0] + INITIAL_LOG_DENSITY), output[:, 1:]
 
     def colour(self, features: Tensor) -> Tensor:
-        """Geometry features (N, 15) of :meth:`density` -> RGB (N, 3) in [0, 1]."""
+        """Compute RGB colours (N, 3) in [0, 1] from geometry features (N, 15) of :meth:`density`."""
         return torch.sigmoid(self.colour_layers(features))
 
 

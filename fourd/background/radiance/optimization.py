@@ -80,9 +80,9 @@ def optimize_field(
     """Optimise a radiance field on pixels of plates.
 
     The loss is the sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022, eq. 15).
-    The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). Here it is the mean
-    distance between the given depth and the ray's samples, weighted by their rendering weights. The same input, seed
-    and number of torch threads give the same field.
+    The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). Here this loss is
+    the mean distance between the given depth and the ray's samples, weighted by the samples' rendering weights. The
+    same input, seed and number of torch threads give the same field.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):

@@ -73,7 +73,7 @@ class Pixels:
             plates: the plates at the size used for stereo.
             measured: surfaces from stereo, one per plate.
             continued: the same surfaces with extrapolated depths in unknown cells.
-            unit: length in world units of the unit of distances along rays.
+            unit: world units per unit of distance along rays.
         """
         parts = [_plate_pixels(*each, unit) for each in zip(plates, measured, continued, strict=True)]
         plate = torch.repeat_interleave(torch.tensor([len(part.xy) for part in parts]))

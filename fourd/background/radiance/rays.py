@@ -15,7 +15,8 @@ from fourd.cameras import Camera
 NEAR = 0.05
 """Distance at which rays start. All distances along rays are in units of the contraction's radius."""
 LINEAR_UP_TO = 2.0
-"""Distance up to which normalised distance is linear in distance; beyond it, it is linear in inverse distance."""
+"""Distance up to which normalised distance is linear in distance. At larger distances it is linear in inverse
+distance."""
 FAR = 200.0
 """Distance at which rays end."""
 

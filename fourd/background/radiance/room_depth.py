@@ -22,12 +22,13 @@ HORIZONTAL_WEIGHT = 100.0
 """Weight of horizontal neighbours in the interpolation; vertical neighbours have weight 1. A large weight keeps floors
 horizontal and walls vertical."""
 ROWS_PER_DEGREE = 4
-"""Number of grid rows per degree of elevation. Seen from a low centre, the far half of a floor spans few degrees."""
+"""Number of grid rows per degree of elevation. The resolution is high because the far half of a floor, seen from a low
+centre, spans few degrees."""
 NEAR, FAR = 0.02, 100.0
 """First and last distance of ray marching, relative to the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Share of known depth-map cells below which the room's shape is unreliable. The room then contains at least a hall, a
-ball around the centre cut off by the floor."""
+"""Share of known depth-map cells below which the room's shape is unreliable. The room is then enlarged until it
+contains a hall: a ball around the centre that is cut off by the floor."""
 HALL_RADIUS = 1.5
 """Radius of the hall, relative to the farthest camera's distance from the centre."""
 FLOOR_PERCENTILE = 2.0

@@ -38,7 +38,7 @@ CONTINUITY_TOLERANCE = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A depth map, and for each cell whether its depth is known and confirmed.
+    """A depth map whose cells are marked as known or unknown, with the number of confirmations of each cell.
 
     Attributes:
         camera: pinhole camera of the image.
@@ -117,7 +117,10 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
 
 
 def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
-    """Keep the cells that another surface confirms; if ``strict``, remove those that occlude as many surfaces."""
+    """Keep the cells that another surface confirms.
+
+    If ``strict``, cells that occlude at least as many surfaces as confirm them are removed.
+    """
     surface = surfaces[index]
     cells = np.flatnonzero(surface.known)
     agreeing, occluded = count_agreement(index, surfaces, cells)

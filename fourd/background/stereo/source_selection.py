@@ -16,8 +16,8 @@ RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Width of the score over log(angle). The score is 1 at 15 degrees, 1/2 at 6 and 37 degrees, and 1/7 at 130 degrees (a
-floor seen from the opposite side)."""
+"""Width of a source's score over log(angle between the rays). The score is 1 at 15 degrees, 1/2 at 6 and 37
+degrees, and 1/7 at 130 degrees (a floor seen from the opposite side)."""
 MIN_GAIN = 0.01
 """Minimum increase of the objective by another source, relative to the number of sampled points."""
 

@@ -52,8 +52,8 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     Each image is tiled with squares. Their size is the smallest that gives at most ``points`` samples. Squares on
     surfaces at grazing angles are subdivided into parts, because a higher camera would show gaps between the samples.
     The centre of each part is sampled if it is visible according to ``seen`` (H, W) and no earlier sample covers the
-    surface. Near objects therefore get more points, but surfaces that are visible in many images do not. Confirmed
-    cells are sampled before extrapolated cells.
+    surface. Near objects therefore get more points, but surfaces that are visible in many images do not. Cells that
+    other images confirm are sampled before extrapolated cells.
 
     Returns:
         the samples of each image.
