@@ -1,16 +1,16 @@
-"""Import a capture from a format that fourd does not know.
+"""Import a capture from a format that fourd does not support.
 
     python examples/custom_importer.py SOURCE CAPTURE
 
-SOURCE is a folder with `rig.json` and one folder of pictures per camera. `rig.json` is a list of cameras in the axes of
+SOURCE is a folder with `rig.json` and one folder of images per camera. `rig.json` is a list of cameras with the axes of
 OpenGL and Blender (x right, y up, z backwards):
 
     [{"name": "left", "width": 640, "height": 480, "focal_px": 500.0,
       "R_world_camera": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "position_m": [0.0, 0.0, 3.0]}]
 
-An importer is one function that reads a source and returns an `Imported`: cameras in fourd's conventions (OpenCV axes,
-pixel centres at half-integers, metres) and the files of their frames. It decodes no pictures. `import_source` does the
-rest: it checks names and sizes, links the files and writes `intri.yml` and `extri.yml`. To add an importer to
+An importer is a function that reads a source and returns an `Imported`: the cameras in fourd's conventions (OpenCV
+axes, pixel centres at half-integers, metres) and the image files of their frames. The importer does not decode images.
+`import_source` checks names and sizes, links the files and writes `intri.yml` and `extri.yml`. To add an importer to
 `fourd import` itself, see CONTRIBUTING.md.
 """
 
@@ -33,7 +33,7 @@ from fourd.progress import untracked
 
 RIG_NAME = "rig.json"
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
-"""Turns camera axes x right, y up, z backwards into x right, y down, z forward."""
+"""Rotation from camera axes x right, y up, z backwards to x right, y down, z forward."""
 
 
 @dataclass(frozen=True)
@@ -41,21 +41,21 @@ class Arguments:
     """Source and destination."""
 
     source: tyro.conf.Positional[Path]
-    """Folder with rig.json and one folder of pictures per camera."""
+    """Folder with rig.json and one folder of images per camera."""
     out: tyro.conf.Positional[Path]
-    """Folder of the capture: new, or of an earlier import of the same source."""
+    """Folder of the capture: a new folder, or the result of an earlier import of the same source."""
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is in this format. Decided by file names alone."""
+    """Return whether ``source`` is in this format, judging only by file names."""
     return (source / RIG_NAME).is_file()
 
 
 def read(source: Path) -> Imported:
-    """The cameras of ``source``.
+    """Return the cameras of ``source``.
 
     Raises:
-        UserError: rig.json is malformed or a camera has no pictures.
+        UserError: if rig.json is malformed or a camera has no images.
     """
     path = source / RIG_NAME
     try:
@@ -67,7 +67,7 @@ def read(source: Path) -> Imported:
 
 
 def read_camera(source: Path, entry: dict) -> ImportedCamera:
-    """One camera of rig.json."""
+    """Return one camera of rig.json."""
     name, width, height, focal = entry["name"], entry["width"], entry["height"], entry["focal_px"]
     R_world_camera = np.array(entry["R_world_camera"], dtype=np.float64)
     R_camera_world = OPENCV_FROM_OPENGL @ R_world_camera.T
@@ -75,15 +75,15 @@ def read_camera(source: Path, entry: dict) -> ImportedCamera:
     intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     frames = picture_files(source / name)
     if frames is None:
-        raise UserError(f"{source / name}: expected a folder of JPEG or PNG pictures, got none; restore it")
+        raise UserError(f"{source / name}: expected a folder of JPEG or PNG images, got none; restore the folder")
     return ImportedCamera(name, Camera(intrinsics, R_camera_world, T_camera_world, width, height), frames)
 
 
-RIG = Format("rig", "rig.json and one folder of pictures per camera", looks_like, read)
+RIG = Format("rig", "rig.json and one folder of images per camera", looks_like, read)
 
 
 def main(arguments: Arguments) -> None:
-    """Import and print what was found."""
+    """Import the source and print a summary."""
     import_source(RIG, arguments.source, arguments.out, ImportOptions(), log=print, warn=print, track=untracked)
     print(f"wrote {arguments.out}; next: fourd check {arguments.out}")
 

@@ -1,8 +1,8 @@
-"""Open a .4dv scene and draw one frame, without torch.
+"""Open a .4dv scene and render one frame, without torch.
 
     python examples/draw_scene.py scene.4dv --frame 3 --degrees 20 --out view.png
 
-The camera is one of the capture's, turned about the scene's centre.
+The camera is one of the capture's cameras, rotated about the scene's centre.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ class Arguments:
     scene: tyro.conf.Positional[Path]
     """The .4dv file."""
     out: Path = Path("view.png")
-    """The picture to write, PNG with alpha."""
+    """The image to write, a PNG with alpha."""
     frame: int = 0
     """Index of the frame, from 0."""
     camera: str | None = None
-    """Name of the capture's camera to start from; the first one by default."""
+    """Name of the camera in the capture. The default is the first camera."""
     degrees: float = 0.0
-    """Rotation of the camera about the scene's centre."""
+    """Rotation of the camera about the scene's centre, in degrees."""
 
 
 def main(arguments: Arguments) -> None:
-    """Draw the frame and print a summary."""
+    """Render the frame, write the image and print a summary."""
     with open_scene(arguments.scene) as scene:
         manifest = scene.manifest
         camera = manifest.cameras[0] if arguments.camera is None else manifest.camera(arguments.camera)
@@ -49,8 +49,8 @@ def main(arguments: Arguments) -> None:
 
 
 def orbit(camera: Camera, centre: np.ndarray, radians: float) -> Camera:
-    """The camera rotated about ``centre`` (3,), around its own up direction."""
-    x, y, z = camera.rotation[1]  # the image's y axis in the world
+    """Return the camera rotated about ``centre`` (3,), around the camera's up direction."""
+    x, y, z = camera.rotation[1]  # the image's y axis in world coordinates
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(radians) * skew + (1 - np.cos(radians)) * skew @ skew  # Rodrigues' formula
     rotation = camera.rotation @ turn.T

@@ -1,8 +1,8 @@
-"""Fit coloured points to a picture with the differentiable point renderer and Adam.
+"""Fit coloured points to an image with the differentiable point renderer and Adam.
 
     python examples/fit_points_to_picture.py picture.jpg --out fitted.png
 
-Without a picture the program fits a colour gradient with a disc.
+Without an image, the program fits a synthetic colour gradient with a disc.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ class Arguments:
     """Options of the fit."""
 
     picture: tyro.conf.Positional[Path | None] = None
-    """The picture to fit: JPEG or PNG."""
+    """The image to fit, JPEG or PNG."""
     out: Path = Path("fitted.png")
-    """File for the target beside the rendered points."""
+    """Output image: the target on the left, the rendered points on the right."""
     size: int = 128
-    """Side of the square picture, in pixels."""
+    """Width and height of the square image, in pixels."""
     points: int = 4000
     """Number of points."""
     steps: int = 100
     """Steps of Adam."""
     layers: int = 15
-    """K, the number of points composited per pixel."""
+    """K, the maximum number of points composited per pixel."""
 
 
 def main(arguments: Arguments) -> float:
-    """Fit the points, write the result, return the final PSNR in dB."""
+    """Fit the points and write the result. Returns the final PSNR in dB."""
     torch.manual_seed(0)
     target = load_target(arguments.picture, arguments.size)
     camera = front_camera(arguments.size)
@@ -66,16 +66,16 @@ def main(arguments: Arguments) -> float:
 
 
 def front_camera(size: int) -> Camera:
-    """A camera 3 units from the origin whose field of view is the square [-1, 1] x [-1, 1] at the origin."""
+    """Return a camera 3 units from the origin that covers the square [-1, 1] x [-1, 1] at the origin."""
     focal_px = 1.5 * size
     K = np.array([[focal_px, 0, size / 2], [0, focal_px, size / 2], [0, 0, 1]])
     return look_at(np.array([0.0, -3, 0]), np.zeros(3), np.array([0.0, 0, 1]), K, width=size, height=size)
 
 
 def initial_points(count: int) -> dict[str, Tensor]:
-    """Random grey points in a thin slab that faces the camera. Each value is a leaf tensor."""
+    """Return random grey points in a thin slab that faces the camera. Each value is a leaf tensor."""
     xyz = (torch.rand(count, 3) * 2 - 1) * torch.tensor([1.0, 0.1, 1.0])
-    radius = 1.5 / count**0.5  # in world units: neighbours overlap
+    radius = 1.5 / count**0.5  # in world units; neighbouring points overlap
     return {
         "xyz": xyz.requires_grad_(),
         "rgb": torch.zeros(count, 3).requires_grad_(),  # before the sigmoid
@@ -85,7 +85,7 @@ def initial_points(count: int) -> dict[str, Tensor]:
 
 
 def render(parameters: dict[str, Tensor], camera: Camera, layers: int) -> Tensor:
-    """The picture of the points, (H, W, 3), over black."""
+    """Return the rendered points over black, (H, W, 3)."""
     return render_points(
         parameters["xyz"],
         parameters["rgb"].sigmoid(),
@@ -97,7 +97,7 @@ def render(parameters: dict[str, Tensor], camera: Camera, layers: int) -> Tensor
 
 
 def load_target(path: Path | None, size: int) -> Tensor:
-    """The picture as (size, size, 3) in [0, 1]; a gradient with a disc without a path."""
+    """Return the image as (size, size, 3) in [0, 1]. Without a path, it is a colour gradient with a disc."""
     if path is not None:
         with Image.open(path, formats=["JPEG", "PNG"]) as picture:
             pixels = np.asarray(picture.convert("RGB").resize((size, size), Image.Resampling.LANCZOS))
@@ -108,7 +108,7 @@ def load_target(path: Path | None, size: int) -> Tensor:
 
 
 def psnr(mean_squared_error: Tensor) -> float:
-    """Peak signal-to-noise ratio in dB for values in [0, 1]."""
+    """Return the peak signal-to-noise ratio in dB of values in [0, 1]."""
     return float(-10 * torch.log10(mean_squared_error.detach()))
 
 

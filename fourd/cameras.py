@@ -1,7 +1,8 @@
-"""The camera type, in OpenCV's convention: x right, y down, z forward, intrinsics in pixels.
+"""The camera type, in OpenCV's convention: x points right, y down and z forward; intrinsics are in pixels.
 
-``x_camera = R_camera_world @ x_world + T``, and the centre of pixel (row i, column j) is at ``(j + 0.5, i + 0.5)``.
-Everything is NumPy in float64, so that scenes can be opened and rendered without torch.
+A world point has camera coordinates ``x_camera = R_camera_world @ x_world + T``. The centre of the pixel in row i and
+column j is at ``(j + 0.5, i + 0.5)``. All arrays are float64 in NumPy, so that scenes can be opened and rendered
+without torch.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ class Camera:
         translation: (3,) T_camera_world, in world units.
         width: image width in pixels, at least 1.
         height: image height in pixels, at least 1.
-        distortion: OpenCV coefficients (k1, k2, p1, p2, k3, ...; 4, 5, 8, 12 or 14 of them), or None for an ideal
-            pinhole. The renderers require ideal pinholes: undistort images first.
+        distortion: 4, 5, 8, 12 or 14 OpenCV coefficients (k1, k2, p1, p2, k3, ...), or None for an ideal pinhole.
+            Renderers require an ideal pinhole; undistort images first.
 
     Raises:
-        ValueError: naming the field, for a wrong shape, a value that is not finite, or a matrix that is not a
-            rotation (tolerance 1e-3).
+        ValueError: for a wrong shape, a value that is not finite, or a matrix that is not a rotation (tolerance 1e-3).
+            The message names the field.
     """
 
     intrinsics: Array
@@ -48,11 +49,11 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
-        # Written so that a product that overflows to infinity or NaN fails.
+        # "not (error <= ...)" also rejects NaN, which a matrix product with an overflow gives.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
-                f"rotation: expected an orthonormal matrix of determinant +1, got one with an error of "
-                f"{error:.3g} with determinant {determinant:.3g}"
+                f"rotation: expected an orthonormal matrix of determinant +1, got one that differs from orthonormal by "
+                f"{error:.3g} and has determinant {determinant:.3g}"
             )
         if self.intrinsics[0, 0] <= 0 or self.intrinsics[1, 1] <= 0:
             raise ValueError(
@@ -69,20 +70,19 @@ class Camera:
 
     @property
     def centre(self) -> Array:
-        """(3,) position of the camera in the world."""
+        """Position of the camera in the world, (3,)."""
         return -self.rotation.T @ self.translation
 
     @property
     def forward(self) -> Array:
-        """(3,) unit viewing direction in the world."""
+        """Unit viewing direction in the world, (3,)."""
         return self.rotation[2]
 
     def project(self, xyz: NDArray[np.floating]) -> tuple[Array, Array]:
-        """Project world points (N, 3) as an ideal pinhole (distortion is not applied).
+        """Project world points (N, 3) without lens distortion.
 
         Returns:
-            pixels (N, 2) as (x, y), and camera depth z (N,) in world units. The pixels of points with z <= 0 are
-            meaningless: test z first.
+            pixels (N, 2) as (x, y), and camera depth z (N,) in world units. Pixels are not valid where z <= 0.
         """
         xyz_camera = np.asarray(xyz, dtype=np.float64) @ self.rotation.T + self.translation
         depth = xyz_camera[:, 2]
@@ -91,12 +91,15 @@ class Camera:
         return pixels, depth
 
     def is_in_image(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """Whether points, as returned by :meth:`project`, lie in front of the camera and inside its image; (N,)."""
+        """Return a mask (N,) of the points from :meth:`project` that lie before the camera and inside its image."""
         inside = (pixels >= 0).all(axis=1) & (pixels <= (self.width, self.height)).all(axis=1)
         return np.asarray((depth > 0) & inside)
 
     def rescale(self, scale: float) -> Camera:
-        """Return the same view at ``scale`` times the size, rounded to whole pixels; K is adapted exactly."""
+        """Return the same view at ``scale`` times the size, rounded to whole pixels.
+
+        K matches the rounded size exactly.
+        """
         return self.resize(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
     def resize(self, width: int, height: int) -> Camera:
@@ -115,7 +118,8 @@ class Camera:
 def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: int, height: int) -> Camera:
     """Return a camera at ``centre`` that points at ``target``, with ``up`` towards the top of the image.
 
-    Points and directions are (3,) in world units. Raises ValueError if ``up`` is parallel to the viewing direction.
+    ``centre``, ``target`` and ``up`` are (3,), in world coordinates. Raises ValueError if ``up`` is parallel to the
+    viewing direction.
     """
     forward = np.asarray(target, dtype=np.float64) - centre
     forward = forward / np.linalg.norm(forward)
@@ -131,8 +135,8 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
 def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    The angle is measured at ``focus``, a (3,) world point, between the rays to the camera centres. This is the
-    view-dependent choice of source views in 4K4D (sec. 3.2). Ties go to the lower index.
+    The angle is measured at ``focus``, a (3,) world point, between the rays to two camera centres. 4K4D (sec. 3.2)
+    selects source views in this way. Equal angles are ordered by index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])

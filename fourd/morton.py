@@ -1,4 +1,4 @@
-"""Morton order: neighbours in space become neighbours in memory."""
+"""Morton order (Z-order curve), which stores points that are close in space close together in memory."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 BITS = 10
-"""Bits per axis; three of them fit 32 bits."""
+"""Bits per axis. The code of three axes fits 32 bits."""
 
 
 def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return the indices (N,) that sort finite points (N, 3) in Morton order (Morton 1966); the sort is stable."""
+    """Return the indices (N,) that stably sort points (N, 3) in Morton order (Morton 1966). Points must be finite."""
     if len(xyz) == 0:
         return np.zeros(0, np.int64)
     lower = xyz.min(axis=0).astype(np.float64)
@@ -21,7 +21,7 @@ def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _spread_bits(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Insert two zeros before each of the ten low bits."""
+    """Insert two zero bits before each of the ten low bits."""
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         values = (values | values << np.uint32(shift)) & np.uint32(mask)
     return values

@@ -1,4 +1,4 @@
-"""Coloured points in PLY files: written as binary little endian, read in any of the three formats."""
+"""Coloured points in PLY files. Files are written as binary little endian and read in all three PLY formats."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ColouredPoints(NamedTuple):
 
     Attributes:
         xyz: (N, 3) float32, world units, finite.
-        rgb: (N, 3) uint8, sRGB as in the images.
+        rgb: (N, 3) uint8 sRGB colours.
     """
 
     xyz: NDArray[np.float32]
@@ -38,12 +38,12 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
     """Write points (N, 3) and their colours (N, 3) uint8 as binary PLY, atomically.
 
     Raises:
-        ValueError: for a wrong shape or colour dtype, or a coordinate that is not finite.
+        ValueError: if a shape or the colours' dtype is wrong, or a coordinate is not finite.
     """
     if xyz.ndim != 2 or xyz.shape[1] != 3 or not np.isfinite(xyz).all():
-        raise ValueError(f"xyz: expected finite (N, 3), got shape {xyz.shape}")
+        raise ValueError(f"xyz: expected finite coordinates of shape (N, 3), got shape {xyz.shape} or NaN values")
     if rgb.shape != xyz.shape or rgb.dtype != np.uint8:
-        raise ValueError(f"rgb: expected uint8 {xyz.shape}, got {rgb.dtype} {rgb.shape}")
+        raise ValueError(f"rgb: expected uint8 of shape {xyz.shape}, got {rgb.dtype} of shape {rgb.shape}")
     names = ("x", "y", "z", "red", "green", "blue")
     rows = np.empty(len(xyz), dtype=[(name, "<f4" if i < 3 else "u1") for i, name in enumerate(names)])
     for i, name in enumerate(names):
@@ -55,14 +55,14 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
 
 
 def read_ply(path: Path | str) -> ColouredPoints:
-    """Read the vertices of a PLY file: ascii, or binary of either byte order.
+    """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours are uchar, or float in [0, 1]; points without colours are mid grey. Other properties, and elements after
-    the vertices, are skipped.
+    Colours may be uchar, or float in [0, 1]. Points without colours become mid grey. Other properties and the elements
+    after the vertices are skipped.
 
     Raises:
-        UserError: naming the file, if it is missing, not a PLY file, shorter than its header declares, lacks x, y or
-            z, or holds coordinates that are not finite.
+        UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
+            contains coordinates that are not finite. The message names the file.
     """
     path = Path(path)
     try:
@@ -122,7 +122,7 @@ def _header_lines(path: Path, stream: BinaryIO) -> list[list[str]]:
     else:
         line = b""
     if not line:
-        raise _invalid(path, "a header that ends with 'end_header'", "none")
+        raise _invalid(path, "a header that ends with 'end_header'", "a header without an end")
     return lines
 
 
@@ -160,7 +160,7 @@ def _points(path: Path, header: _Header, rows: NDArray[Any]) -> ColouredPoints:
     xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
     if not np.isfinite(xyz).all():
         raise _invalid(
-            path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points that are not finite"
+            path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points with NaN or infinity"
         )
     rgb = np.full(xyz.shape, 128, dtype=np.uint8)
     if {"red", "green", "blue"} <= set(dict(header.properties)):
@@ -173,7 +173,7 @@ def _points(path: Path, header: _Header, rows: NDArray[Any]) -> ColouredPoints:
 
 def _truncated(path: Path, declared: int, found: int) -> UserError:
     return UserError(
-        f"{path}: expected {declared} vertices as the header declares, got {found}; the file is truncated: "
+        f"{path}: expected the {declared} vertices that the header declares, got {found}; the file is truncated: "
         "write it again"
     )
 

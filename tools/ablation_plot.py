@@ -1,8 +1,9 @@
-"""Train ablations on one capture; plot and tabulate held-out PSNR over training time.
+"""Train ablations on one capture. Plot and tabulate held-out PSNR over training time.
 
     python tools/ablation_plot.py CAPTURE --test-views 03,09,14 --frames 0:1 --seconds 180
 
-Writes docs/figures/ablations.png and docs/measurements/ablations.md. Finished runs in --work are not repeated.
+Writes docs/figures/ablations.png and docs/measurements/ablations.md. Runs in --work that are already finished are not
+trained again.
 """
 
 from __future__ import annotations
@@ -33,19 +34,19 @@ class Arguments:
     capture: tyro.conf.Positional[Path]
     """The capture's folder."""
     test_views: str
-    """Names of held-out cameras, with commas."""
+    """Names of held-out cameras, separated by commas."""
     frames: str = "0:1"
-    """Frames as A:B."""
+    """Range of frames, as A:B."""
     seconds: float = 180.0
-    """Training time of each ablation."""
+    """Training time of each ablation in seconds."""
     every: float = 10.0
-    """Seconds between measurements."""
+    """Seconds of training between two validations."""
     work: Path = Path("ablations")
     """Folder for the runs."""
 
 
 def main(arguments: Arguments) -> None:
-    """Train the missing runs, then write the plot and the table."""
+    """Train the runs that are missing, then write the plot and the table."""
     curves = {name: _curve(arguments, name) for name in ABLATIONS}
     _draw(arguments, curves)
     lines = ["# Ablations", "", f"Held-out PSNR in dB over training time, frames {arguments.frames}.", ""]
@@ -62,7 +63,7 @@ def _marks(arguments: Arguments) -> list[float]:
 
 
 def _curve(arguments: Arguments, name: str) -> list[tuple[float, float]]:
-    """Training seconds and held-out PSNR in the matte's box, for every validation of one ablation."""
+    """Return training seconds and held-out PSNR in the matte's box, one pair for every validation of an ablation."""
     folder = arguments.work / name
     base = TrainConfig()
     config = replace(

@@ -1,10 +1,10 @@
 """Compare the kernels' instruction counts under valgrind with tools/instructions.json.
 
-    python tools/count_instructions.py            fail if a kernel needs 5% more instructions than accepted
-    python tools/count_instructions.py --update   accept the current counts
+    python tools/count_instructions.py            fail if a count is more than 5% above the accepted count
+    python tools/count_instructions.py --update   make the current counts the accepted ones
 
-Unlike times, counts do not depend on the load of the machine. They depend on the compiler; for an unknown compiler
-nothing is compared. Valgrind does not support AVX-512, so AVX2 is counted.
+Unlike times, instruction counts do not depend on the load of the machine. They depend on the compiler; without accepted
+counts for a compiler, nothing is compared. Counts are for AVX2, because valgrind does not support AVX-512.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ WORKLOADS = {
 
 @dataclass(frozen=True)
 class Arguments:
-    """Compare by default."""
+    """Compare the counts, or accept them."""
 
     update: bool = False
-    """Accept the current counts."""
+    """Make the current counts the accepted ones instead of comparing."""
     build: Path = ROOT / "build" / "count"
-    """Folder to build in."""
+    """Folder in which the workloads are built."""
 
 
 def main(arguments: Arguments) -> int:
-    """Build, count and compare; return the exit code."""
+    """Build the workloads, count instructions and compare. Return the exit code."""
     if shutil.which("valgrind") is None:
         print("count_instructions: expected valgrind, got none; install it (apt-get install valgrind)", file=sys.stderr)
         return 2
@@ -75,7 +75,7 @@ def main(arguments: Arguments) -> int:
 
 
 def build(folder: Path) -> tuple[str, Path]:
-    """Build the workload; return the compiler's name and version, and the program."""
+    """Build the workloads. Return the compiler's name and version, and the path of the program."""
     configure = ["cmake", "-S", str(ROOT / "csrc" / "tests"), "-B", str(folder), "-DCMAKE_BUILD_TYPE=Release"]
     run_quietly(configure)
     run_quietly(["cmake", "--build", str(folder), "--target", "workload", "--parallel"])
@@ -86,13 +86,13 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Instructions of one repeat, without the setup."""
+    """Return the number of instructions of one repeat, without the setup."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 
 
 def count_process(command: list[str]) -> int:
-    """Instructions of one process, counted by callgrind."""
+    """Return the number of instructions of one process, counted by callgrind."""
     tool = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *command]
     output = subprocess.run(tool, capture_output=True, text=True, check=True).stderr
     found = re.search(r"Collected : (\d+)", output)
@@ -102,7 +102,7 @@ def count_process(command: list[str]) -> int:
 
 
 def run_quietly(command: list[str]) -> str:
-    """Run a command; return its output, or raise RuntimeError with its errors."""
+    """Run a command and return its output. Raises RuntimeError with its error output if it fails."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")

@@ -1,6 +1,6 @@
-"""``make demo``: a synthetic capture, a scene, a video and its scores.
+"""``make demo``: make a synthetic capture, train and export a scene, render a video and compute scores.
 
-Runs the commands that a user would type, and prints them.
+The program prints and runs the commands that a user would type.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ TEST_VIEWS = "03,09"
 
 
 def step(*words: object) -> None:
-    """Print and run one fourd command; exit if it fails."""
+    """Print and run one fourd command. Exit if the command fails."""
     arguments = [str(word) for word in words]
     print(f"\n$ fourd {shlex.join(arguments)}", flush=True)
     code = fourd(arguments)
@@ -27,7 +27,7 @@ def step(*words: object) -> None:
 
 
 def main() -> None:
-    """Make everything in demo/. Finished stages are skipped."""
+    """Make all files in demo/, and skip stages that are already finished."""
     started = time.monotonic()
     capture, scene, video = FOLDER / "capture", FOLDER / "scene.4dv", FOLDER / "orbit.mp4"
     figures, run = FOLDER / "eval.json", FOLDER / "scene.work" / "run"
@@ -41,7 +41,7 @@ def main() -> None:
     print(
         f"\nFinished in {time.monotonic() - started:.0f} s: {scene} ({megabytes:.0f} MB) and {video}."
         f"\nHeld-out cameras {TEST_VIEWS}: {scores['image']['psnr']:.2f} dB PSNR on the whole image, "
-        f"{scores['box']['psnr']:.2f} dB in the figure's box."
+        f"{scores['box']['psnr']:.2f} dB in the foreground's box."
         f"\nNext: open {video}; fourd view {scene}; fourd render {scene} --path spiral --out spiral.mp4; "
         f"fourd make YOUR_CAPTURE -o scene.4dv"
     )

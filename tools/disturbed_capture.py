@@ -1,11 +1,11 @@
-"""Perturb a capture's calibration by a known amount, and measure calibration errors.
+"""Perturb a capture's calibration by a known amount, and compare calibrations.
 
     python tools/disturbed_capture.py make CAPTURE OUT [--degrees 0.5] [--metres 0.01] [--seed 0]
     python tools/disturbed_capture.py compare CAPTURE OTHER... [--without 03,09,14]
 
-``make`` links CAPTURE's folders into OUT and writes perturbed intri.yml and extri.yml there. ``compare`` prints pose
-errors of the cameras in other folders (a capture, or RUN/calibration) after alignment by a similarity. A run does not
-correct its held-out cameras: exclude them with ``--without``.
+``make`` links CAPTURE's folders into OUT and writes perturbed intri.yml and extri.yml there. ``compare`` prints the
+camera pose errors of each OTHER relative to CAPTURE, after aligning them by a similarity transform. OTHER is a capture
+or a run's folder RUN/calibration. Training does not refine held-out cameras; ``--without`` excludes them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, read_cal
 
 
 def make(capture: Path, out: Path, degrees: float, metres: float, seed: int) -> None:
-    """Copy a capture with perturbed cameras."""
+    """Make the capture ``out`` from ``capture`` with perturbed cameras."""
     out.mkdir(parents=True)
     for entry in sorted(capture.iterdir()):
         if entry.name not in (INTRINSICS_NAME, EXTRINSICS_NAME, ".fourd"):
@@ -31,7 +31,7 @@ def make(capture: Path, out: Path, degrees: float, metres: float, seed: int) -> 
 
 
 def compare(capture: Path, others: list[Path], without: list[str]) -> None:
-    """Print the mean and maximum errors of each folder."""
+    """Print each folder's mean and maximum camera pose error relative to ``capture``."""
     truth = cameras_of(capture)
     for other in others:
         cameras = {name: camera for name, camera in cameras_of(other).items() if name not in without}
@@ -44,12 +44,12 @@ def compare(capture: Path, others: list[Path], without: list[str]) -> None:
 
 
 def cameras_of(folder: Path) -> dict[str, Camera]:
-    """Cameras by name. Missing image sizes become 1; poses do not depend on them."""
+    """Return a folder's cameras by name. Missing image sizes become 1, because poses do not depend on them."""
     return {name: each.camera(each.width or 1, each.height or 1) for name, each in read_calibration(folder).items()}
 
 
 def main() -> None:
-    """Parse the command line and run one command."""
+    """Parse the command line and run the command that it names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     make_parser = commands.add_parser("make")

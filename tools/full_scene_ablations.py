@@ -1,13 +1,13 @@
-"""Ablate the parts of a full scene: train short runs without each part and evaluate held-out views.
+"""Ablation study of full scenes: train a short run for every variant and evaluate held-out views.
 
     python tools/full_scene_ablations.py CAPTURE OUT --test-views 03,09,14 [--frames 0:24:6] [--max-steps 600]
-                                         [--plates EMPTY_STAGE/] [--only sfm apart]
+                                         [--plates EMPTY_SCENE/] [--only sfm apart]
 
-Each variant is a run in OUT/NAME. It reuses the hull and background points of the first variant unless it changes
-them. Finished runs are not repeated. The two variants of refinement use a perturbed capture in OUT/disturbed (each
-camera rotated by 0.5 degrees and moved by 1 cm) and are evaluated from held-out cameras that are fitted to their own
-pictures, which alone raises the scores slightly. Prints a Markdown table and writes OUT/pictures.png: for each
-held-out view the ground truth and every variant at the middle frame.
+Each variant is a run in OUT/NAME. It reuses the hull and background points of the first variant unless it changes them.
+Finished runs are not trained again. The two variants with a perturbed calibration use a capture in OUT/disturbed, in
+which each camera is rotated by 0.5 degrees and moved by 1 cm. Their held-out cameras are fitted to their own images
+before evaluation, which by itself raises the scores slightly. The program prints a Markdown table and writes
+OUT/pictures.png, which shows the middle frame of each held-out view: ground truth and every variant.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ class Variant:
 
     Attributes:
         label: row title in the table.
-        changes: the config overlay.
-        own_seeds: whether it computes its own hull and background points.
-        disturbed: whether it trains on the perturbed calibration.
+        changes: the config keys that differ from the defaults.
+        own_seeds: whether the run computes its own hull and background points.
+        disturbed: whether the run uses the perturbed calibration.
     """
 
     label: str
@@ -63,7 +63,7 @@ FOURD = [sys.executable, "-c", "import sys; from fourd.cli.main import main; sys
 
 
 def train(name: str, arguments: argparse.Namespace) -> Path:
-    """Train and evaluate a variant; return its run."""
+    """Train and evaluate a variant. Return the folder of its run."""
     variant = VARIANTS[name]
     run, overlay = arguments.out / name, arguments.out / f"{name}.yaml"
     overlay.write_text(yaml.safe_dump(variant.changes))
@@ -85,7 +85,7 @@ def train(name: str, arguments: argparse.Namespace) -> Path:
 
 
 def disturbed(arguments: argparse.Namespace) -> Path:
-    """The capture with the perturbed calibration."""
+    """Return the capture with the perturbed calibration."""
     out: Path = arguments.out / "disturbed"
     if not out.exists():
         tool = Path(__file__).with_name("disturbed_capture.py")
@@ -94,7 +94,7 @@ def disturbed(arguments: argparse.Namespace) -> Path:
 
 
 def row(name: str, out: Path) -> str:
-    """One row of the table."""
+    """Return the table row of a variant."""
     scores = json.loads((out / f"{name}.json").read_text())
     backgrounds = scores.get("background")
     alone = "" if not backgrounds else f"{np.mean(list(backgrounds.values())):.2f}"
@@ -103,7 +103,7 @@ def row(name: str, out: Path) -> str:
 
 
 def render_test_views(run: Path) -> list[NDArray[np.uint8]]:
-    """Renderings of a run's held-out cameras, BGR."""
+    """Render a run's held-out cameras. Returns BGR images."""
     trained = load_run(run)
     capture, frame = trained.run.capture, trained.run.capture.frame_count // 2
     layers = trained.run.config.train.layers
@@ -115,7 +115,7 @@ def render_test_views(run: Path) -> list[NDArray[np.uint8]]:
 
 
 def test_pictures(run: Path) -> list[NDArray[np.uint8]]:
-    """Pictures of the held-out cameras, BGR."""
+    """Return the captured images of the held-out cameras, BGR."""
     opened = load_run(run).run
     frame = opened.capture.frame_count // 2
     return [_tile(opened.capture.image(camera, frame)[..., ::-1]) for camera in opened.test]
@@ -128,7 +128,7 @@ def _tile(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def main() -> None:
-    """Train and evaluate the variants; write the table and the pictures."""
+    """Train and evaluate the variants, then write the table and the images."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("out", type=Path)

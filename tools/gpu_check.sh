@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# Build for this machine's NVIDIA GPU, run every parity and gradient test on it, and print the benchmark table. Needs no network.
-# Requires Python 3.11+ with torch, numpy, opencv, pyyaml, rich, safetensors, cachetools, pytest, scikit-build-core, nanobind, cmake and ninja;
-# and CUDA's nvcc. PYTHON sets the interpreter (python3), ARCHITECTURES the GPU architectures (this GPU's).
+# Build fourd for this machine's NVIDIA GPU, run every parity and gradient test on it, and print the benchmark table.
+# No network is needed. Requirements: CUDA's nvcc, and Python 3.11+ with torch, numpy, opencv, pyyaml, rich,
+# safetensors, cachetools, pytest, scikit-build-core, nanobind, cmake and ninja.
+# Variables: PYTHON is the interpreter (default python3), ARCHITECTURES the GPU architectures (default: this GPU's).
 #
 #   tools/gpu_check.sh              tests and table
 #   tools/gpu_check.sh sanitize     the tests under compute-sanitizer
@@ -14,7 +15,7 @@ nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader
 nvcc --version | grep release
 rm -rf "$site"
 mkdir -p "$site"
-# Only this GPU's architecture: a third of the build time.
+# Building only for this GPU's architecture takes a third of the time.
 SKBUILD_CMAKE_ARGS="-DCMAKE_CUDA_ARCHITECTURES=${ARCHITECTURES:-native};-DFOURD_CUDA=ON" SKBUILD_BUILD_DIR=build/gpu/cmake \
   "$python" -m pip install --quiet --no-index --no-deps --no-build-isolation --no-compile --target "$site" .
 
@@ -30,12 +31,12 @@ from fourd.benchmarks.machine import has_gpu
 if not fourd.__file__.startswith(os.getcwd()):
     sys.exit(f"gpu_check: expected the package just built, got {fourd.__file__}; use a Python without an editable fourd")
 if not has_gpu():
-    sys.exit("gpu_check: expected a CUDA device and its kernels, found none")
+    sys.exit("gpu_check: expected a CUDA device and kernels built for it, got none")
 PYTHON
 tests=(tests/ops/test_points_cuda.py tests/ops/test_planes.py tests/ops/test_sources.py
   tests/ops/test_hashgrid.py tests/baking/test_gpu_player.py)
 if [ "${1:-}" = sanitize ]; then
-  # Without torch's memory pool, compute-sanitizer checks each allocation by itself.
+  # Without torch's memory pool, compute-sanitizer checks each allocation separately.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 \
     "$python" -m pytest -q -k "cuda" "${tests[@]}"
   exit

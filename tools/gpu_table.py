@@ -1,4 +1,7 @@
-"""Print the benchmark table of this machine's CUDA device. Part of gpu_check.sh; needs only torch and rich."""
+"""Print the benchmark table of this machine's CUDA device.
+
+gpu_check.sh runs this program, which needs only torch and rich.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,9 @@ from fourd.benchmarks.timing import Clock
 
 
 def main() -> int:
-    """Print the table in Markdown on standard output."""
+    """Print the table as Markdown to standard output."""
     if not has_gpu():
-        print("gpu_table: expected a CUDA device and its kernels, found none", file=sys.stderr)
+        print("gpu_table: expected a CUDA device and kernels built for it, got none", file=sys.stderr)
         return 2
     clock, console = Clock(seconds=3.0), Console(stderr=True)
     rows = []

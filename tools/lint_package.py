@@ -1,6 +1,6 @@
-"""mypy and import-linter on the package as it is installed.
+"""Run mypy and import-linter on the package in its installed layout.
 
-The repository keeps fourd.viewer in viewer/, outside fourd/, where neither tool finds it. This program copies the
+In the repository, fourd.viewer is in viewer/, outside fourd/, so that neither tool finds it. This program copies the
 Python files of both to build/lint/fourd and runs the tools there. `make lint` calls it.
 """
 
@@ -21,7 +21,7 @@ def main() -> int:
     copy_package()
     config = str(ROOT / "pyproject.toml")
     types = subprocess.run([sys.executable, "-m", "mypy", "--config-file", config], cwd=TREE)
-    # -S skips the .pth file of the editable install, whose import hook hides build/lint.
+    # -S skips the .pth file of the editable install, because its import hook takes precedence over build/lint.
     lint_imports = "from importlinter.cli import lint_imports_command; lint_imports_command()"
     options = ["--no-logo", "--config", config, "--cache-dir", str(TREE / ".import_linter_cache")]
     layers = subprocess.run(
@@ -33,14 +33,14 @@ def main() -> int:
 
 
 def copy_package() -> None:
-    """Copy fourd/ and viewer/ to TREE with their times of modification, by which mypy finds what changed."""
+    """Copy fourd/ and viewer/ to TREE. Modification times are kept, because mypy uses them to detect changes."""
     shutil.rmtree(TREE / "fourd", ignore_errors=True)
     shutil.copytree(ROOT / "fourd", TREE / "fourd", ignore=_not_python)
     shutil.copytree(ROOT / "viewer", TREE / "fourd" / "viewer", ignore=_not_python)
 
 
 def _not_python(folder: str, names: list[str]) -> list[str]:
-    """The entries of a folder that are neither Python sources nor folders, and worktrees' link fourd/viewer."""
+    """Return the entries to skip: files that are not Python, caches, and the link fourd/viewer."""
     entries = (Path(folder) / name for name in names)
     return [
         entry.name

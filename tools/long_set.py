@@ -1,8 +1,8 @@
-"""Make videos of any length from a short capture by playing it back and forth, for long-running tests.
+"""Make long videos for long-running tests: play a short capture forwards and backwards repeatedly.
 
     python tools/long_set.py CAPTURE OUT --seconds 180 --cameras 8 --size 160
 
-Writes OUT/videos/CAM.mp4 and the calibration, for ``fourd import``.
+The program writes OUT/videos/CAM.mp4 and the calibration, which ``fourd import`` reads.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def main() -> None:
     for camera in capture.cameras:
         if camera.width % 2 or camera.height % 2:
             sys.exit(
-                f"--size: expected even sides, which H.264 needs, got {camera.width} x {camera.height}; try another"
+                f"--size: expected even image sides, as H.264 requires, got {camera.width} x {camera.height}; change it"
             )
     shown = back_and_forth(capture.frame_count, round(arguments.seconds * arguments.fps))
     for index, name in enumerate(capture.names):
@@ -48,13 +48,13 @@ def main() -> None:
 
 
 def back_and_forth(count: int, length: int) -> list[int]:
-    """``length`` indices into ``count`` frames that run up, down and up again without jumps."""
+    """Return ``length`` indices into ``count`` frames that play the frames forwards and backwards in turn."""
     period = max(1, 2 * (count - 1))
     return [min(place % period, period - place % period) for place in range(length)]
 
 
 def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], fps: int) -> None:
-    """Write the ``pictures`` (H, W, 3) at the indices ``shown`` as H.264, atomically. Sides must be even."""
+    """Write images (H, W, 3) as H.264 in the order of the indices ``shown``, atomically. Sides must be even."""
     frames = [av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv420p") for picture in pictures]
     with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
         stream = container.add_stream("libx264", rate=fps, options=ENCODING)
@@ -71,8 +71,8 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("capture", type=Path, help="the short capture")
     parser.add_argument("out", type=Path, help="folder to write to")
     parser.add_argument("--seconds", type=float, default=180.0, help="length of each video (default 180)")
-    parser.add_argument("--cameras", type=int, default=8, help="number of cameras, evenly spread (default 8)")
-    parser.add_argument("--size", type=int, default=160, help="pixels of the longer side (default 160)")
+    parser.add_argument("--cameras", type=int, default=8, help="number of evenly spread cameras (default 8)")
+    parser.add_argument("--size", type=int, default=160, help="longer side of the images in pixels (default 160)")
     parser.add_argument("--fps", type=int, default=30, help="frames per second (default 30)")
     return parser.parse_args()
 

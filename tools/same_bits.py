@@ -1,12 +1,12 @@
-"""Digests of everything that fourd computes, to check that a change keeps results bit for bit.
+"""Compute digests of all results of fourd, to check that a code change keeps every bit of them.
 
     python tools/same_bits.py --fourd OLD/.venv/bin/fourd --json before.json
     python tools/same_bits.py --fourd .venv/bin/fourd --compare before.json
 
-Runs the commands of one installation on synthetic captures in a temporary folder: mattes, plates, hulls, training of
-an object and of a whole scene, also with refined cameras, exported scenes, rendered pictures, scores, and fourd make.
-Takes about six minutes on two cores. Compare digests of one machine only: different instruction sets give different
-bits.
+The program runs the commands of one installation on synthetic captures in a temporary folder: mattes, clean plates,
+hulls, training of object and full scenes with and without camera refinement, export, rendering, evaluation and fourd
+make. This takes about six minutes on two cores. Compare only digests from the same machine, because different
+instruction sets give different bits.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ import tempfile
 from pathlib import Path
 
 CLOCKS = ("seconds",)
-"""Entries of a checkpoint's state that differ between any two runs."""
+"""Keys of a checkpoint's state that differ between any two runs, because they hold times."""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fourd", type=Path, required=True, help="the fourd program of the installation to run")
-    parser.add_argument("--json", type=Path, help="write the digests to this file")
-    parser.add_argument("--compare", type=Path, help="exit with 1 where the digests differ from this file's")
-    parser.add_argument("--keep", type=Path, help="work in this folder and keep it, in place of a temporary one")
+    parser.add_argument("--json", type=Path, help="write the digests to this JSON file")
+    parser.add_argument("--compare", type=Path, help="exit with 1 if any digest differs from this JSON file's")
+    parser.add_argument("--keep", type=Path, help="work in this folder instead of a temporary one, and keep it")
     arguments = parser.parse_args()
     program = arguments.fourd.absolute()
     if arguments.keep is None:
@@ -47,7 +47,7 @@ def main() -> int:
 
 
 def compare(before: dict[str, str], after: dict[str, str]) -> int:
-    """Print every name whose digest differs or that only one side has; 1 where there is one."""
+    """Print every file whose digest differs or that only one side has. Return 1 if there is such a file, else 0."""
     names = sorted(before.keys() | after.keys())
     different = [name for name in names if before.get(name) != after.get(name)]
     for name in different:
@@ -57,7 +57,7 @@ def compare(before: dict[str, str], after: dict[str, str]) -> int:
 
 
 def run_everything(program: Path, folder: Path) -> dict[str, str]:
-    """Run every stage and return a digest of each file that it wrote, by its path within ``folder``."""
+    """Run every stage. Return the digest of each written file by its path relative to ``folder``."""
 
     def fourd(*words: str) -> None:
         print("fourd", *words, flush=True)
@@ -82,7 +82,7 @@ def run_everything(program: Path, folder: Path) -> dict[str, str]:
 
 
 def digests_of(folder: Path) -> dict[str, str]:
-    """SHA-256 of the files whose bits are the results: pictures, points, checkpoints, scenes, scores."""
+    """Return the SHA-256 of every result file: images, points, checkpoints, scenes and scores."""
     patterns = (
         "capture/**/*.jpg",
         "capture/**/*.png",
@@ -108,7 +108,7 @@ def digest(path: Path) -> str:
 
 
 def without_clocks(content: bytes) -> bytes:
-    """A safetensors file with the times of its header's state left out."""
+    """Return the bytes of a safetensors file without the times in its header."""
     (length,) = struct.unpack("<Q", content[:8])
     header = json.loads(content[8 : 8 + length])
     metadata = header.get("__metadata__") or {}

@@ -1,4 +1,4 @@
-"""Time rendering against points, pixels and layers: a table and a log-log plot in docs/."""
+"""Measure rendering time as a function of points, pixels and layers. Write a table and a log-log plot to docs/."""
 
 from __future__ import annotations
 
@@ -25,31 +25,34 @@ KINDS = ("forward", "forward + backward", "play")
 
 @dataclass(frozen=True)
 class Arguments:
-    """Varies points, pixels or layers K; the base is 262,144 points, 1920 x 1080 pixels, K = 15."""
+    """Options.
+
+    Points, pixels and layers K are varied separately from a base of 262,144 points, 1920 x 1080 and K = 15.
+    """
 
     out: Path = Path("docs")
     """Folder for figures/scaling.png and measurements/scaling.md."""
     seconds: float = 2.0
-    """Approximate time spent on each measurement."""
+    """Approximate time in seconds spent on each measurement."""
 
 
 @dataclass(frozen=True)
 class Series:
-    """Milliseconds of every kind at each position of an axis."""
+    """Milliseconds of every kind of work at each position of an axis (points, pixels or layers)."""
 
     axis: str
     positions: list[int]
     milliseconds: dict[str, list[float]]
 
     def slope(self, kind: str) -> float:
-        """Exponent of growth over the upper half of the axis; 1 is linear."""
+        """Return the exponent of growth over the upper half of the axis. An exponent of 1 is linear growth."""
         half = len(self.positions) // 2
         x, y = np.log(self.positions[half:]), np.log(self.milliseconds[kind][half:])
         return float(np.polyfit(x, y, 1)[0])
 
 
 def main(arguments: Arguments) -> None:
-    """Measure, and write the plot and the table."""
+    """Measure all series, then write the plot and the table."""
     clock = Clock(arguments.seconds)
     base = (262_144, (1920, 1080), 15)
     series = [
@@ -68,14 +71,14 @@ def main(arguments: Arguments) -> None:
 
 
 def by_pixels() -> dict[int, tuple[int, int]]:
-    """Image sizes by their number of pixels."""
+    """Return the image sizes by their number of pixels."""
     return {width * height: (width, height) for width, height in SIZES}
 
 
 def measure(
     axis: str, positions: list[int], setting: Callable[[int], tuple[int, tuple[int, int], int]], clock: Clock
 ) -> Series:
-    """Time every kind at each position of an axis."""
+    """Time every kind of work at each position of an axis."""
     found: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for position in positions:
         count, size, layers = setting(position)
@@ -94,7 +97,7 @@ def measure(
 
 
 def plot(series: list[Series], path: Path) -> None:
-    """Draw one log-log diagram per axis, with a line of slope 1."""
+    """Draw one log-log plot per axis, with a reference line of slope 1."""
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
@@ -114,7 +117,7 @@ def plot(series: list[Series], path: Path) -> None:
 
 
 def table(series: Series) -> str:
-    """One row per position, and the exponents of growth."""
+    """Return a Markdown table with one row per position, and the exponents of growth in the last row."""
     lines = [f"| {series.axis} | " + " | ".join(KINDS) + " |", "|---" * (len(KINDS) + 1) + "|"]
     for index, position in enumerate(series.positions):
         lines.append(

@@ -1,10 +1,10 @@
-"""Run a command and record the memory of it and of all its children over time (Linux).
+"""Run a command and record the memory of its process tree over time (Linux only).
 
     python tools/tree_memory.py memory.csv -- fourd matte CAPTURE
 
-Writes one line every ``--every`` seconds: seconds since the start, number of processes, and their memory in MB as
-proportional set size (PSS), in which shared memory counts once. Prints the maximum and the mean of each tenth of the
-time to stderr.
+The program writes one CSV line every ``--every`` seconds: seconds since the start, number of processes, and their
+memory in MB. Memory is the proportional set size (PSS), which counts shared memory once. At the end, the maximum and
+the mean of each tenth of the running time are printed to stderr.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ TENTHS = 10
 
 
 def main() -> int:
-    """Run the command; return its exit code."""
+    """Run the command and return its exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("table", type=Path, help="CSV file to write")
     parser.add_argument("--every", type=float, default=1.0, help="seconds between samples (default 1)")
@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def _children(pid: int) -> Iterator[int]:
-    """All descendants of a process."""
+    """Yield the ids of all descendants of a process."""
     try:
         found = [int(word) for path in Path(f"/proc/{pid}/task").iterdir() for word in _words(path / "children")]
     except OSError:
@@ -54,7 +54,7 @@ def _children(pid: int) -> Iterator[int]:
 
 
 def _pss_mb(pid: int) -> float:
-    """Proportional set size in MB; 0 if the process has ended."""
+    """Return the proportional set size in MB. It is 0 if the process has ended."""
     words = _words(Path(f"/proc/{pid}/smaps_rollup"))
     return int(words[words.index("Pss:") + 1]) / 1024 if "Pss:" in words else 0.0
 

@@ -1,6 +1,6 @@
-"""Speed of the viewer's renderers and their difference from the float renderer, as two Markdown tables.
+"""Print two Markdown tables: speed of the viewer's renderers, and their difference from the float CPU renderer.
 
-python tools/viewer_table.py                         262,144 points of the benchmark's surface, at 1920 x 1080
+python tools/viewer_table.py                         262,144 points of the synthetic benchmark scene, 1920 x 1080
 python tools/viewer_table.py scene.4dv --frame 3     a frame of a scene, from its first camera
 """
 
@@ -30,28 +30,28 @@ from fourd.viewer.navigation.paths import fit_camera
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 
 LAYERS = (15, 12, 8)
-TURN = 1e-4  # radians between pictures: a new camera each time, so that no result is reused
+TURN = 1e-4  # radians; every image has another camera, so that no result is reused
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to draw and for how long."""
+    """The scene to draw, and how long to time each renderer."""
 
     scene: tyro.conf.Positional[Path | None] = None
-    """A .4dv file; the benchmark's surface by default."""
+    """A .4dv file. The default is the synthetic benchmark scene."""
     frame: int = 0
-    """Frame of the scene, from 0."""
+    """Index of the frame in the scene, from 0."""
     points: int = 262_144
-    """Points of the benchmark's surface."""
+    """Number of points of the synthetic benchmark scene."""
     size: tuple[int, int] = (1920, 1080)
-    """Width and height in pixels."""
+    """Width and height of the images in pixels."""
     seconds: float = 5.0
-    """Approximate time per renderer."""
+    """Approximate time in seconds spent on each renderer."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """Median time of a renderer, and its picture (H, W, 3) in [0, 1]."""
+    """Median time of a renderer, and its image (H, W, 3) in [0, 1]."""
 
     ms: float
     picture: NDArray[np.float32]
@@ -111,7 +111,7 @@ def _print_precisions(
 
 
 def _measured(context: moderngl.Context, renderer: Renderer, request: RenderRequest, seconds: float) -> Measured:
-    """Time pictures from slightly different cameras; return the picture of the request's camera."""
+    """Time images from slightly different cameras. Return the median time and the image of the request's camera."""
     canvas = Canvas(context)
     times: list[float] = []
     end = time.perf_counter() + seconds
@@ -135,7 +135,7 @@ def _turned(seen: Camera, angle: float) -> Camera:
 
 
 def _float_picture(frame: BakedFrame, manifest: SceneManifest, seen: Camera, layers: int) -> NDArray[np.float32]:
-    """Render the same arrays with the float renderer."""
+    """Render the same frame with the float CPU renderer."""
     colours = shade_reference(frame, seen, manifest)
     sizes: list[Any] = [frame.radius.astype(np.float32), frame.density.astype(np.float32)]
     rgb, _, _ = render_points_numpy(frame.xyz, colours, *sizes, seen, layers=layers, near=manifest.near)

@@ -1,1 +1,1 @@
-"""Timings of kernels and stages, compared with their references and with other installed programs."""
+"""Timings of kernels and training steps, compared with reference implementations and other installed libraries."""

@@ -1,4 +1,4 @@
-"""Benchmark cases: each is a kernel or a stage, with other implementations of the same work."""
+"""Benchmark cases. A case is a kernel or a training step, with other implementations of the same computation."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SamplePlanes = Callable[[Tensor, list[Tensor], list[int]], Tensor]
 
 @dataclass(frozen=True)
 class Case:
-    """One row of the table.
+    """One benchmark case, which is one row of the table.
 
     Attributes:
-        name: the work and its size.
-        work: runs it, ``repeats`` times.
-        rivals: other implementations of the same work, by name.
-        repeats: runs per call of ``work``; timings are per run.
+        name: description of the computation and its size.
+        work: function that runs the computation ``repeats`` times.
+        rivals: other implementations of the same computation, by name.
+        repeats: number of times that ``work`` runs the computation; timings are divided by this number.
     """
 
     name: str
@@ -46,12 +46,12 @@ class Case:
 
 
 def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
-    """Yield all cases, each created on demand; ``resources`` cleans up after them.
+    """Yield all cases, creating each on demand. Temporary files are removed when ``resources`` is closed.
 
     Args:
-        steps: include whole training steps, on a synthetic capture that is created first.
+        steps: whether to include whole training steps, for which a synthetic capture is created.
     """
-    # The reference's memory grows with points times pixels: it is only compared where both are small.
+    # The reference is compared only here, because its memory grows with points times pixels.
     yield _composite(2_048, make_camera(96, 96), 15, True, reference=True)
     for backward in (False, True):
         yield _composite(65_536, make_camera(512, 512), 15, backward)
@@ -67,7 +67,7 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
 
 
 def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool, backend: str = "auto") -> Work:
-    """Return work that renders a cloud and, with ``backward``, computes the gradients of all its arrays."""
+    """Return a function that renders a cloud and, if ``backward``, computes the gradients of all its arrays."""
 
     def work() -> object:
         free = {name: array.requires_grad_(backward) for name, array in cloud.items()}
@@ -80,7 +80,7 @@ def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: boo
 
 
 def plane_case(count: int, device: torch.device) -> Case:
-    """Sample K-Planes at random points, with the planes' gradient."""
+    """Return the case that samples K-Planes at random points and computes the planes' gradients."""
     tensors, axes = make_planes()
     leaves = [plane.to(device).requires_grad_() for plane in tensors]
     levels, features = len(tensors) // 6, tensors[0].shape[2]
@@ -98,7 +98,7 @@ def plane_case(count: int, device: torch.device) -> Case:
 
 
 def sampling_case(count: int, device: torch.device) -> Case:
-    """Sample points in four source views, with the gradients of points and features."""
+    """Return the case that samples four source views at points and computes the gradients of points and features."""
     generator = torch.Generator().manual_seed(count)
 
     def random(*shape: int) -> Tensor:

@@ -1,4 +1,4 @@
-"""Benchmark cases on a CUDA device: pictures and gradients are queued on its stream back to back, as in real use."""
+"""Benchmark cases on a CUDA device. As in real use, calls are queued on its stream without waiting in between."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
 from fourd.cameras import Camera
 
 REPEATS = 20
-"""Runs between two synchronizations with the device."""
+"""Number of runs between two synchronizations with the device."""
 
 SIZES = ((1920, 1080), (3840, 2160))
 
 
 def gpu_cases() -> Iterator[Case]:
-    """Yield all cases; none without a CUDA device and kernels for it."""
+    """Yield all cases. Yields no case if there is no CUDA device or no kernel for it."""
     if not has_gpu():
         return
     device = torch.device("cuda", torch.cuda.current_device())
@@ -36,7 +36,7 @@ def gpu_cases() -> Iterator[Case]:
 
 
 def repeat(work: Work) -> Work:
-    """Return work that runs :data:`REPEATS` times and then synchronizes with the device."""
+    """Return a function that calls ``work`` :data:`REPEATS` times and then synchronizes with the device."""
 
     def run() -> None:
         for _ in range(REPEATS):
@@ -64,6 +64,6 @@ def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
 
 
 def _on_gpu(case: Case) -> Case:
-    """Repeat a case whose work and rivals run on the device."""
+    """Return a case on the device with its work and rivals repeated :data:`REPEATS` times."""
     rivals = {name: repeat(work) for name, work in case.rivals.items()}
     return Case(f"GPU: {case.name}", repeat(case.work), rivals, REPEATS)

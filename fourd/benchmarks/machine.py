@@ -1,4 +1,4 @@
-"""Description of the machine that a benchmark runs on."""
+"""Description of the machine on which a benchmark runs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from fourd.ops.loading import load_native, simd_name, thread_count
 
 @dataclass(frozen=True)
 class Machine:
-    """The machine, its settings and the versions of the programs."""
+    """The machine, the kernels' settings and the software versions."""
 
     processor: str
     gpu: str | None
-    """The CUDA device, if this build has kernels for it."""
+    """Name of the CUDA device; None without a device or without CUDA kernels."""
     threads: int
     simd: str
     system: str
@@ -52,7 +52,7 @@ def this_machine() -> Machine:
 
 
 def has_gpu() -> bool:
-    """Return whether CUDA kernels can run here."""
+    """Return whether CUDA kernels can run on this machine."""
     return torch.cuda.is_available() and not cuda_unavailable_reason()
 
 

@@ -1,4 +1,4 @@
-"""Other programs that composite points, where they are installed; none is required."""
+"""Other libraries that composite points. They are optional."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.cameras import Camera
 
 
 def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool) -> Work | None:
-    """PyTorch3D's point rasterizer and alpha compositor on the same points; None if it is not installed."""
+    """Return a function that runs PyTorch3D's point rasterizer and alpha compositor. None if it is not installed."""
     try:
         rasterizer: Any = import_module("pytorch3d.renderer.points.rasterize_points")
         structures: Any = import_module("pytorch3d.structures")
@@ -30,7 +30,7 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
         xyz_camera = free["xyz"] @ rotation.T + translation
         depth = xyz_camera[:, 2:]
         pixels = xyz_camera @ torch.from_numpy(view.intrinsics[:2].T).float() / depth
-        # PyTorch3D: normalized coordinates point left and up and are scaled by the shorter side.
+        # In PyTorch3D, normalized coordinates point left and up, and the shorter side of the image has length 2.
         normalized = torch.cat([(size - 2 * pixels) / size.min(), depth], dim=1)
         radius = (2 * focal / size.min()) * free["radius"] / depth[:, 0]
         clouds = structures.Pointclouds(points=[normalized], features=[free["features"]])
@@ -48,9 +48,10 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
 
 
 def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:
-    """gsplat's rasterizer on isotropic Gaussians of the same extent, which is comparable work; None if not installed.
+    """Return a function that runs gsplat's rasterizer. None if gsplat is not installed.
 
-    The cloud is on a CUDA device: gsplat supports no other.
+    The points become isotropic Gaussians of the same extent, so that the work is comparable. The cloud must be on a
+    CUDA device, because gsplat supports only CUDA.
     """
     try:
         rendering: Any = import_module("gsplat.rendering")

@@ -1,4 +1,4 @@
-"""Timings as a table for people and as JSON for programs."""
+"""Benchmark results as a table and as JSON."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class Row:
-    """A timed case, with the timings of its rivals by name."""
+    """The timing of a case, and the timings of its rivals by name."""
 
     name: str
     timing: Timing
@@ -25,13 +25,13 @@ class Row:
 
     @classmethod
     def measure(cls, case: Case, clock: Clock, *, rivals: bool) -> Row:
-        """Time a case and, if ``rivals``, its rivals."""
+        """Time a case. If ``rivals`` is true, time its rivals too."""
         others = {name: clock.time(work, case.repeats) for name, work in case.rivals.items()} if rivals else {}
         return cls(case.name, clock.time(case.work, case.repeats), others)
 
 
 def table(rows: Iterable[Row]) -> Table:
-    """Format rows for a terminal."""
+    """Format the rows as a table for the terminal."""
     shown = Table(box=None, pad_edge=False)
     shown.add_column("work", max_width=70)
     for title in ("ms", "units", "against"):
@@ -42,14 +42,14 @@ def table(rows: Iterable[Row]) -> Table:
 
 
 def markdown(rows: Iterable[Row], machine: Machine) -> str:
-    """Format rows for a document."""
+    """Format the rows as a Markdown table."""
     lines = [str(machine), "", "| work | ms | units | against |", "|---|---|---|---|"]
     lines += [f"| {row.name} | {row.timing.ms:.1f} | {row.timing.units:.3f} | {_format_rivals(row)} |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
 def to_json(rows: Iterable[Row], machine: Machine) -> str:
-    """Format milliseconds, units and runs of every row and rival as JSON."""
+    """Format the rows as JSON: milliseconds, units and number of runs of every case and rival."""
     content = {"format": "fourd-bench", "version": FORMAT_VERSION, "machine": asdict(machine)}
     return json.dumps({**content, "rows": [asdict(row) for row in rows]}, indent=1) + "\n"
 

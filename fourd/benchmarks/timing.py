@@ -1,4 +1,4 @@
-"""Timings that are comparable although the machine is shared: medians, paired with a unit of work."""
+"""Timings that are comparable on a machine under varying load: medians, relative to a fixed computation, the unit."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ UNIT_SIDE = 2048
 
 @dataclass(frozen=True)
 class Timing:
-    """Medians of several runs, each paired with a run of the unit.
+    """Median time of several runs. Every run is preceded by a run of the unit, a fixed computation.
 
     Attributes:
-        ms: time of the work.
-        units: ratio of the work's time to the unit's in the same round. The unit is a 2048 x 2048 float32 matrix
-            product by torch.
+        ms: median time of the work in milliseconds.
+        units: median of the ratios of the work's time to the unit's time. The unit is torch's product of two 2048 x
+            2048 float32 matrices.
         runs: number of runs.
     """
 
@@ -30,10 +30,10 @@ class Timing:
 
 
 class Clock:
-    """Times work in rounds, each paired with a run of the unit."""
+    """Times a function in rounds. Each round also times the unit."""
 
     def __init__(self, seconds: float, min_runs: int = 3, max_runs: int = 50) -> None:
-        """``seconds`` is the approximate time to spend on one work, within the limits on its runs."""
+        """``seconds`` is the approximate time to spend on one function, with ``min_runs`` to ``max_runs`` runs."""
         generator = torch.Generator().manual_seed(0)
         self._square = torch.randn(UNIT_SIDE, UNIT_SIDE, generator=generator)
         self._seconds = seconds
@@ -41,13 +41,16 @@ class Clock:
         self._max_runs = max_runs
 
     def time(self, work: Work, repeats: int = 1) -> Timing:
-        """Time ``work`` after one warm-up run. A work that repeats itself is reported per repeat."""
+        """Time ``work`` after one warm-up run.
+
+        ``work`` runs its computation ``repeats`` times; results are per repeat.
+        """
         first = _time_ms(work)
         runs = max(self._min_runs, min(self._max_runs, int(1000 * self._seconds / max(first, 0.1))))
         units, times = [], []
         for _ in range(runs):
             units.append(_time_ms(lambda: self._square @ self._square))
-            # The product's threads spin for a while afterwards and would slow down the first run after it.
+            # Untimed run: the OpenMP threads of the matrix product still spin and would slow down the timed run.
             work()
             times.append(_time_ms(work) / repeats)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]

@@ -1,4 +1,4 @@
-"""Whole training steps on a synthetic capture: everything in a step of `fourd train` except reading."""
+"""Whole training steps on a synthetic capture: everything in a step of `fourd train` except reading images."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ CAMERAS = 6
 
 
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
-    """Yield named training steps: with the default config, and on whole pictures with every point.
+    """Yield training steps with their names: one with the default config, and one on whole images with every point.
 
-    The capture is in a temporary folder until ``resources`` is closed.
+    The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """
     retain_freed_memory()
     folder = Path(resources.enter_context(TemporaryDirectory(prefix="fourd-bench-")))
@@ -42,7 +42,7 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 
 
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
-    """Return a step that can be repeated: its learning rates are too small to change the scene."""
+    """Return a repeatable training step. Its learning rates are too small to change the scene."""
     trainer = Trainer(run, None, Console(quiet=True), config)
     sample = trainer.sampler.sample(1)
     points = trainer.frames.get(sample.frame)

@@ -1,4 +1,4 @@
-"""Synthetic inputs of any size, deterministic for a given size."""
+"""Synthetic benchmark inputs of any size. Equal sizes give equal inputs."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ RADIUS_IN_SPACINGS = 1.3
 
 
 def make_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Make points on an ellipsoid: xyz (N, 3), radius (N,) and density (N,), with gaps and semi-transparent overlaps.
+    """Make N points on an ellipsoid: xyz (N, 3), radius (N,) and density (N,).
 
-    It covers 40% of the picture of :func:`make_camera`; the nearer half of its points occludes the farther half.
+    The ellipsoid covers 40% of the image of :func:`make_camera`. Its surface has gaps and semi-transparent overlaps,
+    and its front occludes its back.
     """
     rng = np.random.default_rng(SEED)
     directions = rng.standard_normal((count, 3))
@@ -30,7 +31,7 @@ def make_points(count: int) -> tuple[NDArray[np.float32], NDArray[np.float32], N
 
 
 def make_cloud(count: int) -> dict[str, Tensor]:
-    """Make arguments of ``render_points``: the points of :func:`make_points` in random colours."""
+    """Make the array arguments of ``render_points``: the points of :func:`make_points` in random colours."""
     xyz, radius, density = make_points(count)
     colours = np.random.default_rng(SEED + 1).random((count, 3), dtype=np.float32)
     arrays = {"xyz": xyz, "features": colours, "radius": radius, "density": density}
@@ -38,7 +39,10 @@ def make_cloud(count: int) -> dict[str, Tensor]:
 
 
 def make_camera(width: int, height: int, angle: float = 0.0) -> Camera:
-    """Make a camera 3 units from the origin, at ``angle`` radians around it; the points fill the picture's height."""
+    """Make a camera 3 units from the z axis, rotated about this axis by ``angle`` radians.
+
+    The points fill the image's height.
+    """
     focal = 1.3 * height
     intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     centre = np.array([3 * np.sin(angle), -3 * np.cos(angle), 0.4])
@@ -46,10 +50,10 @@ def make_camera(width: int, height: int, angle: float = 0.0) -> Camera:
 
 
 def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> tuple[BakedFrame, SceneManifest]:
-    """Make a baked frame of the points with ``views`` source cameras in a ring, and its manifest.
+    """Make a baked frame of :func:`make_points` with ``views`` source cameras in a ring, and its manifest.
 
     Args:
-        ordered: sort the points in Morton order, as those of a run are; else their order is random.
+        ordered: whether to sort the points in Morton order, as in a trained run. Otherwise their order is random.
     """
     rng = np.random.default_rng(SEED + 2)
     xyz, radius, density = make_points(count)
@@ -79,7 +83,11 @@ def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> t
 
 
 def make_planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
-    """Make six K-Planes per level with their axes; ``side`` samples at the coarsest level, doubled per level."""
+    """Make six K-Planes per level, and their axes.
+
+    A spatial axis has ``side`` samples at the first level and twice as many at each next level. The time axis has
+    ``frames`` samples at every level.
+    """
     generator = torch.Generator().manual_seed(SEED)
     pairs = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
     tensors, axes = [], []

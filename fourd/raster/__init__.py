@@ -1,4 +1,4 @@
-"""Differentiable renderers. For points: :func:`render_points` and :func:`point_visibility`.
+"""The differentiable point renderer: :func:`render_points` and :func:`point_visibility`.
 
 torch is loaded on the first use of one of these names, not on import.
 """

@@ -22,7 +22,7 @@ class PointRender:
     """A rendered image.
 
     Attributes:
-        features: (H, W, C) composited features, over the background if one is given.
+        features: (H, W, C) composited features. They include the background if one is given.
         alpha: (H, W) opacity in [0, 1].
         depth: (H, W) weighted mean of the composited points' camera depths, in world units; 0 where alpha is 0.
     """
@@ -48,30 +48,31 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    A point i at camera depth z_i, with projected centre q_i and a radius of rho_i = K[1, 1] * radius_i / z_i pixels,
-    has alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0) at pixel centre p. The points with alpha_i(p) > 0
-    are sorted by z, ties by index; the first ``layers`` are composited over the background.
+    Point i has camera depth z_i, projected centre q_i and a radius of rho_i = K[1, 1] * radius_i / z_i pixels. At pixel
+    centre p its opacity is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0). The points with alpha_i(p) > 0
+    are sorted by z, and points of equal z by index. The first ``layers`` of them are composited over the background.
 
-    Gradients flow from all three outputs to xyz, features, radius, density and background; the choice of points is
-    constant. On the CPU the result and its gradients have the same bits for any number of threads.
+    All three outputs are differentiable in xyz, features, radius, density and background. The selection of the points
+    is treated as constant. On the CPU, the bits of results and gradients do not depend on the number of threads.
 
     Args:
         xyz: (N, 3) positions, world units.
-        features: (N, C) colours or other features, C from 1 to 32. Values are not checked: one that is not finite
-            appears in the pixels that composite its point.
-        radius: (N,) world units.
-        density: (N,) peak alpha in [0, 1]; larger values count as 1.
+        features: (N, C) colours or other features, with C from 1 to 32. Values are not checked: NaN and infinity
+            propagate to the pixels that composite the point.
+        radius: (N,) radii, world units.
+        density: (N,) opacity at the centre, in [0, 1]. Larger values are clamped to 1.
         camera: a pinhole camera without lens distortion.
-        layers: K, the most points that a pixel composites.
-        near: camera depth, in world units, below which points are culled. Also culled, with zero gradients, are
-            points with a radius or density that is not positive, and points whose position, radius, density or
-            projection is not finite.
-        background: (C,) or (H, W, C), composited with 1 - alpha; None for zeros.
-        backend: "reference" (plain torch, float32 or float64, slow), "cpu" (float32), "cuda" (float32), or "auto" for
-            the kernel of the tensors' device.
-        transmittance_min: a pixel ends below this transmittance. 0 is exact and required for gradients; 1e-4 saves
-            time. The reference is always exact.
-        threads: for "cpu"; 0 uses FOURD_THREADS if set, else torch.get_num_threads().
+        layers: K, the maximum number of points that a pixel composites.
+        near: camera depth, in world units, below which points are culled. Points are also culled if their radius or
+            density is not positive, or if their position, radius, density or projection is not finite. Culled points
+            have zero gradients.
+        background: (C,) or (H, W, C) features behind the points, weighted by 1 - alpha. None for zeros.
+        backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
+            "auto" for the kernel of the tensors' device.
+        transmittance_min: transmittance below which compositing of a pixel stops. 0 is exact and required for
+            gradients; 1e-4 is faster. The "reference" backend ignores it and is always exact.
+        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS if that is set, else
+            torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
@@ -106,12 +107,12 @@ def point_visibility(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Compute every point's largest weight (transmittance times alpha) in any pixel of ``camera``.
+    """Compute every point's largest compositing weight (transmittance times alpha) over all pixels of ``camera``.
 
-    Arguments, culling and errors are those of :func:`render_points`.
+    Arguments, culling and errors are the same as for :func:`render_points`.
 
     Returns:
-        (N,) weights in [0, 1] of xyz's dtype, without gradient; 0 for points that are not visible.
+        (N,) weights in [0, 1] with the dtype of xyz, not differentiable. Points that are not visible have weight 0.
     """
     chosen = _check({"xyz": xyz, "radius": radius, "density": density}, camera, layers, near, backend)
     if chosen == "reference":
@@ -137,7 +138,7 @@ def _check(
     required = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
     if required == "cuda" and (missing := cuda_unavailable_reason()):
         raise RuntimeError(
-            "backend: expected one that this installation has, got 'cuda', but fourd was built without it "
+            "backend: expected an installed backend, got 'cuda', but fourd was built without CUDA "
             f"({missing}); install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "
             "backend='reference', which runs on any device"
         )

@@ -13,7 +13,7 @@ from fourd.cameras import Camera, look_at
 
 
 def ring(count: int, size: int = 48, radius: float = 3.0, height: float = 0.5) -> tuple[Camera, ...]:
-    """Cameras in a ring around the origin, z up, that point at it."""
+    """Return cameras in a ring around the z axis that point at the origin, with z up."""
     intrinsics = np.array([[1.2 * size, 0, size / 2], [0, 1.2 * size, size / 2], [0, 0, 1]])
     angles = 2 * np.pi * np.arange(count) / count
     centres = np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, height)], axis=1)
@@ -22,7 +22,7 @@ def ring(count: int, size: int = 48, radius: float = 3.0, height: float = 0.5) -
 
 
 def random_frame(points: int, views: int, seed: int) -> BakedFrame:
-    """A ball of points with random colours."""
+    """Return a ball of points with random colours."""
     rng = np.random.default_rng(seed)
     return BakedFrame(
         xyz=rng.normal(0, 0.3, (points, 3)).astype(np.float32),
@@ -35,7 +35,7 @@ def random_frame(points: int, views: int, seed: int) -> BakedFrame:
 
 
 def manifest(views: int = 6, frames: int = 3) -> SceneManifest:
-    """A scene whose source views are in a ring, with one more camera."""
+    """Return the manifest of a scene whose source views are in a ring, with one held-out camera."""
     cameras = ring(views + 1)
     return SceneManifest(
         source_names=tuple(f"{index:02d}" for index in range(views)),
@@ -51,7 +51,7 @@ def manifest(views: int = 6, frames: int = 3) -> SceneManifest:
 
 
 def write_scene(path: Path, views: int = 6, frames: int = 3, points: int = 200) -> list[BakedFrame]:
-    """Write a scene of random frames (a different number of points each) and return them."""
+    """Write a scene of random frames with different numbers of points. Returns the frames."""
     content = [random_frame(points + index, views, seed=index) for index in range(frames)]
     with SceneWriter(path, manifest(views, frames)) as writer:
         for index, frame in enumerate(content):
@@ -60,15 +60,15 @@ def write_scene(path: Path, views: int = 6, frames: int = 3, points: int = 200) 
 
 
 def full_manifest(views: int = 6, frames: int = 3) -> SceneManifest:
-    """Like :func:`manifest`, for a scene with a background; the writer sets its number of points."""
+    """Return the same manifest as :func:`manifest`, for a scene with a background."""
     return replace(manifest(views, frames), kind="full")
 
 
 def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedFrame:
-    """The six opaque walls of a room around the origin, each with a chequerboard of another colour.
+    """Return the six opaque walls of a cube around the origin, each with a checkerboard of a different colour.
 
     Args:
-        half: half of a wall's side, world units; the ball of :func:`random_frame` has a size of about 1.
+        half: half of the cube's side, world units. The ball of :func:`random_frame` has a size of about 1.
     """
     rng = np.random.default_rng(seed)
     wall, along = rng.integers(0, 6, points), rng.uniform(-1, 1, (points, 3))
@@ -90,7 +90,7 @@ def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedF
 def write_full_scene(
     path: Path, views: int = 6, frames: int = 3, points: int = 200, background_points: int = 300, shadow: bool = True
 ) -> tuple[list[BakedFrame], BakedFrame, list[NDArray[np.uint8]]]:
-    """Write random frames in a room; return the frames, the background and the shadows, if any."""
+    """Write random frames inside a room. Returns the frames, the background and the shadows (empty without shadows)."""
     dynamic = [random_frame(points + index, views, seed=index) for index in range(frames)]
     room = room_frame(background_points, views, seed=100)
     rng = np.random.default_rng(200)

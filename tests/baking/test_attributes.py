@@ -1,4 +1,4 @@
-"""The table of attributes: unknown ones are skipped, optional ones may be missing."""
+"""The table of attributes: readers skip unknown attributes, and optional attributes may be missing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.baking.test_container import rewritten, with_manifest
 
 
 def with_unknown_attribute(path: Path, entry: object) -> Path:
-    """A copy of a scene as a newer program may write it: every frame has a member that this program does not know."""
+    """Copy a scene as a newer program may write it: every frame has a member that this program does not know."""
 
     def add_member(members: dict[str, bytes]) -> None:
         for name in [name for name in members if name.endswith("/xyz")]:
@@ -37,7 +37,7 @@ def with_unknown_attribute(path: Path, entry: object) -> Path:
 @pytest.mark.parametrize("entry", [{"dtype": "<f8", "shape": ["points", "bones", 3]}, "anything", None])
 @pytest.mark.parametrize("write", [write_scene, write_full_scene])
 def test_unknown_attributes_are_skipped(tmp_path: Path, write: Callable[[Path], object], entry: object) -> None:
-    """Catches a reader that refuses scenes of newer programs, or checks what it cannot understand."""
+    """Catches a reader that rejects or checks attributes that only newer programs know."""
     write(tmp_path / "scene.4dv")
     path = with_unknown_attribute(tmp_path / "scene.4dv", entry)
     plain, extended = SceneReader(tmp_path / "scene.4dv"), SceneReader(path)
@@ -51,7 +51,7 @@ def test_unknown_attributes_are_skipped(tmp_path: Path, write: Callable[[Path], 
 
 @pytest.fixture
 def optional_sh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Declares the harmonics optional, as an attribute is that older scenes lack."""
+    """Declare the attribute "sh" optional, like an attribute that older scenes lack."""
     table = tuple(replace(item, is_optional=item.is_optional or item.name == "sh") for item in ATTRIBUTES)
     monkeypatch.setattr(fourd.baking.scene, "ATTRIBUTES", table)
     monkeypatch.setattr(fourd.baking.manifest, "ATTRIBUTES", table)
@@ -67,7 +67,7 @@ def without_sh(frame: BakedFrame) -> BakedFrame:
 def test_optional_attributes_are_stored_where_frames_have_them(
     tmp_path: Path, change: Callable[[BakedFrame], BakedFrame]
 ) -> None:
-    """Catches a scene without an optional attribute that cannot be read, and one that loses it when combined."""
+    """Catches a reader that requires optional attributes, and combining that drops them."""
     own, room = change(random_frame(20, 6, seed=1)), change(room_frame(30, 6, seed=2))
     with SceneWriter(tmp_path / "scene.4dv", full_manifest(frames=1)) as writer:
         writer.add_background(room)
@@ -82,7 +82,7 @@ def test_optional_attributes_are_stored_where_frames_have_them(
 
 @pytest.mark.usefixtures("optional_sh")
 def test_frames_of_one_scene_have_the_same_attributes(tmp_path: Path) -> None:
-    """Catches an attribute that some frames have: the manifest could not describe it."""
+    """Catches an optional attribute in only some frames, which the manifest cannot describe."""
     own, room = random_frame(20, 6, seed=1), without_sh(room_frame(30, 6, seed=2))
     with pytest.raises(ValueError, match=r"background: expected the attributes \['xyz', .*'sh'.*\], got \['xyz'"):
         combine_frames(own, room)
@@ -96,7 +96,7 @@ def test_frames_of_one_scene_have_the_same_attributes(tmp_path: Path) -> None:
 
 @pytest.mark.usefixtures("optional_sh")
 def test_an_optional_attribute_of_another_shape_is_rejected(tmp_path: Path) -> None:
-    """Catches an optional attribute that is not checked like the others."""
+    """Catches an optional attribute whose values are not checked."""
     write_scene(tmp_path / "scene.4dv")
 
     def change(content: dict[str, Any]) -> None:
@@ -116,7 +116,7 @@ def test_an_optional_attribute_of_another_shape_is_rejected(tmp_path: Path) -> N
 )
 @pytest.mark.parametrize("dtype", ["<f2", "<f4"])
 def test_values_are_checked_as_declared(values: Any, valid: list[float], invalid: list[float], dtype: str) -> None:
-    """Catches float16 bits compared with the wrong limit, and -0 taken for a negative number."""
+    """Catches a wrong limit in the comparison of float16 bits, and -0 treated as a negative number."""
     attribute = Attribute("test", dtype, ("points",), values=values)
     assert attribute.has_valid_values(np.array(valid, dtype))
     assert attribute.has_valid_values(np.array([], dtype))
@@ -125,6 +125,6 @@ def test_values_are_checked_as_declared(values: Any, valid: list[float], invalid
 
 
 def test_every_attribute_has_a_field() -> None:
-    """Catches an attribute that is declared and then dropped by frames."""
+    """Catches an attribute in the table that BakedFrame ignores."""
     fields = BakedFrame.__dataclass_fields__
     assert {item.name for item in ATTRIBUTES} <= set(fields)

@@ -1,4 +1,4 @@
-"""Exporting a run: the scene renders like the run, without torch."""
+"""Export of a run: the scene gives the same images as the run, without torch."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def trained(request: pytest.FixtureRequest, ball_capture: Path, tmp_path_factory
 
 
 def _darken(trained: TrainedRun) -> None:
-    """Extend the shadows' bounds to the shell and make them differ between frames."""
+    """Extend the bounds of the shadow model to the background points, and make shadows differ between frames."""
     background = trained.renderer.background
     assert background is not None
     shadow = background.model.shadow
@@ -49,7 +49,7 @@ def scene_path(trained: TrainedRun, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_the_scene_renders_like_the_run(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches blend weights, colours or radii that baking computes differently from rendering."""
+    """Catches differences between baking and rendering in blend weights, colours or radii."""
     scene = open_scene(scene_path)
     for frame in range(3):
         for camera in (trained.run.capture.cameras[3], trained.run.capture.cameras[6]):
@@ -60,7 +60,7 @@ def test_the_scene_renders_like_the_run(trained: TrainedRun, scene_path: Path) -
 
 
 def test_occluded_views_have_weight_zero(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches small weights that blend the front of the ball into its back."""
+    """Catches small blend weights that mix colours of the ball's front into its back."""
     scene = open_scene(scene_path)
     count = scene.manifest.points[1]
     xyz, weights = scene.frame(1).xyz[:count], scene.frame(1).blend_weights[:count]
@@ -78,7 +78,7 @@ def test_occluded_views_have_weight_zero(trained: TrainedRun, scene_path: Path) 
 
 
 def test_a_scene_has_shadows_if_its_run_has(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches shadows that are missing, equal in all frames, or baked into the background."""
+    """Catches shadows that are missing, equal in all frames or baked into the background's colours."""
     scene = open_scene(scene_path)
     background = trained.renderer.background
     has = background is not None and background.model.shadow is not None
@@ -90,7 +90,7 @@ def test_a_scene_has_shadows_if_its_run_has(trained: TrainedRun, scene_path: Pat
 
 
 def test_held_out_cameras_are_not_source_views(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches a held-out camera whose colours are blended."""
+    """Catches a held-out camera among the source views."""
     manifest = open_scene(scene_path).manifest
     assert "03" not in manifest.source_names
     assert manifest.other_names == ("03",)

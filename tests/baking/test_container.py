@@ -1,4 +1,4 @@
-"""The `.4dv` file: round trips, and hostile or damaged files that must end in a one-line error."""
+"""The `.4dv` file: round trips, and invalid or damaged files, which must give a one-line error."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Rewrite = Callable[[dict[str, bytes]], None]
 
 
 def rewritten(path: Path, change: Rewrite, compression: int = zipfile.ZIP_STORED) -> Path:
-    """A copy of the scene with its members changed by ``change``."""
+    """Copy a scene with its members changed by ``change``."""
     with zipfile.ZipFile(path) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     change(members)
@@ -38,7 +38,7 @@ def rewritten(path: Path, change: Rewrite, compression: int = zipfile.ZIP_STORED
 
 
 def with_manifest(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    """A copy of the scene with its manifest changed; NaN is written as Python's json does."""
+    """Copy a scene with a changed manifest. NaN is written as the word NaN, as Python's json does by default."""
 
     def rewrite(members: dict[str, bytes]) -> None:
         content = json.loads(members["manifest.json"])
@@ -56,7 +56,7 @@ def scene(tmp_path: Path) -> Path:
 
 
 def test_frames_and_manifest_round_trip(tmp_path: Path) -> None:
-    """Catches swapped attributes, byte order, and frames of different point counts mixed up."""
+    """Catches swapped attributes, wrong byte order and swapped frames."""
     path = tmp_path / "new folder" / "scene.4dv"
     written = write_scene(path)
     reader = SceneReader(path)
@@ -75,14 +75,14 @@ def test_frames_and_manifest_round_trip(tmp_path: Path) -> None:
 
 
 def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
-    """Catches timestamps and hash order in the file."""
+    """Catches timestamps in the file, and an order that depends on hashes: equal scenes must give equal bytes."""
     write_scene(tmp_path / "a.4dv")
     write_scene(tmp_path / "b.4dv")
     assert (tmp_path / "a.4dv").read_bytes() == (tmp_path / "b.4dv").read_bytes()
 
 
 def plain_frame(points: int, start: int) -> BakedFrame:
-    """Numbers that are the same in every version of NumPy."""
+    """Return numbers that are the same in every version of NumPy."""
 
     def count_up(shape: tuple[int, ...], dtype: type, step: float) -> NDArray[Any]:
         return (start + step * np.arange(np.prod(shape))).reshape(shape).astype(dtype)
@@ -98,7 +98,7 @@ def plain_frame(points: int, start: int) -> BakedFrame:
 
 
 def plain_manifest() -> SceneManifest:
-    """A scene of two frames, two source views and one other camera."""
+    """Write a scene of two frames, two source views and one other camera."""
     intrinsics = np.array([[40.0, 0, 16], [0, 41, 12], [0, 0, 1]])
     rotated = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
     first, second, third = (
@@ -118,7 +118,10 @@ def plain_manifest() -> SceneManifest:
 
 
 def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
-    """Catches a change of the format that breaks existing scenes or older programs; data/ has an original file."""
+    """Catches a format change that breaks existing scenes or older programs.
+
+    data/ has a scene in the original format.
+    """
     frames = [plain_frame(3, start=1), plain_frame(2, start=5)]
     reader = SceneReader(VERSION_1)
     assert (reader.manifest.version, reader.manifest.kind, reader.manifest.points) == (1, "object", (3, 2))
@@ -136,7 +139,7 @@ def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
 
 
 def test_members_are_raw_arrays(scene: Path) -> None:
-    """Catches compression or a header: a range request must return the raw array."""
+    """Catches compressed members and extra headers: an HTTP range request must return the raw array."""
     frame = SceneReader(scene).read(1)
     with zipfile.ZipFile(scene) as archive:
         info = archive.getinfo("frames/000001/xyz")
@@ -147,7 +150,7 @@ def test_members_are_raw_arrays(scene: Path) -> None:
 
 
 def test_a_frame_may_be_empty(tmp_path: Path) -> None:
-    """Catches a frame with an empty visual hull that cannot be written or read."""
+    """Catches a frame without points, from an empty visual hull, that cannot be written or read."""
     path = tmp_path / "empty.4dv"
     with SceneWriter(path, manifest(views=0, frames=1)) as writer:
         writer.add_frame(0, random_frame(0, 0, seed=0))
@@ -155,7 +158,7 @@ def test_a_frame_may_be_empty(tmp_path: Path) -> None:
 
 
 def test_an_exception_keeps_the_old_file_and_leaves_no_other(scene: Path) -> None:
-    """Catches a writer that truncates the scene it replaces."""
+    """Catches a writer that destroys an existing scene if it fails."""
     before = scene.read_bytes()
     with pytest.raises(KeyboardInterrupt), SceneWriter(scene, manifest()) as writer:
         writer.add_frame(0, random_frame(5, 6, seed=0))
@@ -165,7 +168,7 @@ def test_an_exception_keeps_the_old_file_and_leaves_no_other(scene: Path) -> Non
 
 
 def test_too_few_frames_write_no_file(tmp_path: Path) -> None:
-    """Catches a scene whose manifest promises frames that are missing."""
+    """Catches a scene with fewer frames than its manifest declares."""
     path = tmp_path / "scene.4dv"
     with pytest.raises(ValueError, match="expected 3 frames, got 1"), SceneWriter(path, manifest()) as writer:
         writer.add_frame(0, random_frame(5, 6, seed=0))
@@ -173,7 +176,7 @@ def test_too_few_frames_write_no_file(tmp_path: Path) -> None:
 
 
 def test_a_full_disk_is_a_user_error(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a traceback, and a partial scene, when the disk is full."""
+    """Catches a traceback or a partial scene when the disk is full."""
     before = scene.read_bytes()
 
     def full(*_: object, **__: object) -> None:
@@ -189,7 +192,7 @@ def test_a_full_disk_is_a_user_error(scene: Path, monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize("name", ["xyz", "radius", "density", "sh", "blend_weights"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
 def test_the_writer_rejects_invalid_values(tmp_path: Path, name: str, value: float) -> None:
-    """Catches NaN that would reach every viewer of the scene."""
+    """Catches a writer that accepts NaN."""
     if value == -1 and name in ("xyz", "sh"):
         pytest.skip("these may be negative")
     frame = random_frame(5, 6, seed=0)
@@ -209,7 +212,7 @@ def test_frames_are_added_in_order(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kept", [0, 1, 100, 0.5, -1])
 def test_a_truncated_scene_is_rejected_on_opening(scene: Path, kept: float) -> None:
-    """Catches a partial download that opens and fails later or with a traceback."""
+    """Catches a partial download that opens without an error, or fails with a traceback."""
     content = scene.read_bytes()
     scene.write_bytes(content[: int(kept * len(content)) if kept == 0.5 else int(kept)])
     with pytest.raises(UserError, match=r"scene\.4dv: expected a complete \.4dv scene.*copy or export it again"):
@@ -226,7 +229,7 @@ def test_flipped_bytes_are_detected(scene: Path) -> None:
 
 
 def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> None:
-    """Catches unexpected exceptions of zipfile, json and struct: random bytes in the last 4000."""
+    """Catches unexpected exceptions of zipfile, json and struct, with random bytes among the last 4000 of the file."""
     content = scene.read_bytes()
     tail = len(content) - 4000
     for _ in range(300):
@@ -248,7 +251,7 @@ def _error_message(scene: Path) -> str:
 
 
 def test_other_files_and_folders_are_rejected(tmp_path: Path) -> None:
-    """Catches a traceback for a folder, a missing file or another ZIP."""
+    """Catches a traceback for a folder, a missing file or a ZIP that is not a scene."""
     with pytest.raises(UserError, match="got a folder"):
         SceneReader(tmp_path)
     with pytest.raises(UserError, match="got a path that does not exist"):
@@ -261,7 +264,7 @@ def test_other_files_and_folders_are_rejected(tmp_path: Path) -> None:
 
 
 def test_a_newer_version_asks_for_an_update(scene: Path) -> None:
-    """Catches a newer format that is misread."""
+    """Catches a reader that reads a newer format version as if it were its own."""
     path = with_manifest(scene, lambda content: content.update(version=3))
     with pytest.raises(UserError, match="format version 2 or older, got 3; update fourd"):
         SceneReader(path)
@@ -311,7 +314,7 @@ def _set(*keys: str | int, to: object) -> Callable[[dict[str, Any]], None]:
     ],
 )
 def test_an_invalid_manifest_is_rejected(scene: Path, change: Callable[[dict[str, Any]], None], words: str) -> None:
-    """Catches a field that is used before it is checked."""
+    """Catches a manifest field that is used before it is checked."""
     with pytest.raises(UserError, match=words) as caught:
         SceneReader(with_manifest(scene, change))
     assert "changed.4dv" in str(caught.value)
@@ -320,7 +323,7 @@ def test_an_invalid_manifest_is_rejected(scene: Path, change: Callable[[dict[str
 
 @pytest.mark.parametrize("text", [b"", b"[]", b"{", b"\xff\xfe", b"[" * 100_000])
 def test_a_manifest_that_is_not_json_is_rejected(scene: Path, text: bytes) -> None:
-    """Catches uncaught decoding errors, and the recursion limit of nested brackets."""
+    """Catches uncaught decoding errors, also those from JSON nested deeper than the recursion limit."""
     path = rewritten(scene, lambda members: members.update({"manifest.json": text}))
     with pytest.raises(UserError, match=r"manifest\.json: expected"):
         SceneReader(path)
@@ -328,14 +331,14 @@ def test_a_manifest_that_is_not_json_is_rejected(scene: Path, text: bytes) -> No
 
 @pytest.mark.parametrize("name", ["../evil", "/etc/passwd", "a\\..\\b", "frames/../../x", "c:x"])
 def test_member_names_outside_the_archive_are_rejected(scene: Path, name: str) -> None:
-    """Catches names that would write outside the folder when the archive is unpacked."""
+    """Catches member names that would unpack to paths outside the target folder."""
     path = rewritten(scene, lambda members: members.update({name: b"x"}))
     with pytest.raises(UserError, match="expected member names inside the archive"):
         SceneReader(path)
 
 
 def test_a_missing_member_is_rejected_on_opening(scene: Path) -> None:
-    """Catches an array that is only missed when its frame is played."""
+    """Catches a missing member that is detected only when its frame is read."""
 
     def drop(members: dict[str, bytes]) -> None:
         del members["frames/000002/rgb"]
@@ -345,13 +348,13 @@ def test_a_missing_member_is_rejected_on_opening(scene: Path) -> None:
 
 
 def test_compressed_members_are_rejected(scene: Path) -> None:
-    """Catches ZIP bombs: a small file that unpacks to gigabytes."""
+    """Catches ZIP bombs, which are small files that unpack to gigabytes."""
     with pytest.raises(UserError, match=r"the compressed member .*; use zip -0"):
         SceneReader(rewritten(scene, lambda members: None, zipfile.ZIP_DEFLATED))
 
 
 def test_invalid_values_in_a_frame_are_rejected_on_reading(scene: Path) -> None:
-    """Catches NaN in a scene of another program, whose checksums are correct."""
+    """Catches NaN in a scene that has correct checksums, as another program may write it."""
 
     def spoil(members: dict[str, bytes]) -> None:
         content = bytearray(members["frames/000001/blend_weights"])
@@ -365,7 +368,7 @@ def test_invalid_values_in_a_frame_are_rejected_on_reading(scene: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
-    """Catches a writer that keeps frames until the end: 40 frames may take no more memory than 4."""
+    """Catches a writer that keeps frames in memory: 40 frames must need no more memory than 4."""
 
     def peak(frames: int) -> int:
         frame = random_frame(2000, 6, seed=0)

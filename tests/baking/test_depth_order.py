@@ -1,4 +1,4 @@
-"""Points sorted by depth, against NumPy."""
+"""Sorting of points by depth, compared with NumPy."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ NEAR = 0.5
 
 
 def straight_camera(width: int = 40, height: int = 30) -> Camera:
-    """A camera at (0, 0, -2) that views along z: points of equal z have equal depths."""
+    """Return a camera at (0, 0, -2) that views along z, so that points of equal z have equal depths."""
     intrinsics = np.array([[35.0, 0.2, width / 2 + 0.3], [0, 34.0, height / 2 - 0.4], [0, 0, 1]])
     return Camera(intrinsics, np.eye(3), np.array([0.0, 0, 2]), width, height)
 
 
 def turned_camera() -> Camera:
-    """A camera rotated about all three axes."""
+    """Return a camera rotated about all three axes."""
     rotation = Rotation.from_euler("xyz", [0.3, -0.4, 0.2]).as_matrix()
     return replace(straight_camera(33, 47), rotation=rotation, translation=np.array([0.1, -0.2, 1.5]))
 
 
 def hard_frame(points: int, seed: int) -> BakedFrame:
-    """Points in and around the view: tied, behind, too near, outside, at the border, not finite, and of radius 0."""
+    """Return points with equal depths, points at the borders of the view or outside it, and invalid points."""
     rng = np.random.default_rng(seed)
     frame = random_frame(points, 1, seed)
     xyz = rng.uniform([-2.5, -2.5, -2.5], [2.5, 2.5, 2.5], (points, 3)).astype(np.float32)
@@ -66,7 +66,7 @@ def sort_reference(frame: BakedFrame, camera: Camera, near: float) -> NDArray[np
 def test_order_equals_a_stable_sort_of_the_visible_points(
     points: int, camera: Camera, simd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches ties out of order, points culled wrongly, and depths with other rounding."""
+    """Catches wrong order of equal depths, wrong culling, and depths rounded differently from the reference."""
     if not load_native().simd_available(simd):
         pytest.skip(f"{simd} is not available here")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -79,14 +79,14 @@ def test_order_equals_a_stable_sort_of_the_visible_points(
 @pytest.mark.parametrize("threads", [1, 2, 3, 7, 32])
 @pytest.mark.parametrize("points", [5, 20_000])
 def test_any_thread_count_gives_the_same_order(points: int, threads: int) -> None:
-    """Catches a chunk sorted before the previous one, and empty chunks."""
+    """Catches chunks in the wrong order, and errors from empty chunks."""
     frame, camera = hard_frame(points, seed=6), straight_camera()
     order = DepthSorter().sort(frame, camera, NEAR, threads=threads)
     np.testing.assert_array_equal(order, sort_reference(frame, camera, NEAR))
 
 
 def test_default_thread_count_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches FOURD_THREADS that is ignored, and an invalid value that is accepted."""
+    """Catches a value of FOURD_THREADS that is ignored, and an invalid value that is accepted."""
     frame, camera = hard_frame(3000, seed=7), turned_camera()
     monkeypatch.setenv("FOURD_THREADS", "3")
     np.testing.assert_array_equal(DepthSorter().sort(frame, camera, NEAR), sort_reference(frame, camera, NEAR))
@@ -96,7 +96,7 @@ def test_default_thread_count_comes_from_the_environment(monkeypatch: pytest.Mon
 
 
 def test_equal_depths_are_sorted_by_index() -> None:
-    """Catches an order that flickers between pictures where points lie in a plane."""
+    """Catches an order of coplanar points that changes between images."""
     frame = random_frame(5000, 1, seed=8)
     frame.xyz[:] = np.random.default_rng(8).uniform(-0.3, 0.3, frame.xyz.shape)
     frame.xyz[:, 2] = np.float32(0.125) * (np.arange(5000) % 3)
@@ -122,7 +122,7 @@ def test_equal_depths_are_sorted_by_index() -> None:
     ],
 )
 def test_culled_points_are_left_out(name: str, value: float | tuple[float, ...]) -> None:
-    """Catches each culling condition on its own, between two visible points."""
+    """Catches an error in any single culling condition. The culled point lies between two visible points."""
     frame = random_frame(3, 1, seed=9)
     frame.xyz[:] = [[0, 0, 0.2], [0, 0, 0.1], [0, 0, 0]]
     assert DepthSorter().sort(frame, straight_camera(), NEAR).tolist() == [2, 1, 0]
@@ -131,7 +131,7 @@ def test_culled_points_are_left_out(name: str, value: float | tuple[float, ...])
 
 
 def test_a_disc_that_overlaps_the_border_is_kept() -> None:
-    """Catches discs culled by their centres, which would vanish at the border."""
+    """Catches culling by the centres of discs, which removes discs at the image border."""
     frame = random_frame(2, 1, seed=10)
     frame.xyz[:] = [[2, 0, 0], [0, 0, 0]]
     frame.radius[:] = (1.5, 0.05)
@@ -139,7 +139,7 @@ def test_a_disc_that_overlaps_the_border_is_kept() -> None:
 
 
 def test_an_order_does_not_depend_on_the_frame_before() -> None:
-    """Catches workspace of a larger frame that leaks into the next one, and results that the next call overwrites."""
+    """Catches workspace data of a larger frame in the next result, and results that the next call overwrites."""
     sorter, camera = DepthSorter(), ring(4)[1]
     frames = [random_frame(points, 1, seed=points) for points in (3000, 40, 0, 5000)]
     orders = [sorter.sort(frame, camera, NEAR) for frame in frames]
@@ -148,7 +148,7 @@ def test_an_order_does_not_depend_on_the_frame_before() -> None:
 
 
 def test_invalid_arguments_are_named() -> None:
-    """Catches a wrong order, or a crash, from a distorted lens or a near plane behind the camera."""
+    """Catches a camera with lens distortion, or a near plane behind the camera, that is accepted."""
     frame, camera, sorter = random_frame(5, 1, seed=11), straight_camera(), DepthSorter()
     for near in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="near: expected a finite distance above 0"):
@@ -160,7 +160,7 @@ def test_invalid_arguments_are_named() -> None:
 
 
 def test_threads_that_share_a_sorter_take_turns() -> None:
-    """Catches two calls at once in one native workspace, which corrupts memory."""
+    """Catches two simultaneous calls on one native workspace, which corrupt memory."""
     sorter, camera = DepthSorter(), straight_camera()
     frames = [hard_frame(100 * 5**index, seed=index) for index in range(4)]
     expected = [sort_reference(frame, camera, NEAR) for frame in frames]

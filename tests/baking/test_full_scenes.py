@@ -1,4 +1,4 @@
-"""Full scenes in a `.4dv`: a background stored once, the shadows on it, and frames combined with both."""
+"""Full scenes in a `.4dv`: a background that is stored once, shadows on it, and frames combined with both."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def scene(tmp_path: Path) -> Path:
 
 
 def cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Multiply colours by a shadow in floating point, rounded half up."""
+    """Multiply colours by a shadow in floating point, and round half up."""
     return np.minimum(np.floor(rgb.astype(float) * shadow[:, None, None] / 128 + 0.5), 255).astype(np.uint8)
 
 
@@ -44,7 +44,7 @@ def assert_same(got: BakedFrame, expected: BakedFrame) -> None:
 
 @pytest.mark.parametrize("shadow", [True, False])
 def test_frames_are_read_with_the_background_after_them(tmp_path: Path, shadow: bool) -> None:
-    """Catches the background placed first, another frame's shadow, and attributes that are not combined."""
+    """Catches background points before the dynamic ones, a wrong frame's shadow, and missing attributes."""
     dynamic, room, shadows = write_full_scene(tmp_path / "full.4dv", background_points=BACKGROUND_POINTS, shadow=shadow)
     reader = SceneReader(tmp_path / "full.4dv")
     assert reader.manifest.points == (200, 201, 202)
@@ -64,7 +64,7 @@ def test_frames_are_read_with_the_background_after_them(tmp_path: Path, shadow: 
 
 
 def test_an_object_scene_has_no_background(tmp_path: Path) -> None:
-    """Catches a background or a shadow that is invented."""
+    """Catches a background or a shadow in a scene that has none."""
     written = write_scene(tmp_path / "object.4dv")
     reader = SceneReader(tmp_path / "object.4dv")
     assert reader.read_background() is None
@@ -75,7 +75,7 @@ def test_an_object_scene_has_no_background(tmp_path: Path) -> None:
 
 
 def test_the_background_is_stored_once_without_shadow(scene: Path) -> None:
-    """Catches a background that grows the file with every frame, and shadows baked into it."""
+    """Catches a background that is stored with every frame, and shadows baked into the background."""
     with zipfile.ZipFile(scene) as archive:
         names = archive.namelist()
         room = room_frame(BACKGROUND_POINTS, VIEWS, seed=100)
@@ -92,7 +92,7 @@ def test_the_background_is_stored_once_without_shadow(scene: Path) -> None:
 
 
 def test_every_shadow_value_on_every_colour() -> None:
-    """Catches 8-bit overflow, rounding down, and a brightening factor that wraps around to black."""
+    """Catches 8-bit overflow, rounding down, and colours brightened past 255 that wrap around to black."""
     room = room_frame(256, 1, seed=1)
     room.rgb[:] = np.arange(256, dtype=np.uint8)[:, None, None]
     empty = random_frame(0, 1, seed=0)
@@ -109,7 +109,7 @@ def test_every_shadow_value_on_every_colour() -> None:
 
 
 def test_a_shadow_changes_only_the_background() -> None:
-    """Catches shadowed dynamic points, background arrays modified for later frames, and errors between chunks."""
+    """Catches shadows on dynamic points, a background that is modified in place, and errors at chunk borders."""
     own, room = random_frame(40, 2, seed=1), room_frame(5000, 2, seed=2)
     before = room.rgb.copy()
     shadow = np.random.default_rng(3).choice(np.array([128, 60, 200], np.uint8), 5000)
@@ -120,7 +120,7 @@ def test_a_shadow_changes_only_the_background() -> None:
 
 
 def test_invalid_arguments_of_combining_are_named() -> None:
-    """Catches a shadow that is cut or broadcast to fit, and a bare NumPy error."""
+    """Catches a shadow of the wrong shape that is truncated, broadcast or reported by a raw NumPy error."""
     own, room = random_frame(5, 2, seed=1), room_frame(8, 2, seed=2)
     with pytest.raises(ValueError, match="background: expected 2 source views, got 3"):
         combine_frames(own, room_frame(8, 3, seed=2))
@@ -130,7 +130,7 @@ def test_invalid_arguments_of_combining_are_named() -> None:
 
 
 def test_combined_frames_are_read_only(scene: Path) -> None:
-    """Catches a caller that modifies a frame which a cache shares with others."""
+    """Catches writable arrays: a caller could modify a cached frame that others use."""
     frame = SceneReader(scene).read(0)
     for attribute in frame.attributes:
         assert not getattr(frame, attribute.name).flags.writeable, attribute.name
@@ -138,7 +138,7 @@ def test_combined_frames_are_read_only(scene: Path) -> None:
 
 @pytest.mark.parametrize(("points", "background_points", "views"), [(0, 50, 2), (50, 0, 2), (0, 0, 2), (50, 50, 0)])
 def test_empty_frames_and_backgrounds(tmp_path: Path, points: int, background_points: int, views: int) -> None:
-    """Catches arrays of zero bytes: an empty frame, an empty background, a scene without source views."""
+    """Catches errors from arrays of zero bytes: an empty frame, an empty background or a scene without source views."""
     with SceneWriter(tmp_path / "full.4dv", full_manifest(views, 1)) as writer:
         writer.add_frame(0, random_frame(points, views, seed=0), np.full(background_points, 64, np.uint8))
         writer.add_background(room_frame(background_points, views, seed=1))
@@ -149,7 +149,7 @@ def test_empty_frames_and_backgrounds(tmp_path: Path, points: int, background_po
 
 @pytest.mark.parametrize("place", [0, 1, 3])
 def test_the_background_may_be_added_at_any_time(tmp_path: Path, place: int) -> None:
-    """Catches a writer that checks shadows only if the background is added first."""
+    """Catches a writer that does not check shadows added before the background."""
     room = room_frame(30, VIEWS, seed=1)
     with SceneWriter(tmp_path / "full.4dv", full_manifest()) as writer:
         for index in range(4):
@@ -199,7 +199,7 @@ SHADOW = np.full(30, 128, np.uint8)
     ],
 )
 def test_inconsistent_writing_is_an_error(tmp_path: Path, steps: list[Steps], words: str) -> None:
-    """Catches a file that is written and that the reader then rejects."""
+    """Catches a writer that writes a file which the reader rejects."""
     with pytest.raises(ValueError, match=words), SceneWriter(tmp_path / "full.4dv", full_manifest()) as writer:
         for step in steps:
             step(writer)
@@ -208,7 +208,7 @@ def test_inconsistent_writing_is_an_error(tmp_path: Path, steps: list[Steps], wo
 
 @pytest.mark.parametrize("step", [_room(), _frame(0, SHADOW)])
 def test_an_object_scene_accepts_no_background(tmp_path: Path, step: Steps) -> None:
-    """Catches members that the manifest does not describe."""
+    """Catches a background or shadow that the manifest does not describe."""
     with (
         pytest.raises(ValueError, match='expected none in a scene of kind "object", got one'),
         SceneWriter(tmp_path / "object.4dv", manifest()) as writer,
@@ -245,7 +245,7 @@ def _background(**fields: object) -> Callable[[dict[str, Any]], None]:
 def test_an_invalid_background_in_the_manifest_is_rejected(
     scene: Path, change: Callable[[dict[str, Any]], None], words: str
 ) -> None:
-    """Catches a field that is used before it is checked, and a background that a version ignores."""
+    """Catches a field that is used before it is checked, and a background in a format version without backgrounds."""
     with pytest.raises(UserError, match=words) as caught:
         SceneReader(with_manifest(scene, change))
     assert "changed.4dv" in str(caught.value)
@@ -253,7 +253,7 @@ def test_an_invalid_background_in_the_manifest_is_rejected(
 
 
 def test_missing_shadows_are_rejected(tmp_path: Path) -> None:
-    """Catches a frame drawn without its shadow because the member is missing."""
+    """Catches a missing shadow member that is ignored."""
     write_full_scene(tmp_path / "plain.4dv", shadow=False)
     with pytest.raises(UserError, match="expected a member frames/000000/shadow, got none"):
         SceneReader(with_manifest(tmp_path / "plain.4dv", _background(shadow=True)))
@@ -262,7 +262,7 @@ def test_missing_shadows_are_rejected(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["background/rgb", "frames/000001/shadow"])
 @pytest.mark.parametrize(("keep", "words"), [(None, "expected a member {}, got none"), (7, r"bytes in {} .*, got 7;")])
 def test_missing_and_truncated_members_are_rejected(scene: Path, name: str, keep: int | None, words: str) -> None:
-    """Catches array sizes taken from the file instead of the manifest."""
+    """Catches a reader that takes array sizes from the file instead of the manifest."""
 
     def damage(members: dict[str, bytes]) -> None:
         content = members.pop(name)
@@ -277,7 +277,7 @@ def test_missing_and_truncated_members_are_rejected(scene: Path, name: str, keep
     ("name", "value"), [("xyz", np.inf), ("radius", -1), ("density", 2), ("sh", np.nan), ("blend_weights", np.nan)]
 )
 def test_invalid_values_in_the_background_are_rejected_on_reading(scene: Path, name: str, value: float) -> None:
-    """Catches NaN in a background of another program, whose checksums are correct."""
+    """Catches NaN in a background that has correct checksums, as another program may write it."""
     dtype = next(item.dtype for item in ATTRIBUTES if item.name == name)
 
     def spoil(members: dict[str, bytes]) -> None:
@@ -294,7 +294,7 @@ def test_invalid_values_in_the_background_are_rejected_on_reading(scene: Path, n
 
 @pytest.mark.parametrize("name", ["background/sh", "frames/000001/shadow"])
 def test_flipped_bytes_are_detected(scene: Path, name: str) -> None:
-    """Catches a reader that skips the checksums of backgrounds and shadows."""
+    """Catches a reader that does not verify the checksums of backgrounds and shadows."""
     with zipfile.ZipFile(scene) as archive:
         at = archive.getinfo(name).header_offset + 30 + len(name)
     content = bytearray(scene.read_bytes())
@@ -305,7 +305,7 @@ def test_flipped_bytes_are_detected(scene: Path, name: str) -> None:
 
 
 def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> None:
-    """Catches unexpected exceptions of zipfile, json and NumPy: random bytes in the central directory."""
+    """Catches unexpected exceptions of zipfile, json and NumPy, with random bytes in the ZIP's central directory."""
     content = scene.read_bytes()
     for _ in range(100):
         damaged = bytearray(content)
@@ -316,7 +316,7 @@ def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> No
 
 
 def error_message(scene: Path) -> str:
-    """The error message of reading all frames, or ''."""
+    """Return the error message of reading all frames, or '' if there is no error."""
     try:
         reader = SceneReader(scene)
         for index in range(reader.manifest.frame_count):
@@ -327,7 +327,7 @@ def error_message(scene: Path) -> str:
 
 
 def test_threads_share_one_background(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a background that is read per frame or per thread, and one that is used before it is complete."""
+    """Catches a background that is read more than once, or used by a thread before another has read it completely."""
     reads: Counter[str] = Counter()
     read = zipfile.ZipFile.read
 
@@ -351,7 +351,7 @@ def test_threads_share_one_background(scene: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_closed_reader_releases_its_memory(scene: Path) -> None:
-    """Catches a background that stays in memory after closing, and a closed file reported as damaged."""
+    """Catches a background that stays in memory after closing, and a closed scene that is reported as damaged."""
     reader = SceneReader(scene)
     reader.read_background()
     reader.close()
@@ -362,7 +362,7 @@ def test_a_closed_reader_releases_its_memory(scene: Path) -> None:
 
 
 def test_caches_count_the_size_of_combined_frames(tmp_path: Path) -> None:
-    """Catches a cache that ignores the background, in the reader and in every combined frame."""
+    """Catches a cache that does not count the memory of the background."""
     write_full_scene(tmp_path / "full.4dv", frames=3, points=200)
     described = SceneReader(tmp_path / "full.4dv").manifest
     room = room_frame(BACKGROUND_POINTS, VIEWS, seed=100)
@@ -378,7 +378,7 @@ def test_caches_count_the_size_of_combined_frames(tmp_path: Path) -> None:
 
 
 def test_a_picture_shows_frame_and_background(scene: Path) -> None:
-    """Catches a renderer that gets only the frame's points, and walls in front of the ball."""
+    """Catches rendering without the background points, and walls drawn in front of the ball."""
     with open_scene(scene) as opened:
         camera = opened.manifest.other_cameras[0].resize(64, 64)
         picture = opened.render(camera, 0)

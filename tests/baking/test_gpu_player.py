@@ -1,4 +1,4 @@
-"""Frames drawn by the CUDA kernels, on a GPU or emulated, against the float reference."""
+"""Frames drawn by the CUDA kernels, on a GPU or emulated, compared with the float reference."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, gpu: torch.devi
 
 
 def test_colours_equal_the_reference(gpu: torch.device) -> None:
-    """Catches harmonics in the wrong order, and views without weight that do not count equally."""
+    """Catches harmonics in the wrong order, and unequal weights for a point whose blend weights are all 0."""
     frame, described = random_frame(500, 6, seed=3), manifest(views=6)
     frame.blend_weights[:50] = 0
     for camera in ring(3):
@@ -50,7 +50,7 @@ def test_a_full_scene_from_a_file(gpu: torch.device, tmp_path: Path) -> None:
 
 
 def test_a_canvas_of_another_shape_is_rejected(gpu: torch.device) -> None:
-    """Catches a kernel that writes past the canvas."""
+    """Catches a kernel that writes past the output image."""
     frame, described, camera = random_frame(5, 6, seed=4), manifest(views=6), ring(4)[2]
     with pytest.raises(ValueError, match=r"out: expected contiguous uint8 of shape \(48, 48, 4\), got"):
         out = torch.empty(48, 48, 3, device=gpu)

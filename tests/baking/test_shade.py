@@ -1,4 +1,4 @@
-"""The shading kernel against NumPy, and NumPy against the torch model."""
+"""The shading kernel compared with NumPy, and NumPy compared with the torch model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.baking.scenes import manifest, random_frame, ring
 
 @pytest.mark.parametrize(("points", "views"), [(0, 6), (1, 6), (17, 1), (1000, 6), (4099, 9), (300, 0)])
 def test_kernel_equals_the_reference(points: int, views: int) -> None:
-    """Catches wrong half-float conversion, errors in a block's remainder, and views mixed up."""
+    """Catches wrong float16 conversion, errors in the last incomplete block of points, and swapped views."""
     frame = random_frame(points, views, seed=points + views)
     described = manifest(views=views, frames=1)
     for camera in ring(5):
@@ -26,14 +26,14 @@ def test_kernel_equals_the_reference(points: int, views: int) -> None:
 
 
 def test_any_thread_count_gives_the_same_bits() -> None:
-    """Catches pictures that differ between machines."""
+    """Catches colours that depend on the instruction set or the number of threads."""
     frame, described, camera = random_frame(5000, 6, seed=3), manifest(views=6), ring(7)[3]
     one = shade(frame, camera, described, threads=1)
     assert all(np.array_equal(one, shade(frame, camera, described, threads=count)) for count in (2, 3, 5))
 
 
 def test_views_without_weight_count_equally() -> None:
-    """Catches a division by zero where all selected views have weight 0."""
+    """Catches a division by zero for points whose selected views all have weight 0."""
     frame = random_frame(10, 6, seed=1)
     weightless = replace(frame, sh=np.zeros_like(frame.sh), blend_weights=np.zeros_like(frame.blend_weights))
     described = manifest(views=6)
@@ -50,7 +50,7 @@ def test_weights_are_normalized() -> None:
 
 
 def test_harmonics_equal_those_of_training(rng: np.random.Generator) -> None:
-    """Catches a scene shaded with another basis than the one it was trained with."""
+    """Catches a harmonics basis that differs from the one in training."""
     directions = rng.normal(size=(200, 3))
     directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     trained = spherical_harmonics.sh_basis(torch.from_numpy(directions)).numpy()

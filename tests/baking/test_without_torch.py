@@ -1,4 +1,4 @@
-"""Scenes play without torch, so that viewers do not need to install it."""
+"""Playing scenes without torch, so that a viewer does not need torch installed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ assert "torch" not in sys.modules, "torch was imported"
 
 
 def test_importing_and_playing_load_no_torch(tmp_path: Path) -> None:
-    """Catches an import of torch in any module that playing needs."""
+    """Catches an import of torch in any module that is needed to play a scene."""
     write_full_scene(tmp_path / "scene.4dv")
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(tmp_path / "scene.4dv")], capture_output=True, text=True, check=False

@@ -1,4 +1,4 @@
-// The module of the example; csrc/binding/module.cpp is that of the package.
+// The Python module of the example kernel. csrc/binding/module.cpp is the Python module of the package.
 #include "binding/module.h"
 
 NB_MODULE(_example, module) { fourd::bind_kernels(module); }

@@ -1,4 +1,4 @@
-"""The example's operator and its reference; in the package this is ``fourd/ops/saxpy.py``."""
+"""The operator of the example kernel, and its reference. In the package this file would be ``fourd/ops/saxpy.py``."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from fourd.ops.loading import as_array, simd_name
 
 
 def saxpy(a: float, x: Tensor, y: Tensor) -> Tensor:
-    """``a x + y`` of two float32 CPU tensors (N,), differentiable in both.
+    """Return ``a x + y`` for two float32 CPU tensors (N,). Differentiable in both.
 
     Raises:
-        ValueError: for other shapes, devices or dtypes.
+        ValueError: if a tensor has another shape, device or dtype.
     """
     for name, values in (("x", x), ("y", y)):
         if values.dim() != 1 or values.dtype != torch.float32 or values.device.type != "cpu":
@@ -25,7 +25,7 @@ def saxpy(a: float, x: Tensor, y: Tensor) -> Tensor:
 
 
 def saxpy_reference(a: float, x: Tensor, y: Tensor) -> Tensor:
-    """The same in plain torch; any device and dtype."""
+    """Compute the same in plain torch, on any device and in any dtype."""
     return a * x + y
 
 

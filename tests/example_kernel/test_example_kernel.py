@@ -1,4 +1,4 @@
-"""The kernel of docs/adding_a_kernel.md: builds with the package's CMake functions and matches its reference."""
+"""The kernel of docs/adding_a_kernel.md builds with the package's CMake functions and matches its reference."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(scope="module")
 def example_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Builds the module _example and puts it on the import path."""
+    """Build the module _example and add it to the import path."""
     nanobind = pytest.importorskip("nanobind")
     cmake = shutil.which("cmake", path=str(Path(sys.executable).parent)) or shutil.which("cmake")
     if cmake is None or not (shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")):
@@ -42,7 +42,7 @@ def example_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("example_module")
 def test_example_matches_its_reference(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a fourd_kernel function, dispatch header or binding header that the recipe no longer describes."""
+    """Catches build functions or headers of the package that differ from the page's instructions."""
     values = [torch.from_numpy(rng.standard_normal(1003).astype(np.float32)) for _ in range(2)]
     inputs = [tensor.requires_grad_() for tensor in values]
     expected = saxpy_reference(1.7, *inputs)
@@ -59,7 +59,7 @@ def test_example_matches_its_reference(rng: np.random.Generator, monkeypatch: py
 
 
 def test_wrong_shape_is_refused() -> None:
-    """Catches a kernel that reads past an array."""
+    """Catches a kernel that reads past the end of an array."""
     with pytest.raises(ValueError, match=r"y: expected float32 values \(N,\) on the CPU"):
         saxpy(1.0, torch.zeros(3), torch.zeros(3, 1))
 

@@ -1,4 +1,4 @@
-"""The hash grid kernel against plain torch: values, gradients, extreme coordinates, threads and errors."""
+"""The hash grid kernel compared with plain torch: values, gradients, extreme coordinates, threads and errors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fourd.ops.loading import load_native
 
 
 def small_grid(features: int = 2) -> HashGridShape:
-    """Six levels: the first two store all samples, the others hash theirs; several sizes are odd."""
+    """Six levels. The first two store all samples and the others are hashed. Several sizes are odd."""
     shape = HashGridShape(levels=6, features=features, log2_entries=9, coarsest=3, finest=70)
     assert [(side + 1) ** 3 <= 2**9 for side in shape.resolutions] == [True, True, False, False, False, False]
     return shape
@@ -37,7 +37,7 @@ Encode = Callable[[Tensor, Tensor, HashGridShape], Tensor]
 def results(
     function: Encode, shape: HashGridShape, coordinates: Tensor, table: Tensor, upstream: Tensor
 ) -> list[Tensor]:
-    """The encoding, and its gradients in the coordinates and the table, moved to the CPU."""
+    """Return the encoding and its gradients in the coordinates and the table, all on the CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (coordinates, table)]
     out = function(*leaves, shape)
     return [tensor.detach().cpu() for tensor in (out, *torch.autograd.grad(out, leaves, upstream))]
@@ -53,7 +53,7 @@ def assert_close(found: list[Tensor], expected: list[Tensor]) -> None:
 def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches swapped corner weights, a level read at another level's rows, and a chunk's last points left out."""
+    """Catches swapped corner weights, wrong row offsets of levels, and missing points at the end of a chunk."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -65,7 +65,7 @@ def test_values_and_gradients_equal_the_reference(
 
 @pytest.mark.parametrize("features", [2, 3])
 def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches points and levels swapped, and coordinate gradients that levels overwrite instead of add."""
+    """Catches swapped points and levels, and coordinate gradients that are not summed over levels."""
     shape = small_grid(features)
     tensors = [points(rng, 300), random_table(rng, shape)]
     tensors.append(torch.from_numpy(rng.standard_normal((300, shape.out_features)).astype(np.float32)))
@@ -74,10 +74,10 @@ def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.rand
 
 
 def test_a_grid_of_default_size_equals_the_reference(rng: np.random.Generator) -> None:
-    """Catches overflow in the hash's products, which small grids do not reach, and at a resolution of 2^20."""
+    """Catches integer overflow in the hash, which occurs only in large grids, up to a resolution of 2^20."""
     shape = HashGridShape(levels=2, log2_entries=19, finest=2**20)
     table = random_table(rng, shape)
-    # These coordinates are exact in float32 at both levels.
+    # These coordinates have no rounding error in float32 at either level.
     coordinates = torch.from_numpy(rng.integers(0, 2**12, (200, 3)) / 2**12).float()
     torch.testing.assert_close(
         encode_hash_grid(coordinates, table, shape),
@@ -88,9 +88,9 @@ def test_a_grid_of_default_size_equals_the_reference(rng: np.random.Generator) -
 
 
 def test_entries_are_where_the_paper_puts_them(rng: np.random.Generator) -> None:
-    """Catches a wrong hash that kernel and reference share, and a first level that just fits (4^3 = 2^6) but is hashed.
+    """Catches a wrong hash in both kernel and reference, and hashing of a level that just fits (4^3 = 2^6).
 
-    At a sample of the grid a single entry has all the weight; the paper's formula gives its row.
+    At a sample of the grid, one entry has all the weight. The paper's formula gives the row of this entry.
     """
     shape = HashGridShape(levels=2, features=1, log2_entries=6, coarsest=3, finest=32)
     table = torch.arange(shape.total_entries, dtype=torch.float32)[:, None]
@@ -104,10 +104,10 @@ def test_entries_are_where_the_paper_puts_them(rng: np.random.Generator) -> None
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
-    """Catches an error that the kernel's gradient and the reference's share."""
+    """Catches an error that the gradients of the kernel and of the reference have in common."""
     shape = HashGridShape(levels=3, log2_entries=6, coarsest=2, finest=9)
     table, step = random_table(rng, shape).double(), 1e-6
-    # Avoid the faces of cells, where the derivative is discontinuous.
+    # Avoid the faces of grid cells, where the derivative is discontinuous.
     coordinates = torch.from_numpy(rng.uniform(0.02, 0.98, (200, 3)))
     scaled = coordinates[..., None] * torch.tensor(shape.resolutions)
     coordinates = coordinates[((scaled - scaled.round()).abs() > 1e-3).all(dim=2).all(dim=1)]
@@ -130,7 +130,7 @@ def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
 
 
 def test_extreme_coordinates_stay_inside_the_table(rng: np.random.Generator) -> None:
-    """Catches reads past the last sample, NaN that spreads to other points, and gradients outside the borders."""
+    """Catches reads past the last sample, NaN that spreads to other points, and gradients outside the grid."""
     shape = small_grid()
     table = random_table(rng, shape).requires_grad_()
     values = torch.tensor([0, 1, np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-42, -0.0, 1 - 2**-24, 0.3])
@@ -147,7 +147,7 @@ def test_extreme_coordinates_stay_inside_the_table(rng: np.random.Generator) -> 
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches threads that add to an entry in random order."""
+    """Catches threads that add to the same entry in random order."""
     shape = small_grid()
     inputs = (shape, points(rng, 20000), random_table(rng, shape))
     upstream = torch.from_numpy(rng.standard_normal((20000, shape.out_features)).astype(np.float32))
@@ -160,7 +160,7 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypa
 
 
 def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
-    """Catches a gradient that is left uninitialized if there are no points."""
+    """Catches a gradient that is not initialized if there are no points."""
     shape = small_grid()
     table = random_table(rng, shape).requires_grad_()
     found = encode_hash_grid(torch.zeros(0, 3), table, shape)
@@ -205,7 +205,7 @@ def assert_one_gradient(
 
 
 def test_float64_is_exact(rng: np.random.Generator) -> None:
-    """Catches doubles that are rounded by a float32 kernel."""
+    """Catches float64 inputs that are rounded by a float32 kernel."""
     shape = small_grid()
     table = random_table(rng, shape).double().requires_grad_()
     coordinates = torch.from_numpy(rng.uniform(0, 1, (50, 3))).requires_grad_()
@@ -215,7 +215,7 @@ def test_float64_is_exact(rng: np.random.Generator) -> None:
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with other shapes, and a schema that hides a mutation."""
+    """Catches a fake implementation with wrong shapes, and a schema that does not declare a mutation."""
     shape = HashGridShape(levels=3, log2_entries=4, coarsest=2, finest=9)
     for needs_coordinates, needs_table in itertools.product((True, False), repeat=2):
         leaves = (
@@ -227,7 +227,7 @@ def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
 
 
 def test_default_sizes_equal_the_paper() -> None:
-    """Catches a rounded growth factor, a finest level one cell too small, and levels that overlap."""
+    """Catches a rounded growth factor, a finest level that is one cell too small, and overlapping table rows."""
     shape = HashGridShape()
     assert shape.resolutions == (16, 22, 30, 42, 58, 80, 111, 153, 212, 294, 406, 561, 776, 1072, 1482, 2048)
     assert shape.entries == (17**3, 23**3, 31**3, 43**3, 59**3, *[2**19] * 11)
@@ -253,13 +253,13 @@ def test_default_sizes_equal_the_paper() -> None:
     ],
 )
 def test_invalid_sizes_are_named(field: str, value: int, expected: str) -> None:
-    """Catches sizes that only fail inside a kernel or when memory is allocated."""
+    """Catches invalid sizes that are detected only inside a kernel or when memory is allocated."""
     with pytest.raises(ValueError, match=f"^{field}: expected {expected}, got {value}$"):
         HashGridShape(**{field: value})
 
 
 def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
-    """Catches wrong shapes that reach a kernel, which would read past the end."""
+    """Catches wrong shapes that are passed to a kernel, which would read past the end of an array."""
     shape = small_grid()
     good, table = points(rng, 5), random_table(rng, shape)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 3\), got \(5, 2\)"):

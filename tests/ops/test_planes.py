@@ -1,4 +1,4 @@
-"""The K-Planes kernel against plain torch: values, gradients, extreme coordinates, threads and errors."""
+"""The K-Planes kernel compared with plain torch: values, gradients, extreme coordinates, threads and errors."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PAIRS = ((0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3))
 
 
 def random_planes(rng: np.random.Generator, features: int, columns: int = 9) -> tuple[list[Tensor], list[int]]:
-    """Six planes of different sizes, and a seventh of another resolution."""
+    """Return six planes of different sizes, and a seventh plane for a second resolution level."""
     planes = []
     for first, second in (*PAIRS, PAIRS[0]):
         shape = (2 if second == 3 else columns + second, columns + first + len(planes), features)
@@ -32,7 +32,7 @@ def points(rng: np.random.Generator, count: int = 3000) -> Tensor:
 def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches rows and columns swapped, swapped corner weights, and gradients outside the border."""
+    """Catches swapped rows and columns, swapped corner weights, and gradients outside the border."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -51,7 +51,7 @@ def test_values_and_gradients_equal_the_reference(
 
 @pytest.mark.parametrize("features", [1, 8])
 def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches planes in the wrong order, and coordinate gradients that planes overwrite instead of add."""
+    """Catches planes in the wrong order, and coordinate gradients that are not summed over planes."""
     planes, axes = random_planes(rng, features)
     coordinates = points(rng, 300)
     upstream = torch.from_numpy(rng.standard_normal((300, 7 * features)).astype(np.float32))
@@ -67,7 +67,7 @@ def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.rand
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
-    """Catches an error that the kernel's gradient and the reference's share."""
+    """Catches an error that the gradients of the kernel and of the reference have in common."""
     planes, axes = random_planes(rng, 2, columns=4)
     double = [plane.double() for plane in planes]
     coordinates = points(rng, 5).double()
@@ -100,7 +100,7 @@ def test_extreme_coordinates_stay_inside_the_planes(rng: np.random.Generator) ->
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches threads that add to a plane in random order."""
+    """Catches threads that add to the same sample in random order."""
     planes, axes = random_planes(rng, 8)
     coordinates = points(rng, 20000)
     upstream = torch.from_numpy(rng.standard_normal((20000, 56)).astype(np.float32))
@@ -115,7 +115,7 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypa
 
 
 def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
-    """Catches a gradient that is left uninitialized if there are no points."""
+    """Catches a gradient that is not initialized if there are no points."""
     planes, axes = random_planes(rng, 8)
     leaves = [plane.clone().requires_grad_() for plane in planes]
     found = sample_planes(torch.zeros(0, 4), leaves, axes)
@@ -124,14 +124,14 @@ def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with other shapes, and a schema that hides a mutation."""
+    """Catches a fake implementation with wrong shapes, and a schema that does not declare a mutation."""
     planes, axes = random_planes(rng, 3, columns=3)
     leaves = [plane.requires_grad_() for plane in planes]
     torch.library.opcheck(torch.ops.fourd.sample_planes.default, (points(rng, 5).requires_grad_(), leaves, axes))
 
 
 def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
-    """Catches wrong shapes that reach a kernel, which would read past the end."""
+    """Catches wrong shapes that are passed to a kernel, which would read past the end of an array."""
     planes, axes = random_planes(rng, 3)
     good = points(rng, 5)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 4\), got \(5, 3\)"):

@@ -1,4 +1,4 @@
-"""The CPU kernel of points against the reference: single elements, rare paths and limits."""
+"""The CPU point renderer compared with the reference: single elements, rare code paths and limits."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def run(
     dtype: torch.dtype = torch.float32,
     device: torch.device | None = None,
 ) -> tuple[list[Tensor], list[Tensor]]:
-    """The three images, and the gradients of a random linear function of ``outputs`` that depends on the seed."""
+    """Return the three images, and the gradients of a random linear function of ``outputs``."""
     free = [array.to(device, dtype, copy=True).requires_grad_() for array in cloud.arrays]
     image = render_points(
         free[0],
@@ -57,7 +57,7 @@ def run(
 
 
 def assert_parity(got: tuple[list[Tensor], list[Tensor]], wanted: tuple[list[Tensor], list[Tensor]]) -> None:
-    """Tolerances: 1e-5 in images; in gradients 1e-4 of the array's largest."""
+    """Tolerances are 1e-5 for images, and 1e-4 of the array's largest gradient for gradients."""
     for name, value, expected in zip(OUTPUTS, got[0], wanted[0], strict=True):
         assert float((value - expected).abs().max()) <= 1e-5, name
     for name, value, expected in zip(NAMES, got[1], wanted[1], strict=True):
@@ -67,21 +67,21 @@ def assert_parity(got: tuple[list[Tensor], list[Tensor]], wanted: tuple[list[Ten
 
 @pytest.mark.parametrize("channels", range(1, 33))
 def test_every_channel_count(channels: int, rng: np.random.Generator) -> None:
-    """Catches a stride that is only right for the unrolled 1, 3 and 4 channels."""
+    """Catches a stride that is wrong for all channel counts except 1, 3 and 4, which are unrolled."""
     cloud = random_cloud(rng, 80, channels)
     assert_parity(run(cloud, (19, 18), "cpu", 1), run(cloud, (19, 18), "reference", 1))
 
 
 @pytest.mark.parametrize("outputs", [(name,) for name in OUTPUTS] + [("features", "alpha")])
 def test_gradient_of_each_output_alone(outputs: tuple[str, ...], rng: np.random.Generator) -> None:
-    """Catches errors in the kernel without depth gradients, and alpha's small gradients lost at opaque pixels."""
+    """Catches errors in the kernel without depth gradients, and small alpha gradients lost at opaque pixels."""
     cloud = random_cloud(rng, 300, 3)
     got = run(cloud, (41, 35), "cpu", 2, outputs=outputs)
     assert_parity(got, run(cloud, (41, 35), "reference", 2, outputs=outputs))
 
 
 def test_single_gradients_where_well_conditioned(rng: np.random.Generator) -> None:
-    """Catches an error in small gradients that is hidden by the array's largest.
+    """Catches errors in small gradients, which a tolerance relative to the largest gradient would hide.
 
     A gradient is well conditioned if the reference's own rounding changes it by less than 1e-5 of its value.
     """
@@ -126,14 +126,14 @@ def test_an_unknown_instruction_set_is_named(rng: np.random.Generator, monkeypat
 
 
 def test_an_invalid_thread_count_is_named(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches FOURD_THREADS that is not a number and is ignored."""
+    """Catches an invalid value of FOURD_THREADS that is ignored."""
     monkeypatch.setenv("FOURD_THREADS", "two")
     with pytest.raises(ValueError, match="FOURD_THREADS: expected a whole number of at least 1, got 'two'"):
         run(random_cloud(rng, 3, 3), (8, 8), "cpu", 0)
 
 
 def test_invalid_points_get_no_gradient_and_change_no_other(rng: np.random.Generator) -> None:
-    """Catches NaN that spares the image but spreads in the gradients."""
+    """Catches NaN that spreads through the gradients although the image is valid."""
     cloud, valid = cloud_with_invalid_points(rng, 300)
     clean = Cloud(*(array[valid] for array in cloud.arrays))
     for backend in ("cpu", "reference"):
@@ -144,7 +144,7 @@ def test_invalid_points_get_no_gradient_and_change_no_other(rng: np.random.Gener
 
 
 def test_a_feature_that_is_not_finite_stays_in_its_pixels() -> None:
-    """Catches NaN times a weight of 0, which spreads to a whole row of a tile."""
+    """Catches NaN features that are multiplied by a weight of 0, which makes a whole row of a tile NaN."""
     xyz = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     features = torch.tensor([[float("nan")], [1.0]])
     camera = turned_camera(32, 32)
@@ -178,7 +178,7 @@ def test_tensors_that_are_not_contiguous(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("whole_image", [False, True])
 def test_background_gradients_equal_reference(whole_image: bool, rng: np.random.Generator) -> None:
-    """Catches a background that is ignored in the points' gradients through alpha."""
+    """Catches gradients through alpha that ignore the background."""
     cloud, camera = random_cloud(rng, 150, 3), turned_camera(29, 22)
     background = torch.from_numpy(rng.uniform(0, 1, (22, 29, 3) if whole_image else 3).astype(np.float32))
     weights = torch.from_numpy(rng.normal(size=(22, 29, 3)).astype(np.float32))
@@ -198,7 +198,7 @@ def test_background_gradients_equal_reference(whole_image: bool, rng: np.random.
 
 
 def test_early_termination_errs_by_at_most_the_transmittance(rng: np.random.Generator) -> None:
-    """Catches early termination that drops too much, or that is used in training, with wrong gradients."""
+    """Catches termination above the threshold, and termination in training, where gradients would be wrong."""
     cloud, camera = random_cloud(rng, 600, 3), turned_camera(50, 41)
     exact = render_points(*cloud.arrays, camera, near=NEAR)
     early = render_points(*cloud.arrays, camera, near=NEAR, transmittance_min=1e-2)
@@ -221,7 +221,7 @@ def test_gradient_and_visibility_operators_pass_opcheck(rng: np.random.Generator
 
 
 def test_gradients_do_not_depend_on_pictures_rendered_in_between(rng: np.random.Generator) -> None:
-    """Catches a gradient computed from the points of the last picture instead of its own."""
+    """Catches a gradient that is computed from the points of the last image instead of its own image."""
     first, second = random_cloud(rng, 400, 3), random_cloud(rng, 500, 4)
     alone = run(first, (40, 30), "cpu", 5)[1]
     leaves = [[array.clone().requires_grad_() for array in cloud.arrays] for cloud in (first, second)]
@@ -240,7 +240,7 @@ def test_gradients_do_not_depend_on_pictures_rendered_in_between(rng: np.random.
 
 
 def test_an_empty_cloud() -> None:
-    """Catches reads from an empty array, and an empty frame that fails to render."""
+    """Catches reads from an empty array, and an error when a frame without points is rendered."""
     cloud = Cloud(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0))
     images, gradients = run(cloud, (20, 10), "cpu", 6)
     assert all(float(image.abs().max()) == 0 for image in images)
@@ -252,7 +252,7 @@ def test_an_empty_cloud() -> None:
 
 
 def test_an_image_with_too_many_tiles_is_rejected(rng: np.random.Generator) -> None:
-    """Catches a tile count beyond 32 bits, which would write past an array."""
+    """Catches a number of tiles beyond 32 bits, which would cause writes past an array."""
     cloud = random_cloud(rng, 3, 1)
     camera = replace(turned_camera(8, 8), width=MAX_SIDE_PX + 1)
     with pytest.raises(ValueError, match=f"camera: expected sides of at most {MAX_SIDE_PX} pixels, got"):
@@ -265,7 +265,7 @@ def test_an_image_with_too_many_tiles_is_rejected(rng: np.random.Generator) -> N
 
 
 def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
-    """Catches a caller that bypasses the checks in Python and makes the kernel read past an array."""
+    """Catches a kernel without checks of its own, which would read past an array if Python's are bypassed."""
     cloud, camera = random_cloud(rng, 5, 3), turned_camera(8, 6)
     image = [np.empty((6, 8, 3), np.float32), np.empty((6, 8), np.float32), np.empty((6, 7), np.float32)]
     arrays = [array.numpy() for array in cloud.arrays]
@@ -277,7 +277,7 @@ def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
 
 
 def test_arguments_of_the_wrong_type_are_named() -> None:
-    """Catches an internal AttributeError instead of an error that names the argument."""
+    """Catches an internal AttributeError in place of an error that names the argument."""
     camera = turned_camera(8, 8)
     arrays = [torch.zeros(5, 3), torch.zeros(5, 3), torch.ones(5), torch.ones(5)]
     with pytest.raises(TypeError, match=r"xyz: expected a torch.Tensor, got ndarray"):

@@ -1,4 +1,4 @@
-"""The structural similarity kernel against plain torch."""
+"""The structural similarity kernel compared with plain torch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fourd.ops.similarity.reference import structural_similarity_reference
 
 
 def pictures(rng: np.random.Generator, height: int, width: int, channels: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """A picture with noise, and the smooth picture with flat parts that it comes from."""
+    """Return a noisy image, and the image without noise, which has smooth and constant areas."""
     rows, columns = np.mgrid[:height, :width] / 9.0
     smooth = 0.5 + 0.4 * np.sin(rows)[..., None] * np.cos(columns[..., None] + np.arange(channels))
     smooth[: height // 3] = 0.0
@@ -25,7 +25,7 @@ def pictures(rng: np.random.Generator, height: int, width: int, channels: int) -
 def test_value_and_gradient_equal_the_reference(
     shape: tuple[int, int, int], simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a window off by one at a border, a wrong sign in the gradient, and channels that mix."""
+    """Catches a window that is off by one at a border, a wrong sign in the gradient, and mixed channels."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -40,7 +40,7 @@ def test_value_and_gradient_equal_the_reference(
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches sums in the order in which threads finish: a resumed run would not repeat its bits."""
+    """Catches sums whose order depends on thread scheduling: a resumed run would not give the same bits."""
     noisy, smooth = pictures(rng, 150, 70, 3)
     results = []
     for threads in ("1", "2", "7"):
@@ -50,7 +50,7 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypa
 
 
 def test_inputs_without_a_kernel_use_the_reference(rng: np.random.Generator) -> None:
-    """Catches a lost gradient of the target, and pictures smaller than the window."""
+    """Catches a missing gradient of the target, and images smaller than the window that are accepted."""
     noisy, smooth = pictures(rng, 20, 20, 3)
     target = smooth.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(structural_similarity(noisy, target), target)
@@ -63,7 +63,7 @@ def test_inputs_without_a_kernel_use_the_reference(rng: np.random.Generator) -> 
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with other shapes, and a schema that hides a mutation."""
+    """Catches a fake implementation with wrong shapes, and a schema that does not declare a mutation."""
     noisy, smooth = pictures(rng, 14, 13, 2)
     for with_gradient in (True, False):
         torch.library.opcheck(_similarity, (noisy, smooth, with_gradient))

@@ -1,4 +1,4 @@
-"""Samples of source views: the CPU and CUDA kernels against plain torch."""
+"""Sampling of source views: the CPU and CUDA kernels compared with plain torch."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Views:
 
 
 def random_views(rng: np.random.Generator, occlusion: bool) -> Views:
-    """Random pictures that are not square; some depths occlude points, and some are infinite."""
+    """Return random images that are not square. Some depths occlude points, and some are infinite."""
 
     def random(*shape: int) -> Tensor:
         return torch.from_numpy(rng.uniform(0, 1, shape).astype(np.float32))
@@ -52,7 +52,7 @@ def random_views(rng: np.random.Generator, occlusion: bool) -> Views:
 
 
 def make_softness(xyz: Tensor) -> Tensor:
-    """(N,) a different value for every point."""
+    """Return (N,) softness, different for every point."""
     return torch.linspace(0.02, 0.3, len(xyz)).to(xyz.device)
 
 
@@ -62,7 +62,7 @@ Result = tuple[Tensor, Tensor, list[Tensor]]
 def run(
     function: Callable[..., tuple[Tensor, Tensor]], xyz: Tensor, views: Views, features: Tensor | None, seed: int
 ) -> Result:
-    """Channels, visibility, and the gradients of a random linear function of the channels, on the CPU."""
+    """Return channels, visibility and the gradients of a random linear function of the channels, all on the CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (xyz, features) if tensor is not None]
     leaf = leaves[1] if features is not None else None
     channels, visibility = function(leaves[0], leaf, *views.arguments, make_softness(leaves[0]))
@@ -73,7 +73,7 @@ def run(
 
 
 def random_features(rng: np.random.Generator, channels: int) -> Tensor | None:
-    """Features at half the pictures' resolution; None for no channels."""
+    """Return features at half the images' resolution, or None for 0 channels."""
     if channels == 0:
         return None
     return torch.from_numpy(rng.normal(size=(VIEWS, channels, HEIGHT // 2, WIDTH // 2)).astype(np.float32))
@@ -83,7 +83,7 @@ def assert_same(got: Result, wanted: Result) -> None:
     for value, expected in zip(got[:2], wanted[:2], strict=True):
         torch.testing.assert_close(value, expected, rtol=1e-4, atol=2e-5)
     for found, truth in zip(got[2], wanted[2], strict=True):
-        # Where a pixel falls on the border between two texels, rounding decides which slope counts.
+        # At the border between two texels the gradient is discontinuous, and rounding decides which side applies.
         close = (found - truth).abs() <= 1e-3 * truth.abs().max()
         assert float(close.float().mean()) >= 0.995
 
@@ -91,7 +91,7 @@ def assert_same(got: Result, wanted: Result) -> None:
 @pytest.mark.parametrize("occlusion", [False, True])
 @pytest.mark.parametrize("channels", [0, 5])
 def test_gpu_equals_the_reference(channels: int, occlusion: bool, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches samples half a pixel off, views in the wrong order, and gradients at another resolution's scale."""
+    """Catches samples that are off by half a pixel, views in the wrong order, and gradients at the wrong scale."""
     views = random_views(rng, occlusion)
     xyz = torch.from_numpy(rng.normal(0, 1.2, (400, 3)).astype(np.float32))
     features = random_features(rng, channels)
@@ -105,7 +105,7 @@ def test_gpu_equals_the_reference(channels: int, occlusion: bool, gpu: torch.dev
 def test_cpu_equals_the_reference(
     channels: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a loop that is only right for 16 channels, and features read in the wrong memory order."""
+    """Catches a loop that is correct only for 16 channels, and features in the wrong memory order."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -119,7 +119,7 @@ def test_cpu_equals_the_reference(
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches sums over views in the order in which threads finish: a resumed run would not repeat its bits."""
+    """Catches sums over views whose order depends on thread scheduling: a resumed run would not give the same bits."""
     views = random_views(rng, True)
     xyz = torch.from_numpy(rng.normal(0, 0.8, (5000, 3)).astype(np.float32))
     features = random_features(rng, 16)
@@ -133,7 +133,7 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypa
 
 
 def test_points_behind_and_outside_sample_nothing(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches reads outside a map, and NaN that spreads from one point to another."""
+    """Catches reads outside an image, and NaN that spreads from one point to another."""
     views = random_views(rng, True).to(gpu)
     huge = torch.tensor([[np.nan, 0, 0], [np.inf, 0, 0], [0, -np.inf, 0], [3e38, 3e38, 3e38], [50, 0, 0.5], [0, 0, 0]])
     xyz = huge.float().to(gpu).requires_grad_()
@@ -145,7 +145,7 @@ def test_points_behind_and_outside_sample_nothing(gpu: torch.device, rng: np.ran
 
 
 def test_operator_passes_opcheck(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a fake implementation of another shape, and a gradient that is not registered with autograd."""
+    """Catches a fake implementation with a wrong shape, and a gradient that is not registered with autograd."""
     views = random_views(rng, True).to(gpu)
     xyz = torch.randn(20, 3).to(gpu).requires_grad_()
     features = torch.randn(VIEWS, 2, 20, 24).to(gpu).requires_grad_()
@@ -156,7 +156,7 @@ def test_operator_passes_opcheck(gpu: torch.device, rng: np.random.Generator) ->
 
 
 def test_too_many_views_are_rejected(gpu: torch.device) -> None:
-    """Catches cameras written past the end of the kernel's argument."""
+    """Catches too many views, whose cameras would be written past the end of the kernel's argument."""
     many = torch.zeros(17, 3, 4, 4, device=gpu)
     with pytest.raises(ValueError, match="images: expected at most 16 views on a GPU"):
         load_gpu(gpu).kernels.sample_sources(

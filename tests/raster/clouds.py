@@ -1,4 +1,4 @@
-"""Random points with hard cases, for tests of the renderers."""
+"""Random points with difficult cases, for tests of the renderers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Cloud:
 
 
 def turned_camera(width: int, height: int) -> Camera:
-    """A camera near (0.1, -0.2, -3) that views along z, rotated a little about z, with K without skew."""
+    """Return a camera near (0.1, -0.2, -3) that views along z and is slightly rotated about z. K has no skew."""
     angle = 0.2
     rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     focal = 1.1 * max(width, height)
@@ -40,10 +40,10 @@ def turned_camera(width: int, height: int) -> Camera:
 
 
 def random_cloud(rng: np.random.Generator, count: int, channels: int) -> Cloud:
-    """Points in and around the view, in random order, with many hard cases.
+    """Return points in and around the view, in random order, with many difficult cases.
 
-    Among them are exact ties in depth, points behind the camera and on its plane, points larger than the image,
-    smaller than a pixel or centred on the image's border, and densities of 0 and 1.
+    The cases are equal depths, points behind the camera and on its plane, points larger than the image, points smaller
+    than a pixel, points centred on the image's border, and densities of 0 and 1.
     """
     xyz = rng.uniform([-1.6, -1.6, -1], [1.6, 1.6, 1], (count, 3)).astype(np.float32)
     radius = np.exp(rng.uniform(np.log(0.02), np.log(0.4), count)).astype(np.float32)
@@ -63,7 +63,7 @@ def random_cloud(rng: np.random.Generator, count: int, channels: int) -> Cloud:
 
 
 def cloud_with_invalid_points(rng: np.random.Generator, count: int) -> tuple[Cloud, Tensor]:
-    """A cloud with NaN, infinity or huge numbers in a third of its points, and a mask (N,) of the valid points."""
+    """Return a cloud of which a third contains NaN, infinity or huge numbers, and a mask (N,) of the valid points."""
     cloud = random_cloud(rng, count, 3)
     bad = torch.from_numpy(rng.random(count) < 0.33)
     values = torch.tensor([float("nan"), float("inf"), -float("inf"), 3e38])

@@ -1,4 +1,4 @@
-"""The CPU renderer against the reference, and the reference against finite differences."""
+"""The CPU renderer compared with the reference, and the reference compared with finite differences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def render(cloud: Cloud, camera: Camera, layers: int, backend: str, **more: obje
 def gradients(
     cloud: Cloud, camera: Camera, layers: int, backend: str, weights: tuple[Tensor, ...], **more: object
 ) -> list[Tensor]:
-    """Gradients of a linear function of all three outputs."""
+    """Return the gradients of a linear function of all three outputs."""
     free = [array.clone().requires_grad_() for array in cloud.arrays]
     out = render(Cloud(*free), camera, layers, backend, **more)
     total = sum((part * weight).sum() for part, weight in zip(out, weights, strict=True))
@@ -39,7 +39,7 @@ def output_weights(rng: np.random.Generator, camera: Camera, channels: int) -> t
 
 
 def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
-    """Tolerance: 1e-4 of the array's largest gradient, the scale of rounding errors in its sums."""
+    """The tolerance is 1e-4 of the array's largest gradient, which sets the scale of rounding errors in sums."""
     for name, value, wanted in zip(NAMES, got, expected, strict=True):
         scale = float(wanted.abs().max()) if wanted.numel() else 0.0
         worst = float((value - wanted).abs().max()) if wanted.numel() else 0.0
@@ -64,7 +64,7 @@ def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
 def test_kernel_equals_reference(
     count: int, size: tuple[int, int], layers: int, channels: int, rng: np.random.Generator
 ) -> None:
-    """Catches a point lost at a tile's border, ties in another order, one layer too many, a wrong derivative."""
+    """Catches points missing at tile borders, wrong order of equal depths, an extra layer, and wrong derivatives."""
     camera = turned_camera(*size)
     cloud = random_cloud(rng, count, channels)
     for got, expected in zip(
@@ -81,7 +81,7 @@ def test_kernel_equals_reference(
 def test_every_instruction_set_equals_the_reference(
     simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a SIMD path that is wrong on other machines than the developer's."""
+    """Catches errors in instruction sets that are not the machine's default."""
     monkeypatch.setenv("FOURD_SIMD", simd)
     camera = turned_camera(45, 38)
     cloud = random_cloud(rng, 500, 3)
@@ -96,7 +96,7 @@ def test_every_instruction_set_equals_the_reference(
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator) -> None:
-    """Catches sums whose order depends on scheduling: training would not be reproducible."""
+    """Catches sums whose order depends on thread scheduling, which makes training irreproducible."""
     camera = turned_camera(70, 51)
     cloud = random_cloud(rng, 1500, 3)
     weights = output_weights(rng, camera, 3)
@@ -131,7 +131,8 @@ def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) 
                 out = render(Cloud(*shifted), camera, 15, "reference")
                 values.append(sum(float((part * weight).sum()) for part, weight in zip(out, weights, strict=True)))
             numeric[index] = (values[0] - values[1]) / (2 * step)
-        # The derivative jumps where a disc's rim crosses a pixel centre within the step: those are few.
+        # The derivative is discontinuous where a disc's rim crosses a pixel centre within the step. Few entries are
+        # affected.
         close = (numeric - gradient).abs() <= 1e-5 * (1 + gradient.abs())
         assert float(close.double().mean()) > 0.97
 
@@ -166,7 +167,7 @@ def test_a_single_point_has_the_expected_pixels() -> None:
 
 
 def test_background_and_its_gradient(rng: np.random.Generator) -> None:
-    """Catches a background that is added without the factor 1 - alpha, or that gets no gradient."""
+    """Catches a background that is added without the factor 1 - alpha, or whose gradient is missing."""
     camera = turned_camera(30, 20)
     cloud = random_cloud(rng, 100, 3)
     background = torch.rand(3, requires_grad=True)
@@ -179,7 +180,7 @@ def test_background_and_its_gradient(rng: np.random.Generator) -> None:
 
 
 def test_numpy_renderer_equals_torch_renderer(rng: np.random.Generator) -> None:
-    """Catches scenes that are played differently from how they are trained."""
+    """Catches differences between the renderer for playback and the renderer for training."""
     camera = turned_camera(50, 34)
     cloud = random_cloud(rng, 400, 3)
     arrays = [array.numpy() for array in cloud.arrays]
@@ -193,7 +194,7 @@ def test_numpy_renderer_equals_torch_renderer(rng: np.random.Generator) -> None:
 
 
 def test_visibility_equals_the_reference(rng: np.random.Generator) -> None:
-    """Catches points with a visibility of 0 that some pixel shows."""
+    """Catches a visibility of 0 for points that some pixel composites."""
     camera = turned_camera(50, 34)
     cloud = random_cloud(rng, 500, 1)
     values = [
@@ -204,7 +205,7 @@ def test_visibility_equals_the_reference(rng: np.random.Generator) -> None:
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with other shapes, a hidden mutation, and a missing autograd registration."""
+    """Catches a fake implementation with wrong shapes, an undeclared mutation, and a missing autograd registration."""
     from fourd.ops.points import op
     from fourd.ops.points.validation import pack_camera
 
@@ -230,7 +231,7 @@ def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
     ],
 )
 def test_invalid_arguments_are_named(change: dict[str, object], message: str) -> None:
-    """Catches wrong shapes and ranges that reach the kernel, which would read out of bounds."""
+    """Catches wrong shapes and ranges that are passed to the kernel, which would read out of bounds."""
     arguments: dict[str, object] = {
         "xyz": torch.zeros(5, 3),
         "features": torch.zeros(5, 3),

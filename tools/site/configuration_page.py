@@ -43,7 +43,7 @@ This page is generated from the code by `tools/site/configuration_page.py`.
 
 
 def page() -> str:
-    """The page's text."""
+    """Return the text of the page."""
     lines = [HEAD]
     for path, config in _sections("", TrainConfig()):
         notes = _notes(type(config))
@@ -66,7 +66,7 @@ def _sections(path: str, config: object) -> Iterator[tuple[str, object]]:
 
 
 def _notes(kind: type) -> dict[str, str]:
-    """The strings below the fields of a dataclass, by field name."""
+    """Return the docstrings below the fields of a dataclass, by field name."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     notes = {}

@@ -1,4 +1,4 @@
-"""MkDocs hooks: pages that are generated while the site is built.
+"""MkDocs hooks that generate pages while the site is built.
 
 - ``reference/cli.md`` from each command's ``--help``;
 - ``examples.md`` from the programs in ``examples/``;
@@ -26,8 +26,8 @@ HELP_COLUMNS = "84"
 
 CLI_HEAD = """# Commands
 
-Generated from `fourd --help` and `fourd COMMAND --help`. Exit codes: 0 on success, 2 if the input is wrong, 1 on an
-internal error.
+This page is generated from `fourd --help` and `fourd COMMAND --help`. Exit codes are 0 on success, 2 if the input is
+wrong and 1 on an internal error.
 """
 
 
@@ -47,7 +47,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def cli_reference() -> str:
-    """The page with the help text of every command."""
+    """Return the page with the help text of every command."""
     if str(ROOT) not in sys.path:
         sys.path.insert(0, str(ROOT))
     from fourd.cli.main import COMMANDS
@@ -59,7 +59,7 @@ def cli_reference() -> str:
 
 
 def command_help(command: str | None = None) -> str:
-    """What ``fourd COMMAND --help`` prints, without colours, at a fixed width; ``fourd --help`` without a command."""
+    """Return the output of ``fourd COMMAND --help``, or of ``fourd --help``, without colours and at a fixed width."""
     from fourd.cli.main import main
 
     printed = io.StringIO()
@@ -70,7 +70,7 @@ def command_help(command: str | None = None) -> str:
 
 
 def examples_page() -> str:
-    """examples/README.md, followed by the source of every program."""
+    """Return examples/README.md followed by the source code of every program."""
     sections = [repository_page("examples/README.md")]
     for path in sorted((ROOT / "examples").glob("*.py")):
         sections.append(f"## {path.name}\n\n```python\n{path.read_text(encoding='utf-8')}```\n")
@@ -78,10 +78,10 @@ def examples_page() -> str:
 
 
 def repository_page(name: str) -> str:
-    """A Markdown file from the top of the repository, with its links relative to docs/."""
+    """Return a Markdown file from the top of the repository, with links made relative to docs/."""
     text = (ROOT / name).read_text(encoding="utf-8")
     text = re.sub(r"\]\(docs/", "](", text)
-    # Files outside docs/ are not part of the site: keep the name, drop the link.
+    # Files outside docs/ are not part of the site, so links to them become plain names.
     return re.sub(r"\[([^\]]+)\]\((?!https?:|#)([^)#]+\.(?:py|yaml|toml|h|sh))\)", r"\1", text)
 
 

@@ -1,4 +1,4 @@
-"""A Griffe extension: Sphinx roles in docstrings, such as :func:`fourd.raster.render_points`, become code spans."""
+"""A Griffe extension that converts Sphinx roles in docstrings, such as :func:`render_points`, to code spans."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ ROLE = re.compile(r":(?:py:)?(?:func|class|meth|mod|attr|data|exc|obj):`~?([^`]+
 
 
 class SphinxRoles(Extension):
-    """Rewrite the roles of every docstring."""
+    """Rewrite the roles in every docstring."""
 
     def on_object(self, *, obj: Object, **_: Any) -> None:
         """Rewrite the docstring of one object in place."""

@@ -1,4 +1,4 @@
-"""Draw docs/figures/viewer.png: the viewer with the scene of `make demo`, on a virtual screen.
+"""Make docs/figures/viewer.png: a screenshot of the viewer with the scene of `make demo`, on a virtual screen.
 
 python tools/site/viewer_figure.py [SCENE] [PNG]     needs Xvfb, xdotool and python-xlib
 """
@@ -20,7 +20,7 @@ from tests.viewer.screen import Viewer, screen  # noqa: E402
 SIZE = (1280, 760)
 BACKGROUND = ("0.12", "0.14", "0.17")
 WARM_UP_SECONDS = 8.0
-"""Enough images to fill the plot of timings."""
+"""Number of images that fills the timing plot."""
 
 
 def main(scene: str = "demo/scene.4dv", out: str = "docs/figures/viewer.png") -> None:
