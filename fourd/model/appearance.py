@@ -17,7 +17,7 @@ the ratio of the weights, so that float16 can store them."""
 
 
 class ImageEncoder(nn.Module):
-    """Three-level feature pyramid over the source images, 8, 16 and 32 channels wide.
+    """Feature pyramid over the source images. Its three levels have 8, 16 and 32 channels.
 
     It maps (V, 3, H, W) in [0, 1] to (V, image_features, H / stride, W / stride). H and W are multiples of 4 * stride.
     No layer normalises over the image. A crop therefore has the same features as the whole image, except near the
@@ -46,10 +46,11 @@ class ImageEncoder(nn.Module):
 
 
 class BlendHead(nn.Module):
-    """MLP that gives a blend logit for each point and source view.
+    """MLP that predicts a blend logit for each point and source view.
 
-    The first layer acts on [point feature, image sample, optional direction]. The part that depends on the point
-    feature alone is computed once for each point instead of once for each view. Only the order of the sums changes.
+    The input of the first layer is [point feature, image sample, optional direction]. The part that depends on the
+    point feature alone is computed once for each point instead of once for each view. Only the order of the sums
+    changes.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -67,7 +68,7 @@ class BlendHead(nn.Module):
         Args:
             point: (N, H) output of the layer ``point``.
             samples: (V, N, C) image samples.
-            directions: (V, N, 4) relative directions, for continuous blending.
+            directions: (V, N, 4) relative directions; None without continuous blending.
         """
         if self.direction is None:
             return blend_logits(point, samples.transpose(1, 2), self.image.weight, self.out.weight[0], self.out.bias)
@@ -100,7 +101,7 @@ def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: 
 
 
 def zero_low_visibility(visibility: Tensor) -> Tensor:
-    """Visibility weights in [0, 1], set to exactly 0 below MIN_VISIBILITY."""
+    """Visibility weights in [0, 1], where values below MIN_VISIBILITY are replaced by 0."""
     return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 

@@ -14,7 +14,7 @@ def require(condition: bool, message: str) -> None:
 
 @dataclass(frozen=True)
 class PlanesConfig:
-    """4D K-Planes (Fridovich-Keil et al. 2023): feature planes over pairs of x, y, z, t."""
+    """4D K-Planes (Fridovich-Keil et al. 2023): feature planes over pairs of the coordinates x, y, z and t."""
 
     levels: int = 4
     """Number of resolutions, from 1 to 8."""
@@ -23,7 +23,7 @@ class PlanesConfig:
     base_resolution: int = 64
     """Grid resolution along the longest side of the bounds at the coarsest level."""
     multiplier: int = 2
-    """Factor between the resolutions of consecutive levels."""
+    """Ratio of the resolutions of a level and the next coarser level."""
     reduction: Literal["concat", "sum", "product"] = "concat"
     """How the features of a level's planes are combined: concat as in 4K4D, product as in K-Planes, or sum."""
     time: bool = True
@@ -62,7 +62,7 @@ class ModelConfig:
     occlusion: bool = True
     """Ignore source views in which a point is occluded."""
     radius_range: tuple[float, float] = (0.5, 6.0)
-    """Smallest and largest radius, in multiples of the mean distance between neighbouring points."""
+    """Minimum and maximum radius of points, in multiples of the mean distance between neighbouring points."""
     radius_start: float = 1.3
     """Radius of every point before training, in multiples of the same distance."""
     residual: bool = False

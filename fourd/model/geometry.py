@@ -10,11 +10,11 @@ from torch import Tensor, nn
 from fourd.model.config import ModelConfig
 
 DENSITY_OFFSET = 5.0
-"""Added to the density's logit, so that training starts with nearly opaque points."""
+"""Constant that is added to the logit of the density, so that points are nearly opaque at the start of training."""
 
 
 class GeometryHead(nn.Module):
-    """MLP with two hidden layers that gives radius and density (4K4D, eq. 1 and supplement).
+    """MLP with two hidden layers that predicts radius and density (4K4D, eq. 1 and supplement).
 
     For the MLP's outputs a and b, ``radius = low + (high - low) * sigmoid(a + offset)`` and ``density = sigmoid(b +
     5)``. The offset is such that ``a = 0`` gives the configured initial radius. Radii are multiples of the points'

@@ -16,9 +16,9 @@ class KPlanes(nn.Module):
     """Multi-resolution feature planes over (x, y, z, t) (Fridovich-Keil et al. 2023, sec. 3).
 
     Coordinates are (N, 4) float32 in [-1, 1]. Coordinates outside are clamped to the border. The first and last samples
-    of each axis lie on the borders (align_corners), so that with F frames the time planes have one row for each frame.
-    Features are differentiable in the planes and the coordinates. A plane is (rows, columns, features), so that the
-    values that are read for a point are adjacent in memory.
+    of each axis lie on the borders (``align_corners=True``). With F frames, the time planes therefore have one row for
+    each frame. Features are differentiable in the planes and the coordinates. A plane is (rows, columns, features), so
+    that the values that are read for a point are adjacent in memory.
     """
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:

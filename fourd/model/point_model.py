@@ -1,4 +1,4 @@
-"""The point model: points of a frame in, renderable arrays out (4K4D, sec. 3)."""
+"""The point model, which computes renderable arrays from the points of a frame (4K4D, sec. 3)."""
 
 from __future__ import annotations
 
@@ -228,7 +228,7 @@ class PointModel(nn.Module):
         assert points.features.blend is not None
         directions = None
         if self.config.continuous:
-            assert viewer is not None, "continuous blending needs the viewing camera"
+            assert viewer is not None, "continuous blending requires a viewing camera"
             directions = _relative_directions(points.xyz, viewer, sources.cameras)
         return self.blend_head(points.features.blend, samples.channels, directions)
 
@@ -243,7 +243,7 @@ class PointModel(nn.Module):
 
 
 def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
-    """(N, 3) unit vectors from the viewer's centre to the points."""
+    """Unit vectors (N, 3) from the centre of the viewing camera to the points."""
     centre = torch.tensor(viewer.centre, dtype=xyz.dtype)
     return nn.functional.normalize(xyz - centre, dim=-1)
 

@@ -18,7 +18,7 @@ surface. The decay starts at a depth of twice the scale."""
 
 @dataclass(frozen=True)
 class SourceViews:
-    """V images of one frame, cropped to a common size, with their cameras.
+    """V images of one frame, cropped or padded to a common size, with their cameras.
 
     Attributes:
         images: (V, 3, H, W) float32 in [0, 1]; H and W are multiples of 8.
@@ -38,7 +38,7 @@ class SourceViews:
 
 @dataclass(frozen=True)
 class SourceSamples:
-    """Samples of V source views at N points.
+    """Values of V source views, sampled at the projections of N points.
 
     Attributes:
         channels: (V, N, C) image features followed by RGB (the last three channels), differentiable.

@@ -31,7 +31,7 @@ def checkpoint_path(folder: Path, step: int) -> Path:
 
 
 def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], state: Mapping[str, Any]) -> Path:
-    """Write a checkpoint atomically, then delete all but the two newest.
+    """Write a checkpoint atomically, then delete all checkpoints except the two newest.
 
     Args:
         folder: the folder of checkpoints; created if missing.
@@ -104,8 +104,8 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
         ) from error
     if header.get("format") != FORMAT:
         raise UserError(
-            f"{path}: expected a checkpoint of format {FORMAT}, got another safetensors file; "
-            f"name a file that fourd train wrote"
+            f"{path}: expected a checkpoint of format {FORMAT}, got a safetensors file of another format; "
+            f"use a checkpoint written by fourd train"
         )
     if header.get("crc32") != str(_checksum(tensors)):
         raise UserError(
@@ -138,7 +138,7 @@ def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, sourc
 
 
 def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
-    """An optimizer's state as flat tensors ``PREFIX + INDEX.NAME``, such as ``optimizer.3.exp_avg``.
+    """An optimizer's state as tensors with names ``PREFIX + INDEX.NAME``, such as ``optimizer.3.exp_avg``.
 
     INDEX is the parameter's number in the order of the optimizer's groups. Learning rates and other settings are not
     included, because they come from the config. Parameters without a gradient have no state.
@@ -149,7 +149,7 @@ def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, T
     for index, entries in optimizer.state_dict()["state"].items():
         for name, value in entries.items():
             if not isinstance(value, Tensor):
-                raise ValueError(f"optimizer: expected tensors as state, got {type(value).__name__} for '{name}'")
+                raise ValueError(f"optimizer: expected a tensor as state '{name}', got {type(value).__name__}")
             packed[f"{prefix}{index}.{name}"] = value
     return packed
 
@@ -189,7 +189,7 @@ def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) ->
 
 
 def pack_numpy_rng(generator: np.random.Generator) -> dict[str, Any]:
-    """The state of a NumPy generator as JSON data, with exact 128-bit integers."""
+    """The state of a NumPy generator as JSON data. Its 128-bit integers are exact."""
     return json.loads(json.dumps(generator.bit_generator.state, default=_array_as_list))
 
 
@@ -207,7 +207,9 @@ def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
     }
     kind = kinds.get(state.get("bit_generator", ""))
     if kind is None:
-        raise ValueError(f"state: expected one of {', '.join(kinds)}, got {state.get('bit_generator')!r}")
+        raise ValueError(
+            f"state: bit_generator: expected one of {', '.join(kinds)}, got {state.get('bit_generator')!r}"
+        )
     bits = kind()
     bits.state = dict(state)
     return np.random.Generator(bits)
@@ -257,13 +259,13 @@ def _checksum(tensors: Mapping[str, Tensor]) -> int:
 
 def _difference(name: str, wanted: Tensor | None, given: Tensor | None) -> str | None:
     if wanted is None:
-        return f"'{name}' is unknown here"
+        return f"'{name}' is not in the model"
     if given is None:
-        return f"'{name}' is missing there"
+        return f"'{name}' is not in the checkpoint"
     if wanted.shape != given.shape:
-        return f"'{name}' is {tuple(wanted.shape)} here and {tuple(given.shape)} there"
+        return f"'{name}' has shape {tuple(wanted.shape)} in the model and {tuple(given.shape)} in the checkpoint"
     if wanted.dtype != given.dtype:
-        return f"'{name}' is {wanted.dtype} here and {given.dtype} there"
+        return f"'{name}' has dtype {wanted.dtype} in the model and {given.dtype} in the checkpoint"
     return None
 
 

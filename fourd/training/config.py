@@ -27,7 +27,8 @@ class LossConfig:
     shadow: float = 1e-2
     """Weight of the mean of (f - 1)^2 over the background's shadow factors f."""
     closed: float = 2e-2
-    """Weight of the background's mean squared transmittance from viewpoints between the training cameras."""
+    """Weight of the mean squared transmittance of the background, rendered from viewpoints between the training
+    cameras."""
 
     def __post_init__(self) -> None:
         for name in ("perceptual", "stand_in", "mask", "residual", "shadow", "closed"):
@@ -71,7 +72,7 @@ class BackgroundConfig:
     """Source of the points: ngp is a radiance field fitted to the plates, with depths from stereo; sfm is stereo
     alone."""
     seeds: Path | None = None
-    """PLY file with background points in world units, used instead of points from the plates."""
+    """PLY file with background points in world units. These points are used instead of points from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
     """Settings of ngp seeding."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
@@ -121,9 +122,9 @@ class DensifyConfig:
     share: float = 0.1
     """Maximum share of the points that are split in one densification."""
     growth: float = 1.25
-    """Maximum number of points, as a multiple of the initial number."""
+    """Maximum number of points in a cloud, as a multiple of the cloud's initial number of points."""
     until: float = 0.6
-    """Share of the budget after which densification ends."""
+    """Share of the training budget after which densification ends."""
 
     def __post_init__(self) -> None:
         require(self.frame_every >= 1, f"frame_every: expected at least 1, got {self.frame_every}")
@@ -174,7 +175,7 @@ class RefineConfig:
 
     @property
     def cameras(self) -> bool:
-        """Whether poses or focal lengths are corrected."""
+        """Whether poses or focal lengths of cameras are corrected."""
         return self.poses or self.focal
 
 
@@ -248,7 +249,7 @@ class TrainConfig:
         require(self.encoder_every >= 1, f"encoder_every: expected at least 1, got {self.encoder_every}")
         require(self.least_layers >= 1, f"least_layers: expected at least 1, got {self.least_layers}")
         require(self.hidden_weight >= 0, f"hidden_weight: expected 0 or more, got {self.hidden_weight}")
-        require(0 < self.image_scale <= 4, f"image_scale: expected more than 0, got {self.image_scale}")
+        require(0 < self.image_scale <= 4, f"image_scale: expected more than 0 and at most 4, got {self.image_scale}")
         require(
             self.neighbour_pool >= self.model.neighbours,
             f"neighbour_pool: expected at least model.neighbours ({self.model.neighbours}), got {self.neighbour_pool}",

@@ -46,7 +46,7 @@ class MetricsLog:
             self._events = SummaryWriter(str(folder), purge_step=purge, flush_secs=FLUSH_SECONDS)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
-        """Write one record ``{"step": step, **values}``; NaN and infinity become null.
+        """Write one record ``{"step": step, **values}``. NaN and infinity are written as null.
 
         Raises UserError if the disk is full.
         """
@@ -60,9 +60,9 @@ class MetricsLog:
                 self._events.add_scalar(name, value, step)
 
     def image(self, step: int, name: str, picture: NDArray[np.uint8]) -> None:
-        """Write an image (H, W, 3), uint8 RGB, for TensorBoard. Raises UserError if the disk is full."""
+        """Write an image (H, W, 3) in uint8 RGB to the TensorBoard events. Raises UserError if the disk is full."""
         if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-            raise ValueError(f"picture: expected (H, W, 3) of uint8, got {picture.shape} of {picture.dtype}")
+            raise ValueError(f"picture: expected uint8 (H, W, 3), got {picture.dtype} {picture.shape}")
         with self._os_errors_as_user_errors():
             self._events.add_image(name, picture, step, dataformats="HWC")
 
@@ -86,7 +86,7 @@ class MetricsLog:
             yield
         except OSError as error:
             raise UserError(
-                f"{self._folder}: expected a folder that metrics can be written to, got '{error.strerror or error}'; "
+                f"{self._folder}: expected a writable folder for metrics, got '{error.strerror or error}'; "
                 f"free some space or fix its permissions, and add --resume"
             ) from error
 

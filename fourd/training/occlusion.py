@@ -20,7 +20,7 @@ MAX_DILATION_PX = 16
 
 
 class SizedPoints(Protocol):
-    """N points with positions (N, 3) and radii (N,) in world units and densities (N,)."""
+    """N points with positions (N, 3) and radii (N,) in world units, and densities (N,)."""
 
     @property
     def xyz(self) -> Tensor: ...

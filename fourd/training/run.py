@@ -193,8 +193,9 @@ def load_run(folder: Path) -> TrainedRun:
     run = open_run(folder)
     found, note = latest_checkpoint(run.checkpoints)
     if found is None:
+        reason = f" ({note})" if note else ""
         raise UserError(
-            f"{folder}: expected a trained run, got no intact checkpoint {note}; resume with fourd train --resume"
+            f"{folder}: expected a trained run, got no intact checkpoint{reason}; resume with fourd train --resume"
         )
     step, tensors, _ = load_checkpoint(found)
     model = run.new_model()
@@ -224,7 +225,7 @@ def read_run_plates(
 
 
 def points_folder(checkpoint: Path) -> Path:
-    """The folder of the points that belong to a checkpoint file."""
+    """Path of the folder that contains the points of a checkpoint."""
     return checkpoint.with_suffix(".points")
 
 

@@ -48,7 +48,7 @@ class View:
         return self.rgb.nbytes + self.matte.nbytes
 
     def premultiplied(self) -> tuple[Tensor, Tensor]:
-        """RGB (H, W, 3) times matte, and the matte (H, W), both float32 in [0, 1]."""
+        """Return RGB (H, W, 3) multiplied by the matte, and the matte (H, W). Both are float32 in [0, 1]."""
         matte = torch.from_numpy(self.matte).float() / 255
         return torch.from_numpy(self.rgb).float() / 255 * matte[..., None], matte
 

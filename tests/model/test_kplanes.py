@@ -1,4 +1,4 @@
-"""K-Planes against bilinear interpolation in NumPy, and its switches."""
+"""K-Planes compared with bilinear interpolation in NumPy, and the options of its config."""
 
 from __future__ import annotations
 

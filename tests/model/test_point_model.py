@@ -1,4 +1,4 @@
-"""The point model: its parts against explicit formulas, and every ablation switch."""
+"""The point model: its parts compared with explicit formulas, and every ablation."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_blend_is_a_softmax_over_visible_views() -> None:
 
 @pytest.mark.parametrize("visibility", [0.0, 1e-6, 0.9e-3])
 def test_views_of_low_visibility_have_no_weight(visibility: float) -> None:
-    """Catches colours from views in which the point is occluded, and points without colour that are visible in no
+    """Catches colours from views in which the point is occluded, and missing colours of points that are visible in no
     view."""
     logits = torch.tensor([[0.0], [5.0]], requires_grad=True)
     colours = torch.tensor([[[0.2, 0.4, 0.6]], [[1.0, 0.0, 0.0]]])

@@ -1,4 +1,4 @@
-"""Shared linear layers against the separate layers."""
+"""Shared linear layers compared with separate layers."""
 
 from __future__ import annotations
 

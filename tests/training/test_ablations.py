@@ -1,4 +1,4 @@
-"""Every example in configs/ is an ablation switch that trains, renders and is exported."""
+"""Every example in configs/ is an ablation that can be trained, rendered and exported."""
 
 from __future__ import annotations
 

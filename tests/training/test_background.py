@@ -213,7 +213,7 @@ def test_an_empty_file_of_background_points_is_refused(ball_capture: Path, tmp_p
 def test_seeding_follows_the_config(
     seeding: Literal["ngp", "sfm"], why: str, ball_capture: Path, tmp_path: Path
 ) -> None:
-    """Catches an ignored setting: each method has its own error for plates of one colour."""
+    """Catches a setting without effect. Each seeding method raises a different error for plates of one colour."""
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, seeds=None, seeding=seeding))
     with pytest.raises(UserError, match=rf"plates: expected at least 8 features .*{why}.*--background FILE.ply"):

@@ -249,13 +249,17 @@ def test_restore_refuses_tensors_of_another_model() -> None:
         restore(target, tensors, "model.", Path("runs/F.safetensors"))
     message = str(caught.value)
     assert message.startswith("runs/F.safetensors: expected a checkpoint of this model")
-    assert "'0.weight' is (4, 3) here and (8, 3) there" in message
+    assert "'0.weight' has shape (4, 3) in the model and (8, 3) in the checkpoint" in message
     assert "use the config it was trained with" in message
     tensors = {f"model.{name}": value for name, value in small_model().state_dict().items()}
     surplus = {**tensors, "model.9.bias": torch.zeros(1)}
     missing = {name: value for name, value in tensors.items() if name != "model.2.bias"}
     double = {**tensors, "model.0.bias": tensors["model.0.bias"].double()}
-    cases = ((surplus, "'9.bias' is unknown here"), (missing, "'2.bias' is missing there"), (double, "float64 there"))
+    cases = (
+        (surplus, "'9.bias' is not in the model"),
+        (missing, "'2.bias' is not in the checkpoint"),
+        (double, "float64 in the checkpoint"),
+    )
     for given, message in cases:
         with pytest.raises(UserError, match=message):
             restore(target, given, "model.", "F")

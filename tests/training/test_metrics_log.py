@@ -69,7 +69,7 @@ def test_tensorboard_shows_scalars_and_images_and_hides_purged_steps(tmp_path: P
     assert [(event.step, event.value) for event in events.Scalars("psnr")] == [(10, 1.0), (15, 3.0)]
     shown = events.Images("validation")[0]
     assert (shown.step, shown.height, shown.width) == (10, 6, 9)
-    with MetricsLog(tmp_path) as log, pytest.raises(ValueError, match=r"\(H, W, 3\) of uint8"):
+    with MetricsLog(tmp_path) as log, pytest.raises(ValueError, match=r"uint8 \(H, W, 3\)"):
         log.image(1, "validation", picture.astype(np.float32))
 
 
@@ -91,5 +91,5 @@ def test_a_full_disk_is_a_user_error(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(log, "_stream", stream)
     log.close()
     (tmp_path / "file").write_text("")
-    with pytest.raises(UserError, match="expected a folder"):
+    with pytest.raises(UserError, match="expected a writable folder"):
         MetricsLog(tmp_path / "file")

@@ -1,4 +1,4 @@
-"""Learnt corrections of the cameras.
+"""Corrections of the cameras that are learnt while training.
 
 The renderers have no gradient with respect to cameras. They use the corrected cameras as constants, and the gradient
 flows through the points instead. The points are transformed by a function whose value is the identity and whose
@@ -83,7 +83,7 @@ class Refinement(nn.Module):
 
     @torch.no_grad()
     def rig(self) -> Rig:
-        """The cameras with their current corrections."""
+        """All cameras, with the current corrections applied."""
         cameras = list(self.given)
         for index in self.places if self.config.cameras else ():
             cameras[index] = self._corrected_camera(index)

@@ -1,4 +1,4 @@
-"""The cameras, frames and image scale of a capture that a run uses, and which cameras are held out."""
+"""Selection of the cameras, frames and image scale that a run uses, and of the held-out cameras."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class DataSelection:
 
     @classmethod
     def of(cls, train: TrainConfig) -> DataSelection:
-        """The selection of a training config."""
+        """The selection that a training config describes."""
         return cls(train.views, train.test_views, train.frames, train.image_scale)
 
 
@@ -49,7 +49,7 @@ class RunViews:
 
     @property
     def training_names(self) -> tuple[str, ...]:
-        """Names of the cameras that are trained on."""
+        """Names of the training cameras."""
         return tuple(self.capture.names[index] for index in self.training)
 
 

@@ -125,7 +125,7 @@ class _Alignment:
         return camera
 
     def linearize(self, camera: Camera, blur_px: float) -> _NormalEquations:
-        """Render the selected frames and build the normal equations."""
+        """Render the selected frames at the given pose and build the normal equations."""
         pairs = [self._render_pair(camera, frame, blur_px) for frame in self.selected]
         colours = _fit_colours(pairs) if self.fits_colours else None
         matrix, right, error, count = np.zeros((6, 6)), np.zeros(6), 0.0, 0

@@ -11,7 +11,7 @@ from fourd.ops.similarity.reference import check_image_pair, structural_similari
 
 
 def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tensor | ArrayLike | None = None) -> Tensor:
-    """Peak signal-to-noise ratio in dB for images with peak 1; infinite for equal images.
+    """Peak signal-to-noise ratio in dB for images with peak value 1. It is infinite for equal images.
 
     Args:
         prediction: (..., C), torch or NumPy, floating point.
@@ -33,13 +33,13 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
     if weights.shape != squares.shape[:-1]:
         raise ValueError(f"mask: expected shape {tuple(squares.shape[:-1])}, got {tuple(weights.shape)}")
     if float(weights.sum()) <= 0:
-        raise ValueError("mask: expected at least one pixel with a weight, got none")
+        raise ValueError("mask: expected at least one pixel with positive weight, got none")
     mean = (squares * weights[..., None]).sum() / (weights.sum() * squares.shape[-1])
     return -10 * torch.log10(mean)
 
 
 def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
-    """Structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5, data range 1.
+    """Structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5, for a data range of 1.
 
     The result is the mean over channels and over the pixels whose window lies inside the image, as in
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
@@ -61,15 +61,15 @@ def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tu
     """The bounding box of the object in a matte, extended by ``margin`` pixels on each side and clipped to the image.
 
     Args:
-        mask: (H, W) uint8 (255 = object) or bool. Pixels above 127 belong to the object, so that faint noise of a
-            soft matte does not enlarge the box.
+        mask: (H, W) matte, uint8 (255 on the object) or bool. Pixels above 127 belong to the object, so that faint
+            noise of a soft matte does not enlarge the box.
         margin: number of pixels, 0 or more.
 
     Returns:
         (top, bottom, left, right), where bottom and right are exclusive; None if no pixel belongs to the object.
     """
     if mask.ndim != 2 or mask.dtype not in (np.uint8, np.bool_):
-        raise ValueError(f"mask: expected (H, W) of uint8 or bool, got {mask.shape} of {mask.dtype}")
+        raise ValueError(f"mask: expected uint8 or bool (H, W), got {mask.dtype} {mask.shape}")
     if margin < 0:
         raise ValueError(f"margin: expected 0 or more pixels, got {margin}")
     inside = mask if mask.dtype == np.bool_ else mask > 127

@@ -1,7 +1,7 @@
 """LPIPS, the learned perceptual distance (Zhang et al. 2018), version 0.1 on VGG-16.
 
-The network is defined here because torchvision has no build for some machines. The user provides the weights as files:
-torchvision's VGG-16, and the linear heads of the ``lpips`` package.
+The network is defined here because torchvision cannot be installed on some machines. The user provides the weights as
+files: torchvision's VGG-16, and the linear heads of the ``lpips`` package.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from pickle import UnpicklingError  # torch.load raises it for a file that would execute code
+from pickle import UnpicklingError  # raised by torch.load for a file that would execute code
 
 import torch
 from safetensors import SafetensorError
@@ -95,7 +95,7 @@ class LPIPS(nn.Module):
         return distance[0] if single else distance
 
     def _features(self, images: Tensor) -> list[Tensor]:
-        """relu1_2, relu2_2, relu3_3, relu4_3 and relu5_3 of images (B, 3, H, W) in [0, 1]."""
+        """Activations relu1_2, relu2_2, relu3_3, relu4_3 and relu5_3 of VGG-16 for images (B, 3, H, W) in [0, 1]."""
         right, bottom = (max(MIN_SIDE_PX - side, 0) for side in (images.shape[3], images.shape[2]))
         if right or bottom:
             images = functional.pad(images, (0, right, 0, bottom), mode="replicate")
@@ -138,7 +138,7 @@ def load_lpips(path: Path | None) -> LPIPS | None:
         return None
     raise UserError(
         f"{path}: expected the weights of VGG-16 (features.N.weight) and of LPIPS's heads (linN.model.1.weight), "
-        f"got none for {_abbreviate(missing)}; put {VGG_NAME} and the lpips package's weights/v0.1/vgg.pth "
+        f"got no weights named {_abbreviate(missing)}; put {VGG_NAME} and the lpips package's weights/v0.1/vgg.pth "
         f"in one folder and pass the folder with --lpips-weights"
     )
 
@@ -211,7 +211,7 @@ def _read(file: Path) -> dict[str, Tensor]:
         found[name] = value.detach().to(torch.float32, copy=True)
     if not found:
         raise UserError(
-            f"{file}: expected names like features.0.weight or lin0.model.1.weight, got none; "
+            f"{file}: expected weights named like features.0.weight or lin0.model.1.weight, got none; "
             f"pass torchvision's VGG-16 or LPIPS's heads with --lpips-weights"
         )
     return found

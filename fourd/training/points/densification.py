@@ -1,4 +1,4 @@
-"""Densification: points with large gradients are split, and unobserved points are removed."""
+"""Densification: points with large gradients are split, and points that no training view observes are removed."""
 
 from __future__ import annotations
 

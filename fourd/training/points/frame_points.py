@@ -25,7 +25,7 @@ HISTORY = {
 
 @dataclass
 class FramePoints:
-    """N points, float32 except where noted.
+    """N points. Tensors are float32 unless another dtype is given.
 
     Attributes:
         spacing: (N,) distance to neighbouring points in world units. Radii are multiples of it.
@@ -93,9 +93,9 @@ class FramePoints:
         pair.
 
         Args:
-            kept: (K,) indices.
-            parents: (P,) indices of the first points of the pairs.
-            partners: (P,) indices of the second points.
+            kept: (K,) indices of the points to keep.
+            parents: (P,) index of the first point of each pair.
+            partners: (P,) index of the second point of each pair.
         """
         first = kept[:0] if parents is None else parents
         second = first if partners is None else partners

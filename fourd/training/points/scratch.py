@@ -20,7 +20,7 @@ LOCK_SUFFIX = ".lock"
 
 
 class Scratch:
-    """A new folder below ``parent`` that no other process or object uses.
+    """A new folder in ``parent`` that is used by no other process or object.
 
     The folder is removed when this object is deleted or the process exits. If the process is killed, its folder remains
     until the next Scratch with the same ``parent`` is created.

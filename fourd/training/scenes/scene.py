@@ -49,7 +49,7 @@ class Target:
 
 @dataclass(frozen=True)
 class OptimizedPoints:
-    """The M visible points of one cloud in a step, evaluated for the target camera.
+    """The M points of one cloud that are visible in a step, evaluated for the target camera.
 
     Attributes:
         cloud: the whole cloud.
@@ -99,7 +99,7 @@ class TrainingScene(Protocol):
         """Terms of the training loss."""
 
     def set_rig(self, rig: Rig) -> None:
-        """Replace the cameras of views and plates."""
+        """Replace the cameras of views and plates by those of ``rig``."""
 
     def target(self, sample: StepSample) -> Target:
         """The ground-truth image of a step."""

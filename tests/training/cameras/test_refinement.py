@@ -204,7 +204,7 @@ def test_a_written_calibration_gives_the_same_cameras(ball_capture: Path, tmp_pa
 
 @pytest.mark.parametrize("count", [4, 5, 8, 12])
 def test_distortion_scales_with_the_focal_length(count: int, rng: np.random.Generator) -> None:
-    """Catches a written calibration whose undistorted images differ from those of training."""
+    """Catches a written calibration whose undistorted images differ from the training images."""
     distortion = rng.normal(0, 0.02, count)
     k = np.array([[400.0, 0, 320], [0, 420, 240], [0, 0, 1]])
     zoomed = np.diag([1.05, 1.05, 1.0]) @ k
@@ -292,7 +292,7 @@ def test_a_darker_camera_is_detected(ball_capture: Path, tmp_path: Path) -> None
 
 
 def test_a_run_without_start_cameras_is_refused(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a run that is resumed or exported with the given cameras."""
+    """Catches a run that is resumed or exported with the capture's cameras instead of its own start cameras."""
     run = create_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
     shutil.rmtree(run.folder / "calibration")
     with pytest.raises(UserError, match=r"calibration/start: expected the start cameras of the run, got no file"):
@@ -300,7 +300,7 @@ def test_a_run_without_start_cameras_is_refused(ball_capture: Path, tmp_path: Pa
 
 
 def test_a_tilted_sensor_is_refused_where_focal_lengths_are_refined(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a written calibration that differs from that of training."""
+    """Catches a written calibration that differs from the cameras used in training."""
     capture = _copied(ball_capture, tmp_path / "capture")
     opened = open_capture(capture)
     tilted = np.zeros(14)

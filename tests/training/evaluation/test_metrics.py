@@ -1,4 +1,4 @@
-"""PSNR, SSIM and bounding boxes against skimage, NumPy and finite differences."""
+"""PSNR, SSIM and bounding boxes compared with skimage, NumPy and finite differences."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.training.evaluation.metrics import mask_box, psnr, ssim
 
 
 def pair(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """An image with structure and a noisy copy, float64."""
+    """A float64 image with structure, and a noisy copy of the image."""
     ramp = np.linspace(0, 1, shape[-2])[:, None] * np.ones(shape[-1])
     first = np.clip(0.5 * rng.random(shape) + 0.5 * ramp, 0, 1)
     return first, np.clip(first + rng.normal(0, 0.1, shape), 0, 1)
@@ -69,7 +69,7 @@ def test_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
 def test_invalid_images_are_refused() -> None:
     """Catches scores of images with values up to 255, and of images whose different shapes broadcast."""
     image = np.zeros((20, 20, 3))
-    with pytest.raises(ValueError, match="floating point"):
+    with pytest.raises(ValueError, match="floating-point"):
         psnr(image.astype(np.uint8), image.astype(np.uint8))
     with pytest.raises(ValueError, match="prediction's shape"):
         ssim(image, image[:, :1])

@@ -1,4 +1,4 @@
-"""LPIPS against a NumPy implementation, and its weight files, valid and invalid. All weights are random."""
+"""LPIPS against a NumPy implementation, and valid and invalid weight files. All weights are random."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def empty_caches(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def plain_distance(
     image: np.ndarray, other: np.ndarray, features: dict[str, Tensor], heads: dict[str, Tensor]
 ) -> float:
-    """LPIPS in float64 NumPy, with loops over windows; images (H, W, 3) in [0, 1]."""
+    """LPIPS of images (H, W, 3) in [0, 1], implemented in float64 NumPy with loops over windows."""
 
     def taps(picture: np.ndarray) -> list[np.ndarray]:
         x = (picture.astype(np.float64) * 2 - 1 - [-0.030, -0.088, -0.188]) / [0.458, 0.448, 0.450]
@@ -105,7 +105,7 @@ def plain_distance(
 def test_equals_a_numpy_implementation(
     network: LPIPS, weights: tuple[dict[str, Tensor], dict[str, Tensor]], rng: np.random.Generator
 ) -> None:
-    """Catches a wrong layer, number, shift, scale or input range, and swapped height and width."""
+    """Catches a wrong layer, layer number, shift, scale or input range, and swapped height and width."""
     image, other = (rng.random((37, 22, 3)).astype(np.float32) for _ in range(2))
     found = float(network(torch.from_numpy(image), torch.from_numpy(other)))
     assert found == pytest.approx(plain_distance(image, other, *weights), rel=1e-4)
@@ -214,14 +214,14 @@ def test_invalid_weights_are_one_line(
     cases["missing"] = (tmp_path / "no.pth", "expected a file or folder with weights")
     (tmp_path / "empty").mkdir()
     cases["empty folder"] = (tmp_path / "empty", "expected files named vgg16")
-    cases["one part"] = (folder / "vgg.pth", "got none for features.0.weight")
+    cases["one part"] = (folder / "vgg.pth", "got no weights named features.0.weight")
     alex = {"lin0.model.1.weight": torch.rand(1, 64, 1, 1), "lin1.model.1.weight": torch.rand(1, 192, 1, 1)}
     torch.save(alex, tmp_path / "alex.pth")
     cases["another network"] = (tmp_path / "alex.pth", r"'lin1.model.1.weight': expected shape \(1, 128, 1, 1\), got")
     save_file({"features.1.weight": torch.rand(3)}, tmp_path / "bn.safetensors")
     cases["another layout"] = (tmp_path / "bn.safetensors", "got the unknown layer 'features.1.weight'")
     save_file({"other": torch.rand(3)}, tmp_path / "other.safetensors")
-    cases["unknown names"] = (tmp_path / "other.safetensors", "expected names like features.0.weight")
+    cases["unknown names"] = (tmp_path / "other.safetensors", "expected weights named like features.0.weight")
     (tmp_path / "cut.pth").write_bytes((folder / "vgg.pth").read_bytes()[:3000])
     cases["truncated"] = (tmp_path / "cut.pth", "expected a file of tensors")
     (tmp_path / "text.safetensors").write_text("<html>not found</html>")

@@ -1,4 +1,4 @@
-"""Loss terms against plain formulas, and the lists of terms."""
+"""Loss terms compared with plain formulas, and the lists of terms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Densification: points are split where gradients are large, and removed where nothing observes them."""
+"""Densification: points with large gradients are split, and unobserved points are removed."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def test_changes_survive_eviction_from_the_cache(tmp_path: Path) -> None:
 
 
 def test_a_saved_store_is_a_snapshot(tmp_path: Path) -> None:
-    """Catches checkpoint files that are hard links to files of the scratch folder."""
+    """Catches a saved folder whose points change when points are changed after saving."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 3, lambda frame: fresh(10, frame), 16, None)
     store.get(1).xyz[0] = 7
     store.save(tmp_path / "saved")

@@ -1,4 +1,4 @@
-"""Adam on selected rows against torch.optim.Adam."""
+"""Adam on selected rows compared with torch.optim.Adam."""
 
 from __future__ import annotations
 
