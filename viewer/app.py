@@ -27,7 +27,7 @@ After a longer pause, playback continues near the frame where it stopped.
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
 _SPINNER_SECONDS = 0.1
-"""Seconds between images of the spinner. It is drawn rarely, because loading needs the processor."""
+"""Seconds between images of the spinner. They are few, because loading a scene needs the processor."""
 _IMAGES_AFTER_INPUT = 8
 """Count of images drawn after each input, because imgui handles a press, a motion and a release in separate images."""
 

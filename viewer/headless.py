@@ -60,7 +60,10 @@ class Headless:
             scene.close()
 
     def screenshot(self, out: Path, camera: str | None, frame: int, console: Console) -> None:
-        """Write a PNG of one frame (counted from 0) from the named capture camera; None uses the first camera."""
+        """Write a PNG of one frame from a capture camera.
+
+        The frame is an index from 0. The camera is given by name; None uses the first camera.
+        """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
             if not 0 <= frame < scene.manifest.frame_count:

@@ -20,10 +20,10 @@ class LoadedScene:
     """An open `.4dv` file or run.
 
     Attributes:
-        path: the file, or the run's folder.
+        path: path of the `.4dv` file or of the run's folder.
         manifest: the manifest of the scene.
-        frames: prefetched frames.
-        up: (3,) up direction.
+        frames: supplies the frames and prefetches them.
+        up: (3,) up direction of the world.
         checkpoint: file name of the displayed checkpoint of a run; empty for a `.4dv` file.
     """
 
@@ -39,7 +39,7 @@ class LoadedScene:
         self._last_poll = time.monotonic()
 
     def initial_pose(self, size: tuple[int, int]) -> Pose:
-        """The pose of the first camera; without cameras, a pose that shows the whole scene."""
+        """The pose of the first camera. Without cameras, it is a pose that shows the whole scene."""
         if self.manifest.cameras:
             return self.camera_pose(0, size)
         lower, upper = (np.asarray(corner) for corner in self.manifest.bounds)

@@ -26,7 +26,7 @@ class Session:
     Attributes:
         settings: display settings.
         scene: the open scene.
-        playback: its clock.
+        playback: the playback clock of the scene.
         pose: the viewer's pose.
         message: the last error or notice for the user; empty if there is none.
         error: the last error that kept a scene from opening; None if there was none.

@@ -1,4 +1,4 @@
-// Checks of arguments from Python.
+// Functions that check arguments from Python.
 #pragma once
 
 #include <algorithm>

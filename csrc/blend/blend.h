@@ -1,5 +1,6 @@
-// Blend logits of source views by a small MLP: range * tanh((out . relu(point + weight * sample) + bias) / range). The
-// kernel never stores an array of views x points x hidden numbers. Callers check shapes, and arrays are dense.
+// Computes blend logits of source views with a small MLP: range * tanh((out . relu(point + weight * sample) + bias) /
+// range). The kernel never stores an array of views x points x hidden numbers. Callers check shapes, and arrays are
+// dense.
 #pragma once
 
 #include <cstddef>
@@ -15,7 +16,7 @@ struct Mlp {
     const float* weight;  // (channels, hidden): weights of the hidden layer for the samples
     const float* out;     // (hidden,)
     float bias;
-    float range;   // bound of the absolute logits
+    float range;   // absolute logits are below this bound
     int channels;  // 1 to kMaxChannels
     int hidden;    // 1 to kMaxHidden
 };
@@ -25,19 +26,19 @@ struct Inputs {
     const float* samples;  // (views, channels, count)
     std::size_t count;
     std::size_t views;
-    int threads;  // at least 1; the result does not depend on it
+    int threads;  // at least 1; does not change the result
     Simd simd;    // an instruction set that this machine supports
 };
 
 struct Gradients {
-    float* point;  // shaped as in Inputs
+    float* point;  // same shape as in Inputs
     float* samples;
-    float* weight;  // shaped as in Mlp
+    float* weight;  // same shape as in Mlp
     float* out;
-    float* bias;  // one value
+    float* bias;  // a single number
 };
 
-// logits (views, count)
+// Writes the logits (views, count).
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits);
 
 // logits is the output of logits(). gradient (views, count) is the gradient with respect to the logits.

@@ -1,9 +1,9 @@
 // Selects the instruction set of a kernel at run time. All kernels use this mechanism.
 //
-// A kernel's inner loops live in a file of their own, cpu/loops.cpp, which fourd_kernel(DISPATCH ...) compiles once for
-// each instruction set up to WIDEST, with FOURD_SIMD defined as the name of the set. Its header, cpu/loops.h, declares
-// a struct Loops of function pointers and ends with FOURD_DISPATCH(Loops, Simd::WIDEST). The file itself defines, in
-// namespace KERNEL::FOURD_SIMD, the functions and the table `const Loops loops`.
+// The inner loops of a kernel are in a separate file, cpu/loops.cpp. fourd_kernel(DISPATCH ...) compiles this file once
+// for each instruction set up to WIDEST, and defines FOURD_SIMD as the name of the set. The header cpu/loops.h declares
+// a struct Loops of function pointers and ends with FOURD_DISPATCH(Loops, Simd::WIDEST). cpu/loops.cpp defines the
+// functions and the table `const Loops loops` in namespace KERNEL::FOURD_SIMD.
 //
 // A dispatched file must not call inline functions with external linkage, which include the functions of standard
 // containers. The linker keeps only one copy of each such function in the program, and that copy may need AVX-512.

@@ -21,7 +21,7 @@ FOURD_INLINE void store(const Eight* from, float* to) { std::memcpy(to, from, si
 FOURD_INLINE void load(const float* from, float* to) { *to = *from; }
 FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 
-// The type that tag, the second argument of for_eights' body, points to: Eight or float.
+// The type (Eight or float) that tag points to. tag is the second argument of the body of for_eights.
 template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 

@@ -1,4 +1,4 @@
-// IEEE half-precision numbers, stored as sixteen bits.
+// Converts IEEE half-precision numbers, which are stored as 16-bit integers.
 #pragma once
 
 #include <cstdint>

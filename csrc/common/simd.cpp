@@ -36,7 +36,7 @@ Registers cpuid(std::uint32_t leaf) {
 #endif
 }
 
-// Which vector registers the operating system saves. The processor must support XSAVE.
+// The mask of vector registers that the operating system saves (XCR0). The processor must support XSAVE.
 std::uint32_t saved_registers() {
 #if defined(_MSC_VER) && !defined(__clang__)
     return static_cast<std::uint32_t>(_xgetbv(0));

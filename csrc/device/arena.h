@@ -29,7 +29,7 @@ class Arena {
     static constexpr std::size_t kAlign = 256;
 
 #if defined(__SANITIZE_ADDRESS__)
-    // A poisoned gap between arrays, where the sanitizer reports every access.
+    // In sanitizer builds, arrays are separated by a poisoned gap, in which every access is reported.
     static constexpr std::size_t kGap = kAlign;
 
     void guard(std::size_t begin, std::size_t used) const {

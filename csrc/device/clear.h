@@ -1,4 +1,4 @@
-// Zeroes an array before sums are added to it.
+// Sets an array to zero, before kernels add sums to it.
 #pragma once
 
 #include <cstddef>

@@ -58,7 +58,7 @@ class Executor {
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // Sorts pairs by the lowest bits of their keys, stably. count is below 2^31.
+    // Sorts (key, value) pairs stably by the lowest bits of their keys. count is below 2^31.
     void sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const std::uint32_t* values,
               std::uint32_t* sorted_values, std::size_t count, int bits, void* scratch,
               std::size_t scratch_bytes) const {
@@ -67,7 +67,7 @@ class Executor {
               "a sort");
     }
 
-    // out[i] = the sum of counts before i. count is below 2^31.
+    // Sets out[i] to the sum of the counts before element i. count is below 2^31.
     void exclusive_sum(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void* scratch,
                        std::size_t scratch_bytes) const {
         check(cub::DeviceScan::ExclusiveSum(scratch, scratch_bytes, counts, out, static_cast<int>(count), stream_),

@@ -1,4 +1,5 @@
-// Selects where kernels run: on a GPU if nvcc compiles this, else emulated on the CPU, for tests.
+// Selects where kernels run. They run on a GPU if nvcc compiles this file. Otherwise they are emulated on the CPU, for
+// tests.
 #pragma once
 
 #ifdef __CUDACC__

@@ -1,4 +1,4 @@
-// Checks and conversions of the hash grid's arguments, for the CPU and a GPU. fourd/ops/hashgrid/op.py checks values.
+// Checks and converts the arguments of the hash grid, for the CPU and a GPU. fourd/ops/hashgrid/op.py checks values.
 // Shapes are checked here, because a kernel would read past an array with a wrong shape.
 #pragma once
 

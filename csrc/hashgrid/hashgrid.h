@@ -19,7 +19,7 @@ struct Query {
     int features;              // 1 to kMaxFeatures
     const float* coordinates;  // (count, 3), x, y and z; clamped to [0, 1]
     std::size_t count;
-    int threads;  // at least 1; the result does not depend on it
+    int threads;  // at least 1; does not change the result
     Simd simd;    // an instruction set that this machine supports
 };
 

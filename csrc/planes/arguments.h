@@ -1,4 +1,4 @@
-// Checks and conversions of K-Planes' arguments, for the CPU and a GPU. fourd/ops/planes/op.py checks values. Shapes
+// Checks and converts the arguments of K-Planes, for the CPU and a GPU. fourd/ops/planes/op.py checks values. Shapes
 // are checked here, because a kernel would read past an array with a wrong shape.
 #pragma once
 

@@ -17,7 +17,7 @@ struct Query {
     int features;              // features of every plane, 1 to kMaxFeatures
     const float* coordinates;  // (count, 4), x, y, z and t; clamped to [-1, 1]
     std::size_t count;         // below 2^32
-    int threads;               // at least 1; the result does not depend on it
+    int threads;               // at least 1; does not change the result
     Simd simd;                 // an instruction set that this machine supports
 };
 

@@ -10,7 +10,7 @@
 
 namespace fourd::play {
 
-// Radii and densities as float32.
+// The radii and densities of a frame as float32.
 struct Sizes {
     Buffer<float> radius, density;
 
@@ -33,7 +33,7 @@ class Player {
     Buffer<float> colour_;
 };
 
-// Sorts points by depth, for renderers that draw back to front.
+// Sorts points by depth, for renderers that need a depth order.
 class DepthSorter {
   public:
     // Writes the indices of the visible points to out (count,), nearest first. Points of equal depth are in index

@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 8192;
 
-// Calls visit(begin, end) for parts of count elements, in parallel.
+// Calls visit(begin, end) in parallel for consecutive parts of count elements.
 template <typename Visit>
 void in_runs(std::size_t count, Team& team, const Visit& visit) {
     team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {

@@ -1,5 +1,5 @@
-// Checks and conversions of the point renderer's arguments, for the CPU and a GPU. fourd/ops/points/validation.py
-// checks values. Shapes are checked here, because a kernel would read past an array with a wrong shape.
+// Checks and converts the arguments of the point renderer, for the CPU and a GPU. fourd/ops/points/validation.py checks
+// values. Shapes are checked here, because a kernel would read past an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -75,7 +75,7 @@ FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* 
     low = low < size ? low : size;
     high = high < size - 1 ? high : size - 1;
     high = high > -1.0 ? high : -1.0;
-    const int from = static_cast<int>(low), to = static_cast<int>(high);  // rounded towards 0
+    const int from = static_cast<int>(low), to = static_cast<int>(high);  // conversion to int rounds towards 0
     *first = from + (from < low ? 1 : 0);
     *last = to - (to > high ? 1 : 0);
 }
@@ -92,7 +92,7 @@ FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x,
     return {dx, dy, square, falloff, splat.density * falloff};
 }
 
-// A projected point. If it is not visible, the other members are unspecified.
+// A projected point. If visible is false, the other members are unspecified.
 struct Projection {
     float u, v, inverse_square, density, z, rho;
     int left, right, top, bottom;
@@ -123,7 +123,7 @@ FOURD_HD static inline Projection project(const Pinhole& camera, float near_dept
     out.right = last_column / kBlock;
     out.top = first_row / kBlock;
     out.bottom = last_row / kBlock;
-    // & instead of &&, to be branch-free.
+    // & instead of && avoids branches.
     out.visible = (z >= near_depth) & (z <= max_float) & (radius > 0.0f) & (radius <= max_float) & (density > 0.0f) &
                   (density <= max_float) & (out.u >= -max_float) & (out.u <= max_float) & (out.v >= -max_float) &
                   (out.v <= max_float) & (out.inverse_square > 0.0f) & (out.inverse_square <= max_float) &
@@ -131,7 +131,7 @@ FOURD_HD static inline Projection project(const Pinhole& camera, float near_dept
     return out;
 }
 
-// The splat of a visible point.
+// Builds the splat of a visible point.
 FOURD_HD static inline Splat splat_of(const Projection& at) {
     return {at.u,
             at.v,
@@ -145,7 +145,7 @@ FOURD_HD static inline Splat splat_of(const Projection& at) {
             static_cast<std::uint16_t>(at.bottom)};
 }
 
-// Back-projects a splat's gradient to its point.
+// Back-projects the gradient of a splat to its point.
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Splat& splat, const SplatGradient& sums,
                                              float density, float* grad_xyz, float* grad_radius, float* grad_density) {
     const float* r = camera.rotation;

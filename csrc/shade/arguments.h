@@ -1,4 +1,4 @@
-// Checks and conversions of shading's arguments, for the CPU and a GPU.
+// Checks and converts the arguments of shading, for the CPU and a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -27,7 +27,7 @@ struct Settings {
     double centre[3];            // position of the camera in the world
     float sh_range;              // colour += sh_base + sh_range * tanh(sh . Y(d))
     float sh_base;
-    int threads;  // at least 1; the result does not depend on it
+    int threads;  // at least 1; does not change the result
     Simd simd;    // an instruction set that this machine supports
 };
 

@@ -12,10 +12,10 @@ constexpr int kWindow = 11;
 
 struct Pictures {
     const float* picture;  // (height, width, channels)
-    const float* truth;    // shaped as picture
+    const float* truth;    // same shape as picture
     int width, height;     // at least kWindow
     int channels;          // at least 1
-    int threads;           // at least 1; the result does not depend on it
+    int threads;           // at least 1; does not change the result
     Simd simd;             // an instruction set that this machine supports
 };
 

@@ -1,4 +1,4 @@
-// Checks and conversions of the arguments of sampling source views, for the CPU and a GPU.
+// Checks and converts the arguments of the kernels that sample source views, for the CPU and a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -1,4 +1,4 @@
-// Bilinear samples of a source view's maps at the projections of points.
+// Samples the maps of a source view bilinearly at the projections of points.
 #pragma once
 
 #include <cstddef>
@@ -51,7 +51,7 @@ FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Project
 struct Bilinear {
     std::size_t offset[4];
     float weight[4];
-    float slope_x[4];  // derivatives of the weights along the width, per sample
+    float slope_x[4];  // derivatives of the weights with respect to x in samples
     float slope_y[4];
 };
 
@@ -81,7 +81,7 @@ FOURD_HD FOURD_INLINE float sample(const float* map, const Bilinear& at) {
            at.weight[3] * map[at.offset[3]];
 }
 
-// A gradient with respect to a position in samples.
+// A gradient with respect to a position, which is measured in samples.
 struct PixelGradient {
     float u, v;
 };

@@ -27,7 +27,7 @@ struct Query {
     std::size_t count;
     const float*
         softness;  // (count,) decay length of the visibility weight behind a surface; unused by the gradient
-    int threads;   // at least 1; the result does not depend on it; used on the CPU only
+    int threads;   // at least 1; does not change the result; used on the CPU only
     Simd simd;     // an instruction set that this machine supports; used on the CPU only
 };
 
@@ -47,7 +47,7 @@ FOURD_HD FOURD_INLINE Bilinear bilinear_in_image(const Maps& maps, const Project
     return bilinear_at(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
 }
 
-// Feature samples per pixel of the image.
+// Number of feature samples per pixel of the image.
 FOURD_HD FOURD_INLINE float feature_scale_x(const Maps& maps) {
     return static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
 }
@@ -67,7 +67,7 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
     return static_cast<int>(std::rint(place < last ? place : last));
 }
 
-constexpr float kMinSoftness = 1e-12f;  // replaces smaller values and NaN
+constexpr float kMinSoftness = 1e-12f;  // replaces a softness that is smaller or NaN
 
 // The visibility weight of a view at a point. It is the squared matte times an exponential decay with the depth behind
 // the surface. The matte is squared because pixels on the silhouette contain some background.
@@ -85,7 +85,7 @@ FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const
 
 void sample(const Query& query, const Samples& out);
 
-// Overwrites all of out.
+// Overwrites all arrays of out.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out);
 
 }  // namespace fourd::sources

@@ -1,4 +1,4 @@
-// Random and invalid inputs of kernels, determined by a seed.
+// Random and invalid inputs for kernels, generated from a seed.
 #pragma once
 
 #include <cmath>

@@ -17,7 +17,7 @@ from fourd.viewer.rendering.renderers import Renderer
 
 
 def contexts() -> Iterator[moderngl.Context]:
-    """Yield one context, and assert that it ends without a GL error; skip where OpenGL is not available."""
+    """Yield a context, and then assert that no GL error has occurred. Skip the test if OpenGL is not available."""
     try:
         context = offscreen_context()
     except UserError as error:

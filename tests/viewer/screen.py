@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 TIMEOUT_SECONDS = 60.0
-"""Generous, for loaded machines."""
+"""Time limit of each wait in seconds. It is long, because machines that run tests may be busy."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Screen:
         return done.stdout.strip()
 
     def picture(self) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 of the whole screen."""
+        """An image of the whole screen, (H, W, 3) uint8."""
         from Xlib import X
         from Xlib.display import Display
 
@@ -89,7 +89,7 @@ def screen(width: int = 1280, height: int = 800, options: tuple[str, ...] = ()) 
 
 
 class Viewer:
-    """A process of `fourd view` and the input of its user."""
+    """A process of `fourd view`, with methods that simulate the input of a user."""
 
     def __init__(self, screen: Screen, folder: Path, *words: str, variables: dict[str, str] | None = None) -> None:
         self.screen = screen
@@ -112,7 +112,7 @@ class Viewer:
         self.screen.xdotool("key", *names)
 
     def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1) -> None:
-        """Press, move in steps, release; slow enough that no event is merged."""
+        """Press, move in steps and release. The steps are slow, so that no events are merged."""
         self.screen.xdotool("mousemove", *start, "mousedown", button)
         for step in range(1, 6):
             position = (first + (last - first) * step // 5 for first, last in zip(start, end, strict=True))

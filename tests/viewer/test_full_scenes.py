@@ -73,7 +73,7 @@ def truth(camera: str, layers: int) -> NDArray[np.float32]:
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_ball_in_a_room_matches_reference(name: RendererName, camera: str, context: moderngl.Context) -> None:
     """Catches clip planes, depth ranges or sizes that suit only the ball: walls clipped, in front, or with holes."""
-    # Sorted composites all layers; views along a wall have more than 12.
+    # The sorted renderer composites all layers, and views along a wall have more than 12 layers.
     layers = MAX_LAYERS if name == "sorted" else 12
     request = request_from(camera)
     # float32, because rounding 12 layers per pixel to float16 would hide the errors that this test catches.
@@ -83,7 +83,7 @@ def test_ball_in_a_room_matches_reference(name: RendererName, camera: str, conte
     if name == "sorted":
         require_parity(name, picture, truth(camera, layers))
     else:
-        # Rounding to bytes; layers skipped below a transmittance of 0.001; float rounding.
+        # The tolerance covers rounding to bytes, layers skipped below a transmittance of 0.001, and float rounding.
         tolerance = {"cpu": 1 / 255, "dual": 1e-3, "peel": 1e-4}[name]
         assert np.abs(picture[..., :3] - truth(camera, layers)).max() < tolerance
 
@@ -138,7 +138,8 @@ def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch:
     for number, frame in enumerate(frames):
         uploads.clear()
         picture = render(renderer, replace(request, frame=frame), context)
-        # Two frames are stored, each with the background; its colours are uploaded again with and after a shadow.
+        # The renderer keeps two sets of textures, and each set contains the background. The colours of the background
+        # are uploaded again for a frame with a shadow, and for the next frame in the same textures.
         background_bytes = room.nbytes if number in (0, 1, 8) else room.rgb.nbytes if number >= 4 else 0
         assert sum(uploads) == frame.nbytes - room.nbytes + background_bytes
         fresh = make_renderer("peel", context)

@@ -52,7 +52,7 @@ def window_image(viewer: Viewer) -> NDArray[np.uint8]:
 
 
 def stable_image(viewer: Viewer) -> NDArray[np.uint8]:
-    """The window once two consecutive images are equal."""
+    """Wait until two consecutive images of the window are equal, and return the image."""
     images = [window_image(viewer)]
 
     def same_as_before() -> bool:
@@ -65,7 +65,7 @@ def stable_image(viewer: Viewer) -> NDArray[np.uint8]:
 
 
 def foreground_share(viewer: Viewer) -> float:
-    """Share of pixels that differ from the background."""
+    """Fraction of pixels that differ from the background colour."""
     return float((window_image(viewer).max(axis=2) > 30).mean())
 
 
@@ -82,7 +82,7 @@ def current_frame(viewer: Viewer) -> int:
 
 
 def pause_at(viewer: Viewer, key: str, frame: int) -> None:
-    """Pause at a frame that Home or End reaches."""
+    """Pause playback, and go to the first or last frame with Home or End."""
     viewer.key("space")
     viewer.until(lambda: "paused" in viewer.title, "a pause")
     viewer.key(key)

@@ -164,7 +164,7 @@ class FrameTextures:
 
 
 def _components(attribute: Attribute) -> int:
-    """Numbers per texel: the largest divisor, up to 4, of the count of numbers per point."""
+    """Count of numbers per texel. It is the largest divisor, up to 4, of the count of numbers per point."""
     return next(count for count in (4, 3, 2, 1) if attribute.numbers % count == 0)
 
 

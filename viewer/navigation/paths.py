@@ -1,4 +1,4 @@
-"""Camera paths around a capture.
+"""Camera paths around a captured scene.
 
 A path is a list of cameras, one per image. A looping path omits its last camera, which would be equal to the first, so
 that the loop has no pause.

@@ -158,6 +158,6 @@ class FramePrefetcher:
         return min(max(_MIN_FRAMES, fitting), _MAX_FRAMES, self._frame_count)
 
     def _playback_order(self) -> Iterator[int]:
-        """All frames in playback order, from the current one."""
+        """Indices of all frames in playback order, starting at the current frame."""
         for step in range(self._frame_count):
             yield (self._head + self._direction * step) % self._frame_count

@@ -27,7 +27,7 @@ SOFTWARE_DRIVERS = (
     "gdi generic",
     "microsoft basic render",
 )
-"""Parts of the names of drivers that render on the CPU, in lower case."""
+"""Lower-case substrings of GL_RENDERER that identify drivers which render on the CPU."""
 
 
 class Renderer(Protocol):
@@ -58,7 +58,7 @@ class Renderer(Protocol):
 
 @dataclass(frozen=True)
 class RendererChoice:
-    """A renderer's name and the reason for it, as shown to the user."""
+    """The name of the chosen renderer and the reason for the choice, as shown to the user."""
 
     name: RendererName
     reason: str

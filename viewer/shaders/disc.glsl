@@ -8,11 +8,11 @@ in vec4 paint;  // red, green, blue, density
 
 flat out vec3 disc_centre;  // centre in window coordinates, and 1 / radius^2
 flat out vec4 tint;
-flat out float rank;  // 1 for the first disc drawn
+flat out float rank;  // the first disc drawn has rank 1
 
 const float RANKS = 16777216.0;  // a depth buffer has 24 bits
 
-// position: from -1 to 1 across the viewport, y down in the image.
+// position is in [-1, 1] across the viewport, with y downwards in the image.
 void write_outputs(vec2 position, int index) {
     disc_centre = vec3(disc.x, upright ? size.y - disc.y : disc.y, disc.z);
     tint = paint;

@@ -1,5 +1,5 @@
 #version 330 core
-// A disc's bounding square as two triangles, for discs of any size and any position.
+// Draws the bounding square of a disc as two triangles. Discs can have any size and position.
 #include "disc.glsl"
 
 void main() {

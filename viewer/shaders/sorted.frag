@@ -1,6 +1,6 @@
 #version 330 core
-// The premultiplied colour of a disc. Discs are drawn farthest first, and each is blended over the discs drawn before
-// it.
+// Outputs the premultiplied colour of a disc. Discs are drawn farthest first, and each is blended over the discs drawn
+// before it.
 
 #include "alpha.glsl"
 

@@ -1,6 +1,7 @@
 #version 330 core
-// A disc's bounding square as a point sprite. A sprite needs a quarter of the vertices of a quad, but drivers limit its
-// size. OpenGL drops sprites whose centre is outside the viewport, so the viewport extends past the image by `margin`.
+// Draws the bounding square of a disc as a point sprite. A sprite needs a quarter of the vertices of a quad, but
+// drivers limit its size. OpenGL drops sprites whose centre is outside the viewport, so the viewport extends past the
+// image by `margin`.
 #include "disc.glsl"
 
 uniform float margin;  // in pixels

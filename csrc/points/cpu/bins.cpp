@@ -16,7 +16,7 @@ struct KeyRange {
     }
 };
 
-// Calls visit(tile) for each tile in a range.
+// Calls visit(tile) for each tile in a tile range.
 template <typename Visit>
 void for_each_tile(const TileRange& range, int columns, Visit visit) {
     for (int row = range.top; row <= range.bottom; ++row) {

@@ -20,12 +20,12 @@ class Bins {
 
     // Projects and sorts only, which fills order().
     void sort_points(const Cloud& cloud, const Settings& settings, Team& team);
-    const Item* order() const { return items_.data(); }  // by rank
+    const Item* order() const { return items_.data(); }  // indexed by rank
 
     int columns() const { return columns_; }  // number of tiles per row
     int tiles() const { return columns_ * rows_; }
     std::size_t visible() const { return visible_; }        // number of visible points
-    const Splat* splats() const { return splats_.data(); }  // by point; valid only for visible points
+    const Splat* splats() const { return splats_.data(); }  // indexed by point; valid only for visible points
     const TileRange& tile_range(std::size_t point) const { return tile_ranges_[point]; }
     const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,) offsets into entries
     const std::uint32_t* entries() const { return entries_.data(); }      // each tile's points, in the order of ranks

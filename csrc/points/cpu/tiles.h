@@ -18,7 +18,7 @@ struct Item {
 };
 
 struct Tile {
-    const Splat* splats;           // by point
+    const Splat* splats;           // indexed by point
     const float* features;         // by point, with `channels` floats each
     const std::uint32_t* entries;  // the tile's points, nearest first; ties in the order of their indices
     std::size_t count;             // number of entries

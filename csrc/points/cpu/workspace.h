@@ -10,7 +10,7 @@
 namespace fourd::points {
 
 struct Workspace {
-    // A worker's memory for one tile.
+    // The memory that a worker uses for one tile.
     struct Scratch {
         Buffer<std::size_t> slots;
         Buffer<float> transmittance;
@@ -20,8 +20,8 @@ struct Workspace {
     Fingerprint source_fingerprint;  // inputs of the last render, if the workspace still holds it
     Bins bins;
     Buffer<std::size_t> slots;               // by point: its first slot
-    Buffer<float> sums;                      // by slot
-    std::vector<Scratch> scratch_by_worker;  // by worker
+    Buffer<float> sums;                      // indexed by slot
+    std::vector<Scratch> scratch_by_worker;  // indexed by worker
 
     // Projects and bins the points.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
@@ -35,7 +35,7 @@ struct Workspace {
     // count points.
     std::size_t assign_slots(std::size_t count);
 
-    // The slots of a tile's entries.
+    // Writes the slots of the entries of a tile to out.
     void slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const;
 
     // The inputs of tile index. Tiles are counted row by row. Call fill before.

@@ -27,11 +27,11 @@ struct Entries {
     std::size_t capacity;  // maximum number of entries
     Tiles tiles;
     Splat* by_point;
-    Splat* splats;               // by rank
+    Splat* splats;               // indexed by rank
     std::uint32_t* keys;         // sort keys: first depths by point, then tiles by entry
     std::uint32_t* values;       // sort values: first points, then ranks by entry
-    std::uint32_t* depths;       // by rank: the bits of the depth
-    std::uint32_t* points;       // by rank
+    std::uint32_t* depths;       // by rank: bits of the depth
+    std::uint32_t* points;       // indexed by rank
     std::uint64_t* tile_counts;  // by rank: number of tiles; followed by a 0
     std::uint64_t* begin;        // by rank: exclusive sum of tile_counts; followed by the number of entries
     std::uint32_t* entry_tiles;  // sorted by tile
@@ -68,7 +68,7 @@ inline Entries allocate_entries(device::Arena& arena, std::size_t count, int sum
     return out;
 }
 
-// The index of the first element that is not below value, in an ascending array.
+// The index of the first element of an ascending array that is not below value.
 template <typename T>
 FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t count, T value) {
     std::size_t first = 0;
@@ -122,7 +122,7 @@ struct EmitEntry {
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // no tile; sorts after all tiles
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // not a tile; sorts after all tiles
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
             // The last rank whose first entry is at or before this entry. A rank without tiles has the same first entry

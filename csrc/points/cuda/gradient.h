@@ -26,7 +26,7 @@ struct Upstream {
 template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // layers is at most kLayers
-    const float* features;  // by point
+    const float* features;  // indexed by point
     int channels;
     ImageGradient gradient;
 

@@ -6,7 +6,7 @@
 
 namespace fourd::points::cuda {
 
-// The inputs of every kernel over pixels.
+// The inputs that all kernels over pixels share.
 struct View {
     Entries entries;
     int width, height, layers;
@@ -35,7 +35,7 @@ struct DepthSum {
 template <int kCapacity>
 struct RenderPixel {
     View view;
-    const float* features;  // by point
+    const float* features;  // indexed by point
     int channels;
     Image out;
 

@@ -47,7 +47,7 @@ def roll_pose(pose: Pose, degrees: float) -> Pose:
 
 
 def project(pose: Pose, point: Array) -> Array:
-    """(2,) pixel of a point in an image of SIZE."""
+    """The pixel position (2,) of a point in an image of SIZE."""
     pixels, depths = pose.camera(*SIZE).project(point[None])
     assert depths[0] > 0
     return pixels[0]
@@ -90,7 +90,7 @@ def test_non_square_pixels_are_not_cropped(aspect: float) -> None:
 
 
 def image_rectangle(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array]:
-    """Corners, low and high, of the camera's image in the image of its pose."""
+    """The lower and the upper corner of the camera's image, as positions in the image of its pose."""
     corners = np.array([[x, y, 1.0] for x in (0, camera.width) for y in (0, camera.height)])
     rays = 2.0 * corners @ np.linalg.inv(camera.intrinsics).T
     points = (rays - camera.translation) @ camera.rotation

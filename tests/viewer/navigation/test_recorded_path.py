@@ -44,7 +44,7 @@ def assert_same(got: Pose | None, expected: Pose) -> None:
 
 
 def change_first_sample(**changes: Any) -> Callable[[Content], None]:
-    """A change of the first sample in a file; None removes a key."""
+    """Change the first sample in a file. A value of None removes the key."""
 
     def change(content: Content) -> None:
         sample = content["stops"][0]

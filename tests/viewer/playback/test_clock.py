@@ -10,7 +10,7 @@ from fourd.viewer.playback.clock import Playback
 
 
 def advance(playback: Playback, ticks: int, seconds: float) -> list[int]:
-    """The frame after each tick."""
+    """The frame shown after each step of the clock."""
     frames = []
     for _ in range(ticks):
         playback.advance(seconds)

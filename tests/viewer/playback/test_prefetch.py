@@ -28,10 +28,10 @@ class CountedSource:
     """A source that makes a new frame for every read and tracks which frames are alive.
 
     Attributes:
-        limit: allowed bytes of live frames at a read, unless there are at most two.
+        limit: allowed bytes of live frames during a read; ignored for up to two live frames.
         reads: indices read.
         max_alive: largest count of live frames at a read.
-        gate: reads wait for it.
+        gate: event that reads wait for.
         has_started: set when a read reaches the gate.
         failures: exceptions to raise, by frame.
         seed: of the frames' content.
@@ -92,7 +92,7 @@ def eventually(condition: Callable[[], bool]) -> None:
 
 
 def reads_at_rest(source: CountedSource, count: int) -> list[int]:
-    """The reads after at least ``count`` and a pause for further ones."""
+    """The indices read. Waits for at least ``count`` reads, and then briefly for any further reads."""
     eventually(lambda: len(source.reads) >= count)
     time.sleep(0.02)
     return source.reads
@@ -105,7 +105,7 @@ def assert_same(got: BakedFrame | None, expected: BakedFrame) -> None:
 
 
 def locate_member(path: Path, name: str) -> tuple[int, int]:
-    """Offset and size of a member's bytes in the file."""
+    """Offset and size in bytes of a member of the ZIP file."""
     with zipfile.ZipFile(path) as archive:
         info = archive.getinfo(name)
     header = path.read_bytes()[info.header_offset : info.header_offset + 30]

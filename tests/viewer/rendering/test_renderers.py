@@ -31,7 +31,7 @@ from tests.viewer.scenes import shell_frame
 
 EXACT: tuple[RendererName, ...] = ("peel", "dual", "cpu")
 LAYERS = 12
-BACKGROUND = (0.2, 0.4, 0.8)  # exact in bytes, so that all renderers agree
+BACKGROUND = (0.2, 0.4, 0.8)  # a colour that bytes represent exactly, so that all renderers agree
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def make(context: moderngl.Context) -> Iterator[object]:
 
 
 def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.float32]:
-    """(H, W, 3) of the torch reference, over the background."""
+    """The image (H, W, 3) of the torch reference, over the background colour."""
     frame, settings = request.frame, request.settings
     colours = shade_reference(frame, request.camera, request.manifest)
     arrays = (frame.xyz, colours, frame.radius.astype(np.float32), frame.density.astype(np.float32))
@@ -70,7 +70,7 @@ def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.f
 
 
 def require_parity(name: str, got: NDArray[np.float32], truth: NDArray[np.float32]) -> None:
-    """Assert the error bounds of the exact renderers, or 40 dB for sorted."""
+    """Assert the error bounds of the exact renderers, or a PSNR of 40 dB for the sorted renderer."""
     difference = np.abs(got[..., :3] - truth)
     if name == "sorted":
         assert -10 * np.log10(np.square(difference).mean() + 1e-12) >= 40
@@ -132,7 +132,7 @@ def test_large_points_near_the_camera(name: RendererName, make, context: moderng
     depth = request.frame.xyz.astype(np.float64) @ camera.forward + camera.translation[2]
     assert (depth < 0).any()
     assert (camera.intrinsics[1, 1] * 0.08 / depth.clip(0.01) > 128).any(), "no point exceeds the maximum sprite size"
-    # Sorted composites all layers, so its reference does too.
+    # The sorted renderer composites all layers, so its reference must do the same.
     truth = reference(request, layers=64 if name == "sorted" else LAYERS)
     require_parity(name, render(make(name), request, context), truth)
 
