@@ -1,1 +1,1 @@
-"""Camera calibration: how well it agrees with the pictures, what it leaves open, and calibration from pictures."""
+"""Camera calibration: checks against the images, resolution of ambiguities, and calibration from images alone."""

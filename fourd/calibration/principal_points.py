@@ -72,8 +72,8 @@ def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
 def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
     """Choose the combination of mirrored principal points with the smallest epipolar residual.
 
-    The images must have the calibration's size or be resized without a crop off the centre, so that the centre is the
-    same.
+    The images must have the calibration's size, or be resized without an off-centre crop, so that the image centre is
+    the same.
 
     Args:
         matches: matches of each camera pair, in pixels of the distorted images.

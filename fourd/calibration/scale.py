@@ -95,7 +95,8 @@ def align_cameras(cameras: Mapping[str, Camera], poses: Mapping[str, Camera]) ->
     known = [name for name in poses if name in cameras]
     if not known:
         raise UserError(
-            "board: expected an image of a calibrated camera that shows the board, got none; show the board to one"
+            "board: expected an image of a calibrated camera that shows the board, got none; "
+            "show the board to such a camera"
         )
     u, _, vt = np.linalg.svd(sum(poses[name].rotation.T @ cameras[name].rotation for name in known))
     R_new_old = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt

@@ -1,4 +1,4 @@
-"""Hypotheses of how pictures were resized, and mirrored principal points: synthetic, and on a real recording."""
+"""Hypotheses of how images were resized, and mirrored principal points: synthetic, and on a real recording."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Picture = NDArray[np.uint8]
 
 
 def _project_to_matches(rng: np.random.Generator, cameras: list[Camera]) -> dict[Pair, Matches]:
-    """Projections of random points into all pairs of pictures, with 0.1 px of noise."""
+    """Projections of random points into all pairs of images, with 0.1 px of noise."""
     xyz = rng.uniform((0.7, 0.7, 0.1), (1.9, 1.9, 1.3), (200, 3))
     seen = [distort_points(camera, camera.project(xyz)[0]) + rng.normal(0, 0.1, (200, 2)) for camera in cameras]
     return {(i, j): Matches(seen[i], seen[j]) for i, j in combinations(range(len(cameras)), 2)}

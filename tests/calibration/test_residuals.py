@@ -44,7 +44,7 @@ def _rotate(camera: Camera, degrees: float) -> Camera:
 
 @pytest.fixture(scope="module")
 def room() -> tuple[list[Camera], list[Picture]]:
-    """Six cameras with distortion, and their pictures."""
+    """Six cameras with distortion, and their images."""
     cameras = room_cameras(6, distortion=DISTORTION)
     textured = Room(np.random.default_rng(5))
     return cameras, [textured.picture(camera) for camera in cameras]

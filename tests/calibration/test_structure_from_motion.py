@@ -1,4 +1,4 @@
-"""Calibration from pictures alone, its scale from a distance, and its world frame from a chessboard."""
+"""Calibration from images alone, its scale from a distance, and its world frame from a chessboard."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def truth() -> dict[str, Camera]:
 
 @pytest.fixture(scope="module")
 def pictures(truth: dict[str, Camera]) -> dict[str, list[Picture]]:
-    """One picture of each camera."""
+    """One image of each camera."""
     room = Room(np.random.default_rng(3))
     return {name: [room.picture(camera)] for name, camera in truth.items()}
 
 
 @pytest.fixture(scope="module")
 def found(pictures: dict[str, list[Picture]]) -> SelfCalibration:
-    """The calibration from these pictures."""
+    """The calibration from these images."""
     return calibrate_from_pictures(pictures, is_lens_shared=True)
 
 

@@ -51,7 +51,7 @@ def write_numbered_video(
     times: Sequence[int] | None = None,
     index_first: bool = False,
 ) -> Path:
-    """Write a video of numbered pictures at ``fps``; ``times`` are other presentation times in frames.
+    """Write a video of numbered images at ``fps``; ``times`` are other presentation times in frames.
 
     ``index_first`` puts the MP4's index before its frames, as for streaming.
     """

@@ -56,7 +56,7 @@ def test_pictures_are_rgb_and_mattes_grey(ball_capture: Path) -> None:
 
 
 def test_scaled_pictures_fit_their_cameras(ball_capture: Path) -> None:
-    """Catches intrinsics that are not scaled with the picture."""
+    """Catches intrinsics that are not scaled with the image."""
     whole, half = open_capture(ball_capture), open_capture(ball_capture, scale=0.5)
     assert half.image(0, 0).shape == (32, 32, 3)
     point = np.array([[0.1, 0.05, 0.2]])
@@ -76,7 +76,7 @@ def test_memory_is_bounded(ball_capture: Path) -> None:
 
 
 def write_dots(folder: Path, camera: Camera, xyz: np.ndarray) -> None:
-    """A picture of ``xyz`` with distortion, one soft dot per point; the matte is the same."""
+    """An image of ``xyz`` with distortion, one soft dot per point; the matte is the same."""
     assert camera.distortion is not None
     rotation = cv2.Rodrigues(camera.rotation)[0]
     pixels, _ = cv2.projectPoints(xyz, rotation, camera.translation, camera.intrinsics, camera.distortion)
@@ -232,7 +232,7 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
 def test_broken_captures_raise_one_line(
     damage: Callable[[Path], object], message: str, capture: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a traceback, a half-grey picture, or a message that does not name the file."""
+    """Catches a traceback, a half-grey image, or a message that does not name the file."""
     damage(capture)
     with pytest.raises(UserError, match=message) as caught:
         opened = open_capture(capture)

@@ -23,7 +23,7 @@ def write_capture_without_masks(folder: Path, *, frames: int = 8, size: int = 96
 
 
 def write_video(path: Path, pictures: Sequence[Path]) -> None:
-    """Write a video of picture files at 30 frames per second."""
+    """Write a video of image files at 30 frames per second."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"crf": "6", "g": "4"})
         with Image.open(pictures[0]) as first:

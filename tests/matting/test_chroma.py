@@ -1,4 +1,4 @@
-"""Chroma keying of synthetic pictures with uneven light, a shadow and noise, compared with the true alpha."""
+"""Chroma keying of synthetic images with uneven light, a shadow and noise, compared with the true alpha."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def subject_alpha() -> Floats:
 def synthetic_picture(
     rng: np.random.Generator, screen: tuple[int, int, int], shadow: float = 0.6
 ) -> tuple[Picture, Floats]:
-    """A noisy picture and its alpha; the illumination falls from 1.1 to 0.75, and a shadow lies beside the feet."""
+    """A noisy image and its alpha; the illumination falls from 1.1 to 0.75, and a shadow lies beside the feet."""
     height, width = SIZE
     alpha = subject_alpha()
     y, x = np.mgrid[:height, :width]

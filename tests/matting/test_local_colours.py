@@ -19,7 +19,7 @@ def halves(height: int = 90, width: int = 240) -> np.ndarray:
 
 
 def test_colours_are_likelier_where_they_occur() -> None:
-    """Catches a transposed or shifted grid, and colours of the whole picture instead of local ones."""
+    """Catches a transposed or shifted grid, and colours of the whole image instead of local ones."""
     picture = halves()
     nearby = LocalColours.from_picture(picture, np.ones(picture.shape[:2], bool))
     red = nearby.log_likelihood(np.full_like(picture, RED))

@@ -30,7 +30,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_mattes_match_the_subject(made: Path) -> None:
-    """Catches evidence with the wrong sign, permuted views, and mattes that are not aligned with the pictures."""
+    """Catches evidence with the wrong sign, permuted views, and mattes that are not aligned with the images."""
     found = matte_iou(open_capture(made), made.parent / "truth")
     assert found.mean() > 0.85, found.round(2)
     assert found.mean(axis=1).min() > 0.75, found.round(2)

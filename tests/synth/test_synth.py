@@ -83,7 +83,7 @@ def test_mask_depth_and_picture_agree(folder: Path) -> None:
 
 
 def test_depth_is_consistent_between_cameras(tmp_path: Path) -> None:
-    """Catches depth along the ray instead of z, half-pixel shifts, and cameras that do not fit their pictures."""
+    """Catches depth along the ray instead of z, half-pixel shifts, and cameras that do not fit their images."""
     folder = tmp_path / "capture"
     make_synthetic(folder, frames=1, cameras=16, size=96)
     capture = open_capture(folder)
@@ -184,7 +184,7 @@ def test_soft_mask_is_the_coverage(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_bands_have_no_seams(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches seams between the bands in which large pictures are traced."""
+    """Catches seams between the bands in which large images are traced."""
     parts, camera = pose_figure(make_figure(0), 0.3), _test_camera(64)
     plate = np.full((64, 64, 3), 0.4)
     whole = render_figure(parts, camera, plate, 0.3)
