@@ -1,4 +1,4 @@
-"""Files are either old or new, never partial."""
+"""A file has either its old or its complete new content."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_temporary_files_of_killed_processes_are_removed(tmp_path: Path) -> None
 
 
 def test_temporary_files_of_one_target_are_removed(tmp_path: Path) -> None:
-    """Catches gigabytes left beside a scene after a kill, and removed files of another program."""
+    """Catches temporary files that remain after a kill, and a removal of another program's files."""
     for name in ("scene.4dv", "scene-2.4dv"):
         with pytest.raises(FileNotFoundError), atomic_path(tmp_path / name) as temporary:
             ours = temporary.stem.rsplit("-", 1)[0]

@@ -40,14 +40,14 @@ def test_file_gets_lines_with_the_remaining_time(clock: list[float]) -> None:
 
 
 def test_short_phases_have_no_line(clock: list[float]) -> None:
-    """Catches lines for phases of no duration, and a division by zero items."""
+    """Catches lines for phases that take no time, and a division by zero without items."""
     assert logged_lines(10, 0.1, clock) == []
     assert logged_lines(0, 1.0, clock) == []
     assert logged_lines(1, 5.0, clock) == ["mattes: 1 of 1 after 0:00:05"]
 
 
 def test_items_that_finish_together_do_not_change_the_estimate() -> None:
-    """Catches a rate between two results of processes in lockstep, far too low or too high."""
+    """Catches a rate that is measured between two results although processes finish items in groups."""
     estimate = EndEstimate(0.0, 100)
     assert [estimate.update(20.0, 1), estimate.update(20.0, 2)] == [2000.0, 1000.0]
     ends = [estimate.update(20.0 * turn, 2 * turn - 1 + second) for turn in range(2, 40) for second in (0, 1)]

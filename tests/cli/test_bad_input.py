@@ -46,7 +46,7 @@ def error_line(capsys: pytest.CaptureFixture[str], *words: object) -> str:
 def test_mistyped_config_keys_are_refused(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a setting that is silently ignored."""
+    """Catches a setting that the command silently ignores."""
     overlay = tmp_path / "my.yaml"
     overlay.write_text("model:\n  neighbors: 3\n")
     words = ["train", ball_capture, "--out", tmp_path / "run", "--config", overlay, "--max-steps", 1]
@@ -58,7 +58,7 @@ def test_mistyped_config_keys_are_refused(
 def test_other_folders_are_not_used_as_runs(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches checkpoints written among a user's own files."""
+    """Catches checkpoints that are written into a folder with a user's own files."""
     (tmp_path / "thesis.tex").write_text("mine")
     line = error_line(capsys, "train", ball_capture, "--out", tmp_path, "--max-steps", 1)
     assert "expected a new or empty folder, got one that is not a run; name another with --out" in line
@@ -78,7 +78,7 @@ def test_truncated_scenes_are_refused(scene: Path, tmp_path: Path, capsys: pytes
 def test_checkpoints_of_another_model_are_refused(
     trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches weights of another model that load because shapes agree, and a torch traceback."""
+    """Catches weights of another model that load because their shapes match, and a torch traceback."""
     other = Path(shutil.copytree(trained.folder, tmp_path / "run"))
     config = other / "config.yaml"
     config.write_text(re.sub(r"hidden: 16", "hidden: 24", config.read_text()))
@@ -165,7 +165,7 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
 
 
 def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches scores of fitted cameras reported as scores of the given cameras."""
+    """Catches a report that does not mark scores as scores of fitted cameras."""
     assert main(["eval", str(trained.folder), "--refine-test", "--json", str(tmp_path / "fitted.json")]) == 0
     assert "03: fitted to its own images before evaluation" in capsys.readouterr().out
     content = json.loads((tmp_path / "fitted.json").read_text())
@@ -174,7 +174,7 @@ def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsy
 
 
 def test_resumed_runs_keep_their_config(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a changed flag that a resumed run ignores silently, and the same flags refused."""
+    """Catches a resumed run that silently ignores a changed flag, or rejects unchanged flags."""
     run = Path(shutil.copytree(trained.folder, tmp_path / "run"))
     words = ["train", trained.capture.path, "--out", run, "--resume", "--max-steps", 7]
     for flag, shown in ((["--points", 5], "points: 5"), (["--set", "rates.planes=1"], "planes: 1.0")):

@@ -46,7 +46,7 @@ def made(capture: Path) -> Path:
 
 
 def test_check_accepts_synthetic_captures(capture: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a generator and a checker with different definitions of a capture."""
+    """Catches a synthetic capture that fourd check rejects."""
     assert main(["check", str(capture), "--deep"]) == 0
     assert "Good to use" in capsys.readouterr().out
 
@@ -65,7 +65,7 @@ def test_run_and_exported_scene_score_the_same(made: Path, tmp_path: Path) -> No
 
 
 def test_full_scenes_are_scored_on_whole_pictures(capture: Path, made: Path, tmp_path: Path) -> None:
-    """Catches a background that is compared with the object on black."""
+    """Catches an evaluation that compares a full scene with the object on black."""
     reader, views = SceneReader(made), open_capture(capture)
     nothing = make_frame({name: array[:0] for name, array in reader.read(0).arrays.items()})
     with SceneWriter(tmp_path / "full.4dv", replace(reader.manifest, kind="full")) as writer:
@@ -84,7 +84,7 @@ def test_full_scenes_are_scored_on_whole_pictures(capture: Path, made: Path, tmp
 
 
 def test_make_writes_full_scenes(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a background that a stage drops, and one that loses quality on export."""
+    """Catches a stage that drops the background, and an export that loses quality of the background."""
     scene, overlay, shell = tmp_path / "full.4dv", tmp_path / "small.yaml", tmp_path / "shell.ply"
     xyz = 4 * sphere(2500)
     write_ply(shell, xyz, np.full(xyz.shape, 128, np.uint8))
@@ -145,7 +145,7 @@ def test_render_writes_views_paths_and_videos(made: Path, tmp_path: Path) -> Non
 
 
 def test_info_describes_every_output(capture: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a format that fourd info does not know."""
+    """Catches a file type that fourd info does not recognise."""
     run = made.with_suffix(".work") / "run"
     for path, title in (
         (made, "a 4D scene"),

@@ -9,7 +9,7 @@ from fourd.cli.main import COMMANDS, main
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_real_defaults(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an option whose default is decided later and shown as None."""
+    """Catches an option that is shown with the default None because its default is computed later."""
     with pytest.raises(SystemExit) as caught:
         main([command, "--help"])
     assert caught.value.code == 0
@@ -35,7 +35,7 @@ def test_help_shows_real_defaults(command: str, capsys: pytest.CaptureFixture[st
 def test_bad_rendering_options_are_one_line(
     command: list[str], words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a value that one of the commands accepts and the renderer fails on."""
+    """Catches an invalid value that a command accepts and that makes the renderer fail."""
     assert main([*command, *words]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"fourd {command[0]}: {message}")

@@ -1,4 +1,4 @@
-"""``fourd import`` from outside: errors in one line with exit code 2, and its log."""
+"""The command ``fourd import``: one-line errors with exit code 2, and log lines."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def imported_log(capsys: pytest.CaptureFixture[str], *words: object) -> str:
 
 
 def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a mistyped format taken for a path, and a missing source."""
+    """Catches a mistyped format name that is used as a path, and a missing source."""
     out = tmp_path / "out"
     assert "got 'easymocab'; did you mean 'easymocap'?" in refused_line(capsys, "easymocab", ball_capture, out)
     assert "but it does not exist; check the path" in refused_line(capsys, tmp_path / "gone", out)
@@ -86,7 +86,7 @@ def test_offsets_of_pictures_are_refused(
 def test_other_captures_are_not_overwritten(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a calibration lost to a mistyped folder."""
+    """Catches an import that overwrites the calibration in a mistyped output folder."""
     source = write_source(tmp_path / "source")
     before = (ball_capture / "intri.yml").read_bytes()
     assert "got one with other files; name another" in refused_line(capsys, source, ball_capture)
@@ -115,7 +115,7 @@ def write_room(folder: Path, names: list[str], true: list, calibration: list) ->
 
 
 def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a guess of how images were resized."""
+    """Catches an import that guesses how images were resized."""
     source = write_source(tmp_path / "source")
     cameras = [replace(of.camera(32, 48), width=36) for of in read_calibration(source).values()]
     write_calibration(source, ["a", "b", "c"], cameras)
@@ -133,7 +133,7 @@ def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_stretched_pictures_and_mirrored_centres_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches sizes and centres tested separately, an unrequested change, and a requested one that is not made."""
+    """Catches image sizes and principal points that are tested separately, an unrequested fix, and a missing fix."""
     names = ["a", "b", "c", "d"]
     shift = np.array([[0, 0, 14.0], [0, 0, -9.0], [0, 0, 0]])
     given = [replace(camera, intrinsics=camera.intrinsics + shift) for camera in room_cameras(4, 256, 192)]
@@ -157,7 +157,7 @@ def test_stretched_pictures_and_mirrored_centres_are_found(tmp_path: Path, capsy
 
 
 def test_good_calibration_is_unchanged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a good calibration reported as mirrored, and a scale that is not applied to it."""
+    """Catches a correct calibration that is reported as mirrored, and a scale that is not applied."""
     cameras = room_cameras(4, 256, 192)
     source = write_room(tmp_path / "source", ["a", "b", "c", "d"], cameras, cameras)
     output = imported_log(capsys, "easymocap", source, tmp_path / "out", "--scale", "a,b=3")
@@ -169,7 +169,7 @@ def test_good_calibration_is_unchanged(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a displaced camera that is missed, good ones reported instead, and slow checks with --quick."""
+    """Catches a displaced camera that is not reported, correct cameras that are, and slow checks with --quick."""
     true = room_cameras(5, 320, 240)
     angle = np.deg2rad(2.5)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])

@@ -1,4 +1,4 @@
-"""What the entry point does before it runs a command."""
+"""The environment that the entry point sets before it runs a command."""
 
 from __future__ import annotations
 
@@ -24,6 +24,6 @@ def spin_count(**set_before: str) -> str:
 
 
 def test_spin_count_is_set_before_torch_is_imported() -> None:
-    """Catches a setting made too late to be read, and one that overrides the user's."""
+    """Catches GOMP_SPINCOUNT set after torch is imported, and a value that overrides the user's."""
     assert spin_count() == "20000"
     assert spin_count(GOMP_SPINCOUNT="5") == "5"

@@ -1,4 +1,4 @@
-"""``fourd matte``: its errors, and what an interrupted call leaves."""
+"""``fourd matte``: errors, and files after an interrupted call."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def contents(capture: Path) -> dict[str, bytes]:
 def test_wrong_options_are_one_line(
     options: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches tracebacks, and work done before an option is checked."""
+    """Catches tracebacks, and work that starts before an option is checked."""
     capture = write_capture_without_masks(tmp_path, frames=2, size=32)
     assert main(["matte", str(capture), *options]) == 2
     error = capsys.readouterr().err
@@ -45,7 +45,7 @@ def test_wrong_options_are_one_line(
 
 
 def test_masks_of_the_capture_are_used(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches mattes made although the capture has masks, and plates that are skipped then."""
+    """Catches mattes that are made for a capture with masks, and plates that are not made for it."""
     capture = tmp_path / "capture"
     shutil.copytree(ball_capture, capture)
     assert main(["matte", str(capture), "--workers", "1"]) == 0

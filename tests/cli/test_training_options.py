@@ -18,7 +18,7 @@ def config(background: str | None, file: Path | None = None, *assignments: str) 
 
 @pytest.mark.parametrize("method", ["ngp", "sfm"])
 def test_a_method_replaces_the_points_of_the_config_file(method: str, tmp_path: Path) -> None:
-    """Catches a flag that the config file's own points override silently."""
+    """Catches a flag that the points in the config file silently override."""
     (tmp_path / "a.yaml").write_text("background: {seeds: own.ply, seeding: sfm}\n")
     background = config(method, tmp_path / "a.yaml").background
     assert background.seeding == method
@@ -26,14 +26,14 @@ def test_a_method_replaces_the_points_of_the_config_file(method: str, tmp_path: 
 
 
 def test_own_points_are_a_ply_file(tmp_path: Path) -> None:
-    """Catches a file mistaken for a method, and a file refused for its name."""
+    """Catches a file that is used as a method name, and a file that is rejected because of its name."""
     assert config("dir/own.PLY").background.seeds == Path("dir/own.PLY")
     (tmp_path / "own").write_text("ply\n")
     assert config(str(tmp_path / "own")).background.seeds == tmp_path / "own"
 
 
 def test_flags_not_given_change_nothing(tmp_path: Path) -> None:
-    """Catches a flag that was not given and still overrides the config file."""
+    """Catches a missing flag whose default overrides the config file."""
     (tmp_path / "a.yaml").write_text("background: {seeding: sfm, points: 5, radiance: {steps: 7}}\n")
     background = config(None, tmp_path / "a.yaml").background
     assert (background.seeding, background.points, background.radiance.steps) == ("sfm", 5, 7)
@@ -41,7 +41,7 @@ def test_flags_not_given_change_nothing(tmp_path: Path) -> None:
 
 
 def test_neither_a_method_nor_a_file_is_refused() -> None:
-    """Catches a typing error that is opened as a file only after the mattes are made."""
+    """Catches a mistyped method that is only reported after the mattes are made."""
     with pytest.raises(UserError, match=r"--background: expected ngp, sfm or a PLY file, got 'nerf'; see .* --help$"):
         config("nerf")
 
@@ -71,7 +71,7 @@ def test_set_reaches_any_key_after_the_config_file(tmp_path: Path) -> None:
 
 
 def test_set_values_are_validated_together() -> None:
-    """Catches dependent keys that are refused one by one."""
+    """Catches keys that are only valid together but are validated one by one."""
     model = config(None, None, "model.radius_start=8", "model.radius_range=[7, 9]").model
     assert (model.radius_start, model.radius_range) == (8.0, (7.0, 9.0))
 
@@ -109,7 +109,7 @@ def test_bad_values_are_one_line(
 
 @pytest.mark.parametrize("command", ["train", "make"])
 def test_help_shows_the_defaults_of_the_config(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an option whose default --help hides."""
+    """Catches an option whose default is missing in --help."""
     with pytest.raises(SystemExit):
         main([command, "--help"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())

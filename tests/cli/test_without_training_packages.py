@@ -60,7 +60,7 @@ def test_training_names_the_extra_in_one_line(words: list[str]) -> None:
 
 
 def test_extra_lists_the_same_packages() -> None:
-    """Catches a training package that moves between the extra and the base install unnoticed."""
+    """Catches a list of training packages that differs from the extra in pyproject.toml."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     names = [re.split(r"[<>=\[]", requirement)[0] for requirement in project["optional-dependencies"]["train"]]
     assert sorted(names) == sorted(TRAINING_PACKAGES)

@@ -32,7 +32,7 @@ def write_source(folder: Path, numbers: dict[str, Iterable[int]] | None = None) 
 
 
 def run_import(source: Path, out: Path, **options: object) -> list[str]:
-    """Import; all log lines, with warnings marked."""
+    """Import a source. Returns all log lines, with warnings marked."""
     lines: list[str] = []
     settings = ImportOptions(**{"centres": "as-given"} | options)
     import_source(
@@ -72,7 +72,7 @@ def test_videos_and_unpacked_frames_agree(tmp_path: Path) -> None:
 
 
 def test_files_are_linked_or_copied(tmp_path: Path) -> None:
-    """Catches gigabytes copied without --copy, and a copy that needs its source."""
+    """Catches videos that are copied without --copy, and a copy that still needs its source."""
     source = write_source(tmp_path / "source")
     run_import(source, tmp_path / "linked")
     run_import(source, tmp_path / "copied", copy=True)
@@ -86,7 +86,7 @@ def test_files_are_linked_or_copied(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("unpack", [False, True])
 def test_offsets_synchronise_cameras(unpack: bool, tmp_path: Path) -> None:
-    """Catches offsets of the opposite sign."""
+    """Catches offsets that are applied with the wrong sign."""
     source = write_source(tmp_path / "source", {"b": range(3, 40), "c": range(1, 39)})
     lines = run_import(source, tmp_path / "out", offsets={"b": -3, "c": -1}, unpack=unpack)
     capture = open_capture(tmp_path / "out")
@@ -134,7 +134,7 @@ def test_second_import_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_videos_are_read_through_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches whole videos read twice by one import, or again after an interrupted one."""
+    """Catches videos that one import indexes twice, or that are indexed again after an interruption."""
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     indexed: list[str] = []
 
@@ -167,7 +167,7 @@ def test_temporary_files_of_a_killed_import_are_removed(tmp_path: Path) -> None:
 
 
 def test_changed_calibration_is_applied(tmp_path: Path) -> None:
-    """Catches no change after the source was calibrated again."""
+    """Catches an import that ignores a new calibration of the source."""
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     run_import(source, out)
     moved = [replace(camera, height=HEIGHT, translation=camera.translation + 1) for camera in ring_cameras(3, WIDTH)]
@@ -191,7 +191,7 @@ def test_other_folders_are_not_overwritten(tmp_path: Path, ball_capture: Path) -
 
 
 def test_unpacked_frames_keep_their_offsets(tmp_path: Path) -> None:
-    """Catches frames of two alignments in one folder."""
+    """Catches a folder that mixes frames with different offsets."""
     source = write_source(tmp_path / "source")
     run_import(source, tmp_path / "out", unpack=True)
     with pytest.raises(UserError, match=r"expected the offsets of the frames unpacked there \(none\), got b=2"):
@@ -202,7 +202,7 @@ def test_unpacked_frames_keep_their_offsets(tmp_path: Path) -> None:
 
 
 def test_damaged_record_is_reported(tmp_path: Path) -> None:
-    """Catches a traceback, and a folder whose content is guessed."""
+    """Catches a traceback, and a damaged record that is ignored."""
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     run_import(source, out)
     record = out / ".fourd" / "import.json"
@@ -213,7 +213,7 @@ def test_damaged_record_is_reported(tmp_path: Path) -> None:
 
 
 def test_easymocap_round_trip(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches pixels or poses that change without anything to convert."""
+    """Catches pixels or poses that change although no conversion is needed."""
     run_import(ball_capture, tmp_path / "out")
     before, after = open_capture(ball_capture), open_capture(tmp_path / "out")
     assert before.names == after.names

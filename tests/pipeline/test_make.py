@@ -28,7 +28,7 @@ NAMES = ("import", "check", "mattes", "plates", "adjust", "carve", "points", "ba
 
 
 def make(capture: Path, out: Path, config: TrainConfig, points_from: Path | None = None) -> dict[str, bool]:
-    """Run everything; maps the name of each stage in the graph to whether its work was done."""
+    """Run all stages. Returns for each stage name whether its work was executed."""
     text = io.StringIO()
     context = Context(Console(file=text, width=200))
     make_scene(capture, out, config, MatteSettings(), context, points_from=points_from)
@@ -38,7 +38,7 @@ def make(capture: Path, out: Path, config: TrainConfig, points_from: Path | None
 
 
 def test_changed_inputs_and_settings_rerun_dependent_stages(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches stale results after a change, and work done twice without one."""
+    """Catches stale results after a change, and stages that run again without a change."""
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
     config = with_steps(SMALL, 2)
@@ -125,7 +125,7 @@ def test_stages_of_a_full_scene_depend_on_what_they_read(ball_capture: Path, tmp
 
 
 def test_given_points_replace_carving(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches training on carved points instead of the given ones, and changes of the given points that are missed."""
+    """Catches training on carved points instead of given points, and changes of given points that are ignored."""
     points, out = tmp_path / "points", tmp_path / "scene.4dv"
     for frame in range(3):
         write_ply(points / f"{frame:06d}.ply", sphere(600) * 0.3, np.full((600, 3), 90, np.uint8))
@@ -165,7 +165,7 @@ def test_interrupted_training_resumes_to_the_same_scene(
 def test_an_interrupted_create_run_keeps_finished_stages(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a fourd train that carves again, or refuses its own folder, when it was interrupted before training."""
+    """Catches a fourd train that carves again or rejects its folder after an interruption before training."""
     config, run = full_config(tmp_path / "seeds.ply"), tmp_path / "run"
     seeds = (tmp_path / "seeds.ply").read_bytes()
     (tmp_path / "seeds.ply").unlink()

@@ -1,4 +1,4 @@
-"""The runner: what it executes, skips, removes and remembers."""
+"""The runner: executed, skipped and resumed stages, and removed files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Counter:
 
 
 def run(stages: list[AnyStage], record: Path, stop: str | None = None) -> list[str]:
-    """Run ``stages`` with a new runner; the names of the stages whose work was done."""
+    """Run ``stages`` with a new runner. Returns the names of the executed stages."""
     counter = Counter(stop)
     try:
         Runner(Context(), record, counter).run(stages)
@@ -48,7 +48,7 @@ def chain(folder: Path, first: str = "", second: str = "") -> list[AnyStage]:
 
 
 def test_a_changed_setting_reruns_the_dependent_stages_only(tmp_path: Path) -> None:
-    """Catches a stale result after a change, and work done twice without one."""
+    """Catches a stale result after a change, and a stage that runs again without a change."""
     record = tmp_path / "stages.json"
     assert run(chain(tmp_path), record) == ["a", "b", "c"]
     assert run(chain(tmp_path), record) == []
@@ -59,7 +59,7 @@ def test_a_changed_setting_reruns_the_dependent_stages_only(tmp_path: Path) -> N
 
 
 def test_an_interrupted_stage_keeps_its_files_for_the_same_key_alone(tmp_path: Path) -> None:
-    """Catches finished files thrown away on a resume, and files of other settings taken over."""
+    """Catches a resume that deletes finished files, and files of other settings that are reused."""
     record, partial = tmp_path / "stages.json", tmp_path / "b" / "partial"
     assert run(chain(tmp_path), record, stop="b") == ["a"]
     partial.parent.mkdir()
@@ -71,7 +71,7 @@ def test_an_interrupted_stage_keeps_its_files_for_the_same_key_alone(tmp_path: P
 
 
 def test_an_interrupted_stage_is_not_finished_for_an_older_key(tmp_path: Path) -> None:
-    """Catches partial files of new settings taken for the result of the settings before."""
+    """Catches partial files of new settings that are used as the result of old settings."""
     record = tmp_path / "stages.json"
     run(chain(tmp_path), record)
     assert run(chain(tmp_path, second="x"), record, stop="b") == []

@@ -33,7 +33,7 @@ def uneven_cameras(count: int, distortion: np.ndarray | None = None) -> list[Cam
 
 
 def assert_same_view(lens: Camera | None, original: Camera, rng: np.random.Generator) -> None:
-    """Random world points in metres project to the same pixels, distortion included."""
+    """Assert that random world points in metres project to the same pixels, including distortion."""
     assert lens is not None
     assert (lens.width, lens.height) == (original.width, original.height)
     xyz = rng.uniform(-0.4, 0.4, (50, 3))
@@ -84,7 +84,7 @@ def detect_format(source: Path) -> str | None:
 
 
 def assert_refused(read: Read, source: Path, message: str) -> None:
-    """The source raises a one-line UserError that matches and has a fix."""
+    """Assert that reading raises a one-line UserError that matches ``message`` and names a fix."""
     with pytest.raises(UserError, match=message) as caught:
         read(source)
     assert "\n" not in str(caught.value)
@@ -100,7 +100,7 @@ def edit(path: Path, old: str, new: str) -> None:
 def assert_damage_is_reported(
     read: Read, source: Path, file: Path, rng: np.random.Generator, flips: bool = True
 ) -> None:
-    """A truncated or corrupted file is read or raises a one-line UserError, never another exception."""
+    """Assert that a truncated or corrupted file is read or raises a one-line UserError, but no other exception."""
     whole = file.read_bytes()
     for attempt in range(24):
         damaged = bytearray(whole[: rng.integers(len(whole))] if attempt % 2 else whole)
