@@ -57,18 +57,18 @@ def member_name(frame: int, attribute: str) -> str:
 class SceneWriter:
     """Writes a scene frame by frame. Memory use does not grow with the number of frames.
 
-    Use as a context manager: the complete file appears at ``path`` when the block ends. If the block raises, an older
-    file stays and no other file remains.
+    Use it as a context manager: the complete file appears at ``path`` when the block ends. If the block raises an
+    exception, an existing file at ``path`` is kept and no partial file remains.
 
     Args:
-        path: of the `.4dv`; a missing folder is created.
-        manifest: of the scene; ``points``, ``background``, ``version`` and ``optional_attributes`` are set from what
-            is added.
+        path: path of the `.4dv`. A missing folder is created.
+        manifest: manifest of the scene. The writer sets ``points``, ``background``, ``version`` and
+            ``optional_attributes`` from the added frames.
 
     Raises:
         UserError: if the disk is full or the path cannot be written.
-        ValueError: if frames come out of order, do not match the manifest or each other, or hold values that
-            :data:`fourd.baking.attributes.ATTRIBUTES` excludes; if a full scene's background is not added exactly
+        ValueError: if frames are not added in order, do not match the manifest or each other, or contain values that
+            :data:`fourd.baking.attributes.ATTRIBUTES` excludes, or if a full scene's background is not added exactly
             once.
     """
 

@@ -132,17 +132,18 @@ class SceneManifest:
     """Metadata that all frames of a baked scene share, stored as the manifest.json of a `.4dv`.
 
     Attributes:
-        source_names, source_cameras: the V source views in the order of the frames' arrays.
+        source_names, source_cameras: names and cameras of the V source views, in the order of the frames' arrays.
         focus: (x, y, z) of the point at which angles between views are measured, world units.
-        bounds: lower and upper corner of the dynamic points, world units.
+        bounds: lower and upper corner of the box that contains the dynamic points, world units.
         frame_numbers: the number of each frame in the capture.
         points: number of dynamic points of each frame; set by the writer.
-        other_names, other_cameras: further cameras of the capture, such as held-out views, that contribute no colour
-            but can be rendered by name.
+        other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Their
+            colours are not blended, but they can be rendered by name.
         fps: playback rate, frames per second.
         layers: K, the maximum number of points that a pixel composites.
         neighbours: N', the number of source views that are blended for an image.
-        sh_range, sh_base: the view-dependent colour is ``sh_base + sh_range * tanh(sh . Y(d))``.
+        sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
+            are the spherical harmonics in viewing direction d.
         near: camera depth below which points are culled, world units.
         kind: "object" (on black) or "full" (with a static background).
         background: static points of a full scene; set by the writer.
