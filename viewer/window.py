@@ -12,7 +12,7 @@ from fourd.errors import UserError
 
 
 class Window:
-    """A window whose context is current. Use as a context manager.
+    """A window with a current OpenGL context. Use as a context manager.
 
     Raises UserError where there is no display or no OpenGL 3.3.
     """

@@ -49,7 +49,7 @@ class WindowRenderer:
         self._drawn = None
 
     def needs_draw(self, request: RenderRequest) -> bool:
-        """Whether the canvas does not show ``request`` exactly."""
+        """Whether the canvas differs from the exact image of ``request``."""
         last = self._drawn
         is_same = (
             last is not None

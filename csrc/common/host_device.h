@@ -1,4 +1,4 @@
-// Marks functions that compile for the CPU and, under nvcc, for the GPU.
+// Macros for functions that compile for the CPU and, with nvcc, also for the GPU.
 #pragma once
 
 #ifdef __CUDACC__

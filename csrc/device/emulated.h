@@ -26,7 +26,7 @@ class Executor {
     template <typename Kernel>
     void for_each_in_warps(std::size_t count, const Kernel& kernel) const {
         for (std::size_t first = 0; first < count; first += kWarpSize) {
-            std::size_t next = first;  // lanes start in order
+            std::size_t next = first;  // the lanes start in order of their numbers
             run_warp([&](const Lane& lane) { kernel(next++, lane); });
         }
     }

@@ -1,4 +1,4 @@
-// Runs one kernel on a synthetic figure, for profilers and for counting instructions:
+// Runs one kernel on synthetic points, for profilers and for counting instructions:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
 // KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity, hashgrid or
 // hashgrid_backward (where LAYERS is log2 of a level's maximum number of entries). Prints the milliseconds per repeat.

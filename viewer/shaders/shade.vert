@@ -14,14 +14,14 @@ uniform int gap;                  // count of unused slots between the dynamic p
 
 uniform vec3 intrinsics_x;  // the first two rows of K
 uniform vec3 intrinsics_y;
-uniform vec3 rotation_x;    // the rows of R_camera_world
+uniform vec3 rotation_x;    // rows of R_camera_world
 uniform vec3 rotation_y;
 uniform vec3 rotation_z;
 uniform vec3 translation;
 uniform vec3 camera_centre;
 uniform float near;
 
-uniform int blended_views[64];  // indices of source views
+uniform int blended_views[64];  // indices of the source views to blend
 uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;

@@ -35,7 +35,7 @@ struct Entries {
     std::uint64_t* tile_counts;  // by rank: number of tiles; followed by a 0
     std::uint64_t* begin;        // by rank: exclusive sum of tile_counts; followed by the number of entries
     std::uint32_t* entry_tiles;  // sorted by tile
-    std::uint32_t* entry_ranks;  // sorted by tile, then by rank
+    std::uint32_t* entry_ranks;  // rank of each entry, sorted by tile, then by rank
     std::uint32_t* tile_begin;   // by tile: first entry; followed by the number of entries
     std::uint32_t* visible;      // number of visible points
     float* sums;                 // by rank: sums of gradients
