@@ -25,9 +25,9 @@ import tyro
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.detection import Format
-from fourd.importing.formats.folders import picture_files
-from fourd.importing.formats.imported import Imported, ImportedCamera
+from fourd.importing.detection import Format
+from fourd.importing.folders import picture_files
+from fourd.importing.imported import Imported, ImportedCamera
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import untracked
 

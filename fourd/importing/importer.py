@@ -16,8 +16,8 @@ from fourd.capture.video import VideoIndex
 from fourd.capture.video_index import cached_indices
 from fourd.errors import UserError
 from fourd.files import remove_unfinished
-from fourd.importing.formats.detection import Format
-from fourd.importing.formats.imported import Imported, video_files
+from fourd.importing.detection import Format
+from fourd.importing.imported import Imported, video_files
 from fourd.importing.record import (
     ImportRecord,
     check_same_source,

@@ -12,7 +12,7 @@ from typing import Any
 from fourd.capture.layout import DERIVED
 from fourd.errors import UserError
 from fourd.files import is_unused, write_text_atomically
-from fourd.importing.formats.imported import EncodedPictures, Imported, PictureFiles
+from fourd.importing.imported import EncodedPictures, Imported, PictureFiles
 
 RECORD = DERIVED / "import.json"
 VERSION = 1

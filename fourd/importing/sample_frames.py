@@ -14,7 +14,7 @@ from fourd.capture.decoding import decode_rgb, decode_rgb_bytes
 from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import align_offsets
 from fourd.errors import UserError
-from fourd.importing.formats.imported import EncodedPictures, Frames, ImportedCamera, PictureFiles
+from fourd.importing.imported import EncodedPictures, Frames, ImportedCamera, PictureFiles
 
 Picture = NDArray[np.uint8]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from fourd.capture.layout import DERIVED
 from fourd.capture.video import VideoIndex
 from fourd.errors import UserError
-from fourd.importing.formats.imported import ImportedCamera
+from fourd.importing.imported import ImportedCamera
 from fourd.importing.sample_frames import SynchronizedFrames
 from fourd.progress import Track
 from fourd.sync.motion import MIN_OVERLAP, Offsets, estimate_offsets, motion_energy, plot_offsets

@@ -18,7 +18,7 @@ from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import Video, align_offsets, common_frames, write_video_list
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_bytes_atomically
-from fourd.importing.formats.imported import (
+from fourd.importing.imported import (
     EncodedPictures,
     Frames,
     Imported,

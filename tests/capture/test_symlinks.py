@@ -12,7 +12,7 @@ from fourd.capture import open_capture
 from fourd.capture.layout import refuse_symlinks
 from fourd.carving import carve_capture
 from fourd.errors import UserError
-from fourd.importing.formats.detection import pick_format
+from fourd.importing.detection import pick_format
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.matting.plates import make_plates
 from fourd.matting.selection import Selection

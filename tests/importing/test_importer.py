@@ -13,7 +13,7 @@ import pytest
 from fourd.capture import open_capture, write_calibration
 from fourd.capture.video import VideoIndex, index_video
 from fourd.errors import UserError
-from fourd.importing.formats.detection import pick_format
+from fourd.importing.detection import pick_format
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import untracked
 from tests.capture.numbered_videos import HEIGHT, WIDTH, number_of, write_numbered_video

@@ -17,7 +17,7 @@ from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
 from fourd.cli.options import describe, option
 from fourd.errors import UserError
-from fourd.importing.formats.detection import FORMATS, pick_format
+from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import Tracker
 

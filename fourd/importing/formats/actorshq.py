@@ -15,7 +15,7 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import (
+from fourd.importing.folders import (
     find_frames,
     join_calibrations,
     make_camera,
@@ -23,7 +23,7 @@ from fourd.importing.formats.folders import (
     read_file,
     read_head,
 )
-from fourd.importing.formats.imported import Imported
+from fourd.importing.imported import Imported
 
 NAME = "calibration.csv"
 COLUMNS = ("name", "w", "h", "rx", "ry", "rz", "tx", "ty", "tz", "fx", "fy", "px", "py")

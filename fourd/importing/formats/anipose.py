@@ -15,7 +15,7 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import (
+from fourd.importing.folders import (
     find_frames,
     join_calibrations,
     list_entries,
@@ -24,7 +24,7 @@ from fourd.importing.formats.folders import (
     read_file,
     read_head,
 )
-from fourd.importing.formats.imported import Imported
+from fourd.importing.imported import Imported
 
 KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
 HEAD_BYTES = 4096

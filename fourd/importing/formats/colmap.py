@@ -14,8 +14,8 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import find_frames, join_calibrations, list_entries, make_camera
-from fourd.importing.formats.imported import Imported
+from fourd.importing.folders import find_frames, join_calibrations, list_entries, make_camera
+from fourd.importing.imported import Imported
 
 MODEL_FOLDERS = (".", "sparse", "sparse/0")
 LENS_MODELS = {

@@ -20,8 +20,8 @@ from PIL import Image
 from fourd.cameras import Camera
 from fourd.capture.decoding import PICTURE_FORMATS
 from fourd.errors import UserError
-from fourd.importing.formats.folders import list_entries, make_camera, parse_numbers, read_head
-from fourd.importing.formats.imported import EncodedPictures, Imported, ImportedCamera
+from fourd.importing.folders import list_entries, make_camera, parse_numbers, read_head
+from fourd.importing.imported import EncodedPictures, Imported, ImportedCamera
 
 SUFFIX = ".smc"
 ANNOTATIONS = "_annots.smc"

@@ -13,8 +13,8 @@ from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, read_calibration
 from fourd.capture.decoding import picture_size
 from fourd.errors import UserError
-from fourd.importing.formats.folders import find_frames, join_calibrations, list_entries, match_names
-from fourd.importing.formats.imported import Frames, Imported, PictureFiles, VideoFile
+from fourd.importing.folders import find_frames, join_calibrations, list_entries, match_names
+from fourd.importing.imported import Frames, Imported, PictureFiles, VideoFile
 
 FRAME_FOLDERS = ("images", "videos", ".")
 MASK_FOLDERS = ("masks", "mask")

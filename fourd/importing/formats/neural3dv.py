@@ -15,8 +15,8 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import Array, find_frames, make_camera, parse_numbers
-from fourd.importing.formats.imported import Imported, ImportedCamera
+from fourd.importing.folders import Array, find_frames, make_camera, parse_numbers
+from fourd.importing.imported import Imported, ImportedCamera
 
 NAME = "poses_bounds.npy"
 COLUMNS = 17

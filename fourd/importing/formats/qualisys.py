@@ -14,8 +14,8 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.folders import find_frames, match_names
-from fourd.importing.formats.imported import Imported, ImportedCamera
+from fourd.importing.folders import find_frames, match_names
+from fourd.importing.imported import Imported, ImportedCamera
 
 SUBPIXELS = 64
 METRES_PER_MM = 1e-3

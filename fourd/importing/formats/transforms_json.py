@@ -19,8 +19,8 @@ from fourd.cameras import Camera
 from fourd.capture.decoding import picture_size
 from fourd.capture.layout import PICTURE_SUFFIXES
 from fourd.errors import UserError
-from fourd.importing.formats.folders import make_camera, parse_numbers, read_file
-from fourd.importing.formats.imported import Imported, ImportedCamera, PictureFiles
+from fourd.importing.folders import make_camera, parse_numbers, read_file
+from fourd.importing.imported import Imported, ImportedCamera, PictureFiles
 
 NAME = "transforms.json"
 LENS_MODELS = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "PERSPECTIVE")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from fourd.errors import UserError
-from fourd.importing.formats.folders import find_frames
-from fourd.importing.formats.imported import Imported, ImportedCamera
+from fourd.importing.folders import find_frames
+from fourd.importing.imported import Imported, ImportedCamera
 
 
 def looks_like(source: Path) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.importing.formats.detection import pick_format
+from fourd.importing.detection import pick_format
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 

@@ -13,8 +13,8 @@ import pytest
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.formats.detection import FORMATS
-from fourd.importing.formats.imported import Imported, PictureFiles, VideoFile
+from fourd.importing.detection import FORMATS
+from fourd.importing.imported import Imported, PictureFiles, VideoFile
 from tests.captures import ring_cameras
 
 WIDTH, HEIGHT = 24, 16

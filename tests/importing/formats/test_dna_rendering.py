@@ -11,7 +11,7 @@ import pytest
 
 from fourd.errors import UserError
 from fourd.importing.formats.dna_rendering import read
-from fourd.importing.formats.imported import EncodedPictures
+from fourd.importing.imported import EncodedPictures
 from tests.importing.formats.sources import (
     BARREL,
     assert_damage_is_reported,

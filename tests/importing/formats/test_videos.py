@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fourd.importing.formats.detection import FORMATS
+from fourd.importing.detection import FORMATS
 from fourd.importing.formats.videos import looks_like, read
 from tests.importing.formats.sources import assert_refused, detect_format, file_names, write_pictures, write_video
 

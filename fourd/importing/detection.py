@@ -19,7 +19,7 @@ from fourd.importing.formats import (
     transforms_json,
     videos,
 )
-from fourd.importing.formats.imported import Imported
+from fourd.importing.imported import Imported
 
 
 @dataclass(frozen=True)

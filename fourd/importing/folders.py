@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.capture.layout import camera_folders, find_pictures, find_videos, sort_frames
 from fourd.errors import UserError
-from fourd.importing.formats.imported import Frames, ImportedCamera, PictureFiles, VideoFile
+from fourd.importing.imported import Frames, ImportedCamera, PictureFiles, VideoFile
 
 Array = NDArray[np.float64]
 
