@@ -36,7 +36,7 @@ void bind_shade(nb::module_& module) {
                nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("threads"),
                nb::arg("simd"),
                "Colour (N, 3) of baked points; float16 arrays come as their uint16 bits. "
-               "See fourd.baking.shade for what it computes.");
+               "See fourd.ops.shade.op for what it computes.");
 }
 
 }  // namespace fourd

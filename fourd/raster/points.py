@@ -71,8 +71,7 @@ def render_points(
             "auto" for the kernel of the tensors' device.
         transmittance_min: transmittance below which compositing of a pixel stops. 0 is exact and required for
             gradients; 1e-4 is faster. The "reference" backend ignores it and is always exact.
-        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS if that is set, else
-            torch.get_num_threads().
+        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
