@@ -227,7 +227,7 @@ def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
 
 
 def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Components u of each column x and v of each row y of the rays (u, v, 1) in camera axes.
+    """The rays (u, v, 1) of pixels in camera axes: u for each column x, and v for each row y.
 
     The parameter along such a ray is the camera depth.
     """

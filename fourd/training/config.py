@@ -200,8 +200,8 @@ class TrainConfig:
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
-    """Minimum of K. K is sampled in each step, so that surfaces are also opaque with the fewer layers of an exported
-    scene. Full scenes use background.least_layers instead."""
+    """Minimum of K. Each step samples K between this and `layers`, because an exported scene composites fewer layers
+    and its surfaces must be opaque nevertheless. Full scenes use background.least_layers instead."""
     crop: Literal["mask", "full"] = "mask"
     """Part of an image to train on: mask is the matte's bounding box with a margin; full is the whole image."""
     random_background: bool = True

@@ -57,7 +57,7 @@ def array_outside_heap(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def tensor_outside_heap(value: Tensor) -> Tensor:
-    """A copy of a CPU tensor outside the heap."""
+    """A copy of a CPU tensor; the copy is outside the heap."""
     return torch.from_numpy(array_outside_heap(value.numpy()))
 
 

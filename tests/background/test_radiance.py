@@ -292,7 +292,7 @@ def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate], monk
     monkeypatch.setattr(points_module, "reconstruct_surfaces", lambda *given: StereoResult(20, 20, reduced, few))
     lines: list[str] = []
     config = replace(SMALL, steps=2)
-    with pytest.raises(UserError, match=r"at least 1% .* confirmed by two of them, got 0\.\d%; .*--background FILE"):
+    with pytest.raises(UserError, match=r"at least 1% .* that two plates confirm, got 0\.\d%; .*--background FILE"):
         seed_from_radiance(plates_of(reduced), 500, config, log=lines.append)
     assert "too few depths to supervise the field" in lines[1]
 

@@ -45,7 +45,7 @@ struct RunLoops {
     void (*sample)(const Plan&, std::size_t begin, int count, const RunPositions&, float* out);
     void (*coordinate_gradient)(const Plan&, std::size_t begin, int count, const RunPositions&, const float* gradient,
                                 float* out);
-    // Adds the gradient to planes [first, last).
+    // Adds the gradients of planes [first, last) to out.
     void (*scatter)(const Plan&, std::size_t begin, int count, const RunPositions&, int first, int last,
                     const float* gradient, float* const* out);
 };

@@ -80,7 +80,7 @@ def seed_from_radiance(
     confirmed_cells = sum(int((surface.known & (surface.support > 0)).sum()) for surface in surfaces)
     confirmed = confirmed_cells / stereo.visible_cells
     if confirmed < MIN_SHARE:
-        raise _depth_error(f"{MIN_SHARE:.0%} of their area with depths confirmed by two of them", f"{confirmed:.1%}")
+        raise _depth_error(f"{MIN_SHARE:.0%} of their area to have depths that two plates confirm", f"{confirmed:.1%}")
     if confirmed < FEW_SHARE:
         log(
             f"background: two plates confirm the depths of {confirmed:.0%} of the plates' area; the rest is a rough "

@@ -1,4 +1,4 @@
-"""Sparse points of clean plates from guided feature matching and from COLMAP's triangulation with fixed cameras."""
+"""Sparse points of clean plates: guided feature matching, then COLMAP's triangulation with fixed cameras."""
 
 from __future__ import annotations
 
