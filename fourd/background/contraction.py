@@ -21,7 +21,7 @@ class Contraction:
     """The contraction of mip-NeRF 360 about a world point.
 
     Attributes:
-        centre: world point at the centre.
+        centre: world point that maps to the centre of the ball.
         radius: radius of the inner region in world units; points inside it are only translated and scaled.
     """
 
@@ -36,7 +36,7 @@ class Contraction:
         return near * ((CONTRACTED_RADIUS - 1 / length) / length)
 
     def to_unit(self, xyz: Tensor) -> Tensor:
-        """Map world points (..., 3) into [0, 1]; differentiable."""
+        """Map world points (..., 3) into the unit cube, with each coordinate in [0, 1]; differentiable."""
         return (self(xyz) + CONTRACTED_RADIUS) / (2 * CONTRACTED_RADIUS)
 
 

@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
 FAR_QUANTILE = 0.8
-"""Quantile of the distances in a cell that is taken as the cell's distance, so that objects in front of the far wall
-are ignored."""
+"""The distance of a cell is this quantile of the distances of its points. A high quantile ignores objects in front of
+the far wall."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,8 @@ def summarize_cells(
 
     Returns:
         known: (count,) bool, whether the cell has points.
-        inverse: (count,) inverse of the cell's distance, the FAR_QUANTILE of its points; 0 without points.
+        inverse: (count,) inverse of the cell's distance, which is the FAR_QUANTILE of its points' distances; 0 without
+            points.
         rgb: (count, 3) mean colour of the points at or beyond the cell's distance.
     """
     order = np.lexsort((distance, cells))
@@ -98,7 +99,7 @@ def interpolate_harmonic(
 
     Args:
         grid: the grid of directions.
-        known: (cells,) bool, which values are kept.
+        known: (cells,) bool, whether a cell's value is given; given values are kept.
         values: (cells, C) values; those of unknown cells are ignored.
         horizontal_weight: weight of horizontal neighbours; vertical neighbours have weight 1.
     """

@@ -17,7 +17,7 @@ MAX_DIFFERENCE = 24.0
 """Largest colour difference of an unchanged pixel in 8-bit levels, after blurring and exposure compensation."""
 BLUR_PX = 2.0
 MARGIN = 1 / 50
-"""Width of the band around the matte that is not compared, as a fraction of the image's longer side. The band
+"""Width of a band around the matte, as a fraction of the image's longer side. The band is not compared, because it
 contains soft edges and shadows."""
 MAX_CHANGED_SHARE = 0.02
 """Largest share of the visible background that may differ because of noise."""

@@ -20,7 +20,8 @@ vary less along the horizon."""
 SMALL_GAP_DEG = 1.5
 """Size in degrees up to which a gap counts as the normal spacing between points and is closed."""
 RIM_FACTOR = 0.985
-"""Factor on the inverse distances of known cells. It places the rim of the shell slightly behind the known points."""
+"""Factor on the inverse distances of known cells. The factor places the shell's rim, the known cells beside unknown
+cells, slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
 """Angle in degrees from the nearest known cell beyond which only one cell in sixteen gets a point."""
 OCCLUSION_RATIO = 0.9
@@ -50,7 +51,8 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Space nearer than the cameras is visible to some of them, so gaps there come from sparse points and need no shell.
+    # Shell points nearer to the centre than the median camera are dropped. Some cameras see this space, so gaps in it
+    # come from sparse points and need no shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
@@ -98,7 +100,8 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
 
 
 def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
-    """Known cells (rows, columns) after closing small gaps, and each cell's angle in degrees to the nearest known."""
+    """Known cells (rows, columns) after closing small gaps, and each cell's angle (degrees) to the nearest known
+    cell."""
     known = _dilate_rows(sphere, known)
     # Three copies side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
@@ -109,7 +112,8 @@ def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArra
 
 
 def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Known cells (rows, columns), dilated along each row by a constant angle, since cells narrow towards the poles."""
+    """Known cells (rows, columns), dilated along rows by one degree on the sphere, since cells narrow towards the
+    poles."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):
         elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
@@ -135,7 +139,7 @@ def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.
 
 
 def _depth_cells(xyz: Array, camera: Camera, columns: int) -> tuple[NDArray[np.intp], Array]:
-    """Cells (N,) of a coarse depth map that points project to, and depths (N,); the cell is -1 outside the image."""
+    """The cell of a coarse depth map to which each point projects (N,), -1 outside the image; and the depths (N,)."""
     pixels, depth = camera.project(xyz)
     inside = (depth > 1e-6) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
     place = np.where(inside[:, None], pixels / DEPTH_CELL_PX, 0).astype(np.intp)

@@ -1,7 +1,7 @@
 """Adjustment of cameras from images.
 
-Features are matched, and bundle adjustment is repeated with matches in increasingly narrow bands around the epipolar
-lines.
+Features are matched, and bundle adjustment runs three times. Each run uses only matches near their epipolar lines, and
+the maximum distance decreases from run to run.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ MAX_FRAMES = 2
 MIN_FEATURES = 20
 """Minimum number of features per camera; a camera with fewer features keeps its given calibration."""
 INLIER_SCALES = 4.0
-"""Features with a reprojection error above this multiple of the robust scale are outliers."""
+"""Features with a reprojection error above this multiple of the Cauchy loss's scale are outliers."""
 FINAL_BAND_PX = 3.0
-"""Half width of the epipolar band in the last adjustment."""
+"""Maximum distance of a match from its epipolar lines in the last adjustment."""
 FINAL_SCALE_PX = 1.0
 """Scale of the Cauchy loss in the last two adjustments."""
 
@@ -52,8 +52,8 @@ class Adjustment:
     Attributes:
         cameras: adjusted cameras in the order of the given cameras.
         features: (V,) number of inlier features of each camera.
-        before_px: median reprojection error of the inliers in the given cameras, in pixels; NaN without inliers.
-        after_px: median reprojection error of the inliers in the adjusted cameras, in pixels; NaN without inliers.
+        before_px: median reprojection error of the inliers with the given cameras, in pixels; NaN without inliers.
+        after_px: median reprojection error of the inliers with the adjusted cameras, in pixels; NaN without inliers.
     """
 
     cameras: tuple[Camera, ...]
@@ -63,7 +63,7 @@ class Adjustment:
 
 
 def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, band: float, track: Track) -> Adjustment:
-    """Adjust some of a capture's cameras with feature matches from two frames.
+    """Adjust the selected cameras of a capture with feature matches from two of its frames.
 
     Args:
         capture: undistorted images and an approximate calibration.

@@ -21,12 +21,12 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 
 ROTATION, POSITION, LOG_FOCAL = slice(0, 3), slice(3, 6), 6
-"""Indices of a camera's parameters in its block of the equations."""
+"""Indices of a camera's rotation, position and log focal length in its 7-vector of parameters."""
 PARAMETERS = 7
 """Number of parameters per camera."""
 MAX_STEPS = 40
 MIN_RELATIVE_DECREASE = 1e-5
-"""Relative decrease of the cost per step below which the solver stops."""
+"""The solver stops if a step decreases the cost by less than this fraction."""
 DAMPING = 1e-3
 """Initial damping of Levenberg-Marquardt."""
 
@@ -39,8 +39,9 @@ class Prior:
         rotation: standard deviation of rotations in radians; 0 keeps all rotations fixed.
         position: (V,) standard deviation of each camera's position in world units; 0 keeps all positions fixed.
         focal: standard deviation of the logarithm of the focal length; 0 keeps all focal lengths fixed.
-        pixel: standard deviation of a feature's position in pixels. The measured value is a third of a pixel, but the
-            errors of features on one surface are correlated, and a small value bends rings of cameras.
+        pixel: standard deviation of a feature's position in pixels. The measured value is a third of a pixel. The
+            default is larger because errors of features on one surface are correlated: with a small value, the features
+            outweigh the prior and bend rings of cameras.
     """
 
     rotation: float
@@ -238,7 +239,7 @@ def _free(prior: Prior) -> NDArray[np.bool_]:
 
 
 def _weights(residual: Array, in_camera: Array, prior: Prior, scale_px: float) -> Array:
-    """Weights (M,) of the squared errors: the Cauchy weight divided by the features' variance; 0 behind the camera."""
+    """Weights (M,) of the squared errors: the Cauchy weight divided by ``Prior.pixel`` squared; 0 behind the camera."""
     weight = 1 / (1 + np.square(residual).sum(axis=1) / scale_px**2) / prior.pixel**2
     return np.where(in_camera[:, 2] > 1e-6, weight, 0)
 

@@ -45,7 +45,7 @@ class Observations:
         return Observations(self.camera[rows], (np.cumsum(kept) - 1)[self.point[rows]], self.pixel[rows])
 
     def select(self, rows: NDArray[np.bool_]) -> Observations:
-        """Select features by ``rows`` (M,) bool, then drop and renumber points with fewer than two features."""
+        """Select features by ``rows`` (M,) bool, drop points with fewer than two features, and renumber the others."""
         camera, point, pixel = self.camera[rows], self.point[rows], self.pixel[rows]
         enough = np.bincount(point, minlength=self.points) >= 2
         return Observations(camera, point, pixel).of_points(enough)
@@ -65,7 +65,7 @@ class FrameMatches:
 
 
 def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Connect matches within ``band_px`` of their epipolar lines to tracks across cameras.
+    """Connect matches to tracks across cameras; matches farther than ``band_px`` from their epipolar lines are ignored.
 
     If a track has several features in one camera, these features are dropped.
     """
@@ -96,14 +96,15 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
     graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(total, total))
     _, label = connected_components(graph, directed=False)
     camera = np.repeat(np.arange(len(features)), counts)
-    # A wrong match merges the tracks of two points. The merged track has two features in each camera that sees both.
+    # A wrong match merges the tracks of two points. The merged track has two features in each camera that sees both
+    # points.
     _, inverse, occurrences = np.unique(label * len(features) + camera, return_inverse=True, return_counts=True)
     xy = np.concatenate([each.xy for each in features])
     return Observations(camera, label.astype(np.intp), xy).select(occurrences[inverse] == 1)
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """Distance (M,) in pixels of matched features from each other's epipolar lines, the larger one of each match."""
+    """For each match (M,), the larger of the two features' distances from each other's epipolar lines, in pixels."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix
@@ -127,7 +128,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
     sums = np.zeros((tracks.points, 3))
     np.add.at(sums, tracks.point, rays)
-    # The wider the angle between unit vectors, the shorter is their mean: for two vectors it is cos(angle / 2) long.
+    # The wider the angle between unit vectors, the shorter is their mean. For two vectors, the mean's length is
+    # cos(angle / 2).
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)

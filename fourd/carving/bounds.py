@@ -17,8 +17,8 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 COARSE_CELLS = 48
-"""Number of cells along the hull's longest side for the measurement of its bounding box. The error is 2% of this side,
-which is less than the margin."""
+"""Number of cells along the longest side of the hull's bounding box when this box is measured. The error is at most 2%
+of this side, which is less than the margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,8 +146,10 @@ def hull_bounds(
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance from this point to the farthest camera.
 
-    If the axes are almost parallel, the nearest point is undefined. A weak prior then determines the result: a point in
-    front of the cameras at four times their spread. In other cases the prior moves the result by 0.1%.
+    If the axes are almost parallel, the nearest point is undefined. A weak prior then determines the result. The prior
+    is a point in front of the mean camera centre; its distance is four times the largest distance of a camera from this
+    centre. If the axes are not almost parallel, the prior has almost no effect, because its weight is 0.1% of the axes'
+    weight.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -165,7 +167,8 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
 
 
 def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | None, label: str) -> UserError:
-    """Build the error for an empty hull. It names the three views that remove the most of the other views' hull.
+    """Build the error for an empty hull. It names the three views that remove the largest share of the hull of the
+    other views.
 
     ``half`` is half the side of the search cube in world units.
     """
@@ -187,8 +190,9 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
     """Compute for each view the share in [0, 1] of the other views' hull that this view removes.
 
-    If the hull of the other views is empty, ``agreement`` is lowered until the hull is not empty. The search cube is
-    centred on the origin, and ``half`` is half its side in world units.
+    The hull of the other views is computed with an agreement of 1. If this hull is empty, the agreement is lowered in
+    steps, to 0.5 at least, until the hull is not empty. The search cube is centred on the origin, and ``half`` is half
+    its side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):

@@ -48,9 +48,9 @@ def carve_frame(
 ) -> CarvedFrame:
     """Carve one frame's visual hull and spread points evenly over its surface.
 
-    Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. At the finest level,
-    the surface has more cells than the requested number of points. The cell centres are projected onto the surface, to
-    a tenth of a cell, and thinned to the requested number.
+    Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
+    so small that more of them lie on the surface than points are requested. Their centres are moved onto the surface,
+    with an error of at most a tenth of a cell, and thinned to the requested number.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.

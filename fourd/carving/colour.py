@@ -12,8 +12,8 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side of a depth-map cell as a multiple of the point spacing. Cells are so wide that each cell on the nearest surface
-contains a point."""
+"""Side of a depth-map cell as a multiple of the point spacing. Cells of this size are wide enough that each cell on the
+nearest surface contains a point."""
 
 
 def colour_points(

@@ -1,9 +1,10 @@
 """The visual hull as a signed distance, and a search for the cells that may contain its surface.
 
 Each soft matte is converted to a signed distance image in pixels. The distance is positive inside the silhouette and
-zero where the bilinearly sampled matte is one half. A view's distance of a world point is the value at its projection
-times depth / focal length. The distance to the hull is an order statistic over the views that see the point. It is the
-minimum if all views must agree, or the (k + 1)-th smallest distance if k views may be wrong.
+zero where the bilinearly sampled matte is one half. In one view, a world point's distance to the silhouette is the
+image's value at the point's projection times depth / focal length, in world units. The distance to the hull is an order
+statistic over the views that see the point. It is the minimum if all views must agree, or the (k + 1)-th smallest
+distance if k views may be wrong.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ CHUNK = 1 << 15
 """Number of cells that are processed together, so that each array has 128 kB and stays in the L2 cache."""
 
 SLACK_PIXELS = np.float32(0.75)
-"""Tolerance in pixels that is added to a cell's radius when the cell is classified by the distance at its centre. It
-covers the matte's soft edge (0.5 pixels) and the rounding of bilinear sampling."""
+"""Tolerance in pixels that is added to a cell's radius when the cell is classified by the distance at its centre. The
+tolerance covers the matte's soft edge (0.5 pixels) and the rounding of bilinear sampling."""
 
 SLACK_FACTOR = np.float32(1.03)
-"""Factor on a cell's radius when the cell is classified. The 5x5 distance transform has errors of up to 2%."""
+"""Factor on a cell's radius in pixels when the cell is classified. It covers the error of the 5x5 distance transform,
+up to 2%."""
 
 MIN_VIEWS = 3
 """Minimum number of views that must see a point. Two views are not enough, because any two silhouettes whose rays
@@ -85,7 +87,8 @@ class Silhouettes:
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Number of views that may disagree if ``seen`` views see a point; elementwise."""
+        """Number of views that may have a point outside their silhouettes if ``seen`` views see the point;
+        elementwise."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
@@ -129,7 +132,7 @@ class Silhouettes:
         return np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts])
 
     def surface_slab(self, cells: Floats, size: float) -> tuple[Floats, Floats, NDArray[np.int16]]:
-        """Select the cells (3, N) whose centres are at most half of ``size``, the side of a cell, from the surface.
+        """Select the cells (3, N) of side ``size`` whose centres are at most ``size / 2`` from the surface.
 
         At any slope of the surface, a slab of this thickness contains on average one cell centre per ``size ** 2`` of
         surface area. The number of cells therefore measures the area, and their density is even.
@@ -147,7 +150,7 @@ class Silhouettes:
         return np.concatenate(kept, axis=1), np.concatenate(distance), np.concatenate(deciding)
 
     def _rank_views(self, xyz: Floats, outside: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int16]]:
-        """Compute distances and deciding views of points (3, N); drop points more than ``outside`` outside the hull.
+        """Compute distances and deciding views of points (3, N); drop points outside the hull by more than ``outside``.
 
         Returns:
             the indices of the remaining points, their distances, and their deciding views.
@@ -224,9 +227,10 @@ def interleaved_order(count: int) -> list[int]:
 def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts: NDArray[np.int16]) -> None:
     """Classify spheres of ``radius`` around ``cells`` (3, N) in one view and add the result to ``counts`` (5, N).
 
-    Each row of ``counts`` counts views. Row 0: the sphere is fully seen and only background. Row 1: fully seen and only
-    object. Row 2: fully seen. Row 3: perhaps partly seen. Row 4: perhaps partly seen and perhaps partly object. Row 4
-    rejects spheres that are cut by many image borders: no view sees such a sphere fully, but all parts that are seen
+    Each row of ``counts`` counts views. Row 0: the whole sphere is in the image and projects only to background. Row 1:
+    the whole sphere is in the image and projects only to the object. Row 2: the whole sphere is in the image. Row 3: a
+    part of the sphere may be in the image. Row 4: as row 3, and a part may project to the object. Row 4 is needed for
+    spheres that are cut by many image borders. Row 0 counts no view for such a sphere, even if all its visible parts
     are background.
     """
     x, y, z = view.project(cells)

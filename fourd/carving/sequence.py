@@ -35,10 +35,11 @@ VERSION = 2
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Estimated duration of the remaining frames in seconds, below which no worker processes are started. Starting them
+"""Estimated duration of the remaining frames in seconds. Below it no worker processes are started, because their start
 takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Files in a capture whose sizes and times are part of the key: a change to them invalidates carved points."""
+"""Files in a capture whose sizes and modification times are part of the key, a hash of all inputs of carving. A change
+to one of these files invalidates carved points."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key:
     """Get the box in which the hull is searched.
 
     The box is read from bounds.json if an earlier call with the same key wrote it. Otherwise it is computed and saved.
-    If only some of the frames are examined, the margin is three times as wide.
+    If the capture has too many frames to examine all of them, the margin is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:

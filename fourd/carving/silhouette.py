@@ -13,26 +13,28 @@ from fourd.cameras import Array, Camera
 Floats = NDArray[np.float32]
 
 ROW = 4096
-"""Number of samples per row of the maps for OpenCV's remap. The sides of these maps must be below 32,767."""
+"""Number of samples per row of the coordinate maps that are passed to OpenCV's remap. The sides of these maps must be
+below 32,767."""
 
 
 MAX_SIDE_PX = 1024
-"""Longer side in pixels above which the crop of a matte around the object is reduced to this size. The limit bounds the
-memory use for large captures."""
+"""Maximum longer side in pixels of a matte's crop around the object; a larger crop is reduced to this size. The limit
+bounds the memory use for large captures."""
 
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteView:
     """One matte with its camera, for points relative to an origin.
 
-    Pixel coordinates refer to the distance image. It covers a crop of the matte around the object, and its resolution
-    is reduced if the crop is large.
+    Pixel coordinates refer to the distance image. This image covers a crop of the matte around the object, and its
+    resolution is lower than the matte's if the crop is large.
 
     Attributes:
         matrix: (3, 3) float32 matrix product K R of intrinsics and rotation.
         offset: (3,) float32 homogeneous projection of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: upper bound, inside the image, of the displacement in pixels of a point at depth 1 that moves by 1.
+        reach: upper bound of the displacement in pixels of a point at depth 1 per unit of its motion, for all points
+            inside the image.
         frame: left, top, right and bottom borders of the whole image in pixels.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. Outside the crop, the
             nearest pixel of the crop gives a lower bound of the distance to the object.

@@ -81,8 +81,8 @@ def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int1
 def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Select ``count`` of the points (N, 3) with an even density; return their indices in random order.
 
-    ``count`` is at most N. Each round removes one point of each of the closest pairs. Because of the random order, the
-    first M points are a uniform sample for every M.
+    ``count`` is at most N. Each round removes one point from each of the closest pairs of points. Because of the random
+    order, the first M points are a uniform sample for every M.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:
@@ -101,8 +101,8 @@ def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) 
 def choose_cell_side(views: Silhouettes, lower: Array, upper: Array, points: int) -> float:
     """Choose the side of cells so that the surface inside the box has CANDIDATES cells per requested point.
 
-    The surface's area is measured with cells of 1/64 of the box's longest side, or with smaller cells if the surface
-    has few of these. The result is 0 if there is no surface.
+    The surface's area is measured with cells whose side is 1/64 of the box's longest side. If only a few of these cells
+    lie on the surface, smaller cells are used. The result is 0 if there is no surface.
     """
     side = float((upper - lower).max()) / 64
     for _ in range(3):

@@ -18,7 +18,7 @@ class RadianceConfig:
     log2_entries: int = 19
     """Base-2 logarithm of the maximum number of hash table entries per level, 4 to 24."""
     coarsest: int = 16
-    """Number of grid cells per side at the coarsest level, which covers the contracted space."""
+    """Number of grid cells per side at the coarsest level; the grid covers the contracted space."""
     finest: int = 2048
     """Number of grid cells per side at the finest level."""
     hidden: int = 32

@@ -1,4 +1,4 @@
-"""Depths of the plates from an optimised field, filtered by consistency with stereo and between plates.
+"""Depth maps of the plates, rendered from an optimised field and filtered by consistency between plates.
 
 A cell is one sample of a plate's depth map. The support of a cell is the number of other plates that confirm its depth.
 """
@@ -27,10 +27,11 @@ SAMPLES = 64
 RAYS = 4096
 """Number of rays per batch."""
 MAX_QUARTILE_RATIO = 1.25
-"""Maximum ratio of the third to the first depth quartile of a ray's weights. With a larger ratio the weights are too
-spread out for a surface."""
+"""Maximum ratio of two distances on a ray: those at which the cumulative rendering weight reaches 3/4 and 1/4. With a
+larger ratio the weights are too spread out for a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum median depth of a ray's weights, as a normalised distance. With a larger median the ray hits no surface."""
+"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. With a larger distance the ray
+hits no surface."""
 
 
 def add_field_depths(
@@ -40,7 +41,8 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Add the field's median depths to the measured surfaces where another plate confirms them.
+    """Fill the unknown cells of the measured surfaces with those median depths of the field that another plate
+    confirms.
 
     A cell is confirmed if at least one other plate's surface agrees with the cell and the cell occludes at most as
     many surfaces as agree. Confirmed cells get support 1. Other cells take the extrapolated depth of ``continued``. If
@@ -72,9 +74,9 @@ def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface)
 
 
 def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array) -> Array:
-    """Inverse (M,) of the median depth of the weights along the rays through pixel indices ``xy`` (M, 2).
+    """Inverse depths (M,) at which the cumulative rendering weight of the rays through ``xy`` (M, 2) reaches 1/2.
 
-    The value is 0 for rays without a surface.
+    ``xy`` are pixel indices. The value is 0 for rays without a surface.
     """
     unit = field.radiance.contraction.radius
     parts: list[Tensor] = []

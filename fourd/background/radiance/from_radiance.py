@@ -49,8 +49,8 @@ def seed_from_radiance(
     Stereo measures depths where two plates match (:mod:`fourd.background.stereo`). Depths of other areas are
     extrapolated. A radiance field (Mueller et al. 2022) is optimised on the plates' colours and these depths. The
     depths are needed because with cameras 20 degrees apart, a field optimised on colours alone reproduces each plate by
-    radiance that only one camera sees. The field's median depth is used where stereo has no depth and another plate
-    confirms the median depth. The same input, seed and number of torch threads give the same points.
+    radiance that only one camera sees. In cells without a stereo depth, the field's median depth is used if another
+    plate confirms this depth. The same input, seed and number of torch threads give the same points.
 
     Args:
         plates: clean plates of at least two cameras.
@@ -92,7 +92,7 @@ def seed_from_radiance(
 
 
 def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """Create a surface for each plate from measured depths, depths of the field and extrapolated depths."""
+    """Create a surface for each plate; its depths are measured, rendered from the field or extrapolated."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)

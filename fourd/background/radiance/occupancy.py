@@ -12,12 +12,13 @@ from fourd.background.radiance.volume_rendering import rendering_weights
 
 DECAY = 0.95
 UNIFORM_WEIGHT = 0.1
-"""Weight of uniform sampling; the weights from the grid sum to at most 1. Uniform samples find surfaces that are
-missing in the grid."""
+"""Total weight of uniform sampling in a ray's histogram. The weights computed from the grid's densities sum to at most
+1. Uniform samples find surfaces that are missing in the grid."""
 BINS = 96
 """Number of bins in the histogram of sampling weights along a ray."""
 HINT_WEIGHTS = (0.25, 0.5, 0.25)
-"""Weights that a hinted distance adds to a ray's histogram: in the previous bin, its own bin and the next bin."""
+"""Weights that a hint adds to a ray's histogram: to the bin before the hint, the hint's bin and the bin after it. A
+hint is a distance at which the ray is expected to hit a surface, for example the depth of a training pixel."""
 
 
 class OccupancyGrid:
@@ -41,7 +42,7 @@ class OccupancyGrid:
         Args:
             rays: R rays.
             count: intervals per ray.
-            jitter: (R, count + 1) in [0, 1), or None for deterministic edges.
+            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1); None for deterministic edges.
             hint: (R,) normalised distances near which samples are added; NaN for rays without a hint.
 
         Returns:
@@ -60,7 +61,7 @@ class OccupancyGrid:
         return resample_edges(self.edges, histogram, count, jitter)
 
     def update(self, xyz: Tensor, density: Tensor) -> None:
-        """Set the cells of world points (N, 3) to the larger of the decayed old density and the new density (N,)."""
+        """Update the cells at world points (N, 3): keep the larger of the decayed old and the new ``density`` (N,)."""
         cells = self.cell_of(xyz)
         self.density[cells] = self.density[cells] * DECAY
         self.density.scatter_reduce_(0, cells, density, "amax")

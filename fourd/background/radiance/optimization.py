@@ -20,7 +20,8 @@ from fourd.progress import Track, untracked
 FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
-"""Length of each ray's last interval. This length makes rays opaque; without it, fog appears in front of the lens."""
+"""Length of each ray's last interval, in units of the contraction's radius. This length makes rays opaque; without it,
+fog appears in front of the lens."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +80,10 @@ def optimize_field(
 ) -> OptimizedField:
     """Optimise a radiance field on pixels of plates.
 
-    The loss is the sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022, eq. 15).
-    The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). Here this loss is
-    the mean distance between the given depth and the ray's samples, weighted by the samples' rendering weights. The
-    same input, seed and number of torch threads give the same field.
+    The loss is a weighted sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022,
+    eq. 15). The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). Here this
+    loss is the sum over a ray's samples of rendering weight times the absolute difference between the normalised
+    distances of the sample and the surface. The same input, seed and number of torch threads give the same field.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):

@@ -20,8 +20,8 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
-"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. The ratio is smaller if
-the cell's plane is seen almost edge-on; the depths of such pixels are not used."""
+"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. The ratio is smaller
+where the cell's plane is seen almost edge-on. The depth of such a pixel is not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Pixels:
             plates: the plates at the size used for stereo.
             measured: surfaces from stereo, one per plate.
             continued: the same surfaces with extrapolated depths in unknown cells.
-            unit: world units per unit of distance along rays.
+            unit: the contraction's radius in world units, which is the unit of distance along rays.
         """
         parts = [_plate_pixels(*each, unit) for each in zip(plates, measured, continued, strict=True)]
         plate = torch.repeat_interleave(torch.tensor([len(part.xy) for part in parts]))

@@ -15,8 +15,8 @@ from fourd.cameras import Camera
 NEAR = 0.05
 """Distance at which rays start. All distances along rays are in units of the contraction's radius."""
 LINEAR_UP_TO = 2.0
-"""Distance up to which normalised distance is linear in distance. At larger distances it is linear in inverse
-distance."""
+"""Distance up to which normalised distance is linear in distance. At larger distances, normalised distance is linear in
+inverse distance."""
 FAR = 200.0
 """Distance at which rays end."""
 
@@ -57,7 +57,8 @@ def ray_matrix(camera: Camera) -> NDArray[np.float64]:
 def to_distance(normalized: Tensor) -> Tensor:
     """Convert normalised distances in [0, 1] to distances.
 
-    The first half maps linearly to the range 0.05 to 2. The second half is linear in inverse distance, from 2 to 200.
+    The range [0, 0.5] maps linearly to distances from 0.05 to 2. The range [0.5, 1] maps to distances from 2 to 200,
+    linearly in inverse distance.
     """
     near = NEAR + 2 * normalized * (LINEAR_UP_TO - NEAR)
     inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)

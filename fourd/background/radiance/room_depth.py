@@ -25,7 +25,7 @@ ROWS_PER_DEGREE = 4
 """Number of grid rows per degree of elevation. The resolution is high because the far half of a floor, seen from a low
 centre, spans few degrees."""
 NEAR, FAR = 0.02, 100.0
-"""First and last distance of ray marching, relative to the camera's distance from the centre."""
+"""First and last depth of ray marching, relative to the camera's distance from the centre."""
 MIN_KNOWN = 0.1
 """Share of known depth-map cells below which the room's shape is unreliable. The room is then enlarged until it
 contains a hall: a ball around the centre that is cut off by the floor."""
@@ -52,7 +52,8 @@ class Room:
 
     @staticmethod
     def from_surfaces(surfaces: Sequence[Surface], centre: Array) -> Room | None:
-        """Create the room around a world point (3,) from the known cells of surfaces; None without known cells."""
+        """Create the room around the world point ``centre`` (3,) from the surfaces' known cells; None if no cell is
+        known."""
         xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
         if not len(xyz):
             return None
@@ -79,7 +80,8 @@ class Room:
     def inverse_depths(self, camera: Camera, xy: Array) -> Array:
         """Inverse depths (M,) at which the rays through pixel indices (M, 2) leave the room.
 
-        Rays that never enter the room get a depth of 1.5 times the camera's distance from the centre.
+        A ray that does not leave the room, for example because it never enters it, gets a depth of 1.5 times the
+        camera's distance from the room's centre.
         """
         rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(index_intrinsics(camera)).T @ camera.rotation
         reach = max(float(np.linalg.norm(camera.centre - self.sphere.centre)), 1e-6)

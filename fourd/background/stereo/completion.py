@@ -22,11 +22,13 @@ from fourd.background.stereo.patchmatch import DepthMap
 Array = NDArray[np.float64]
 
 MARGIN = 0.25
-"""Width of the margin around an image in which points of other images are used, relative to the longer side."""
+"""Width of a margin around an image, relative to its longer side. The interpolation uses points of other images that
+project into this margin."""
 MIN_KNOWN = 0.25
 """Minimum share of known cells in an image. With fewer known cells, extrapolated depths do not resemble the scene."""
 MIN_BOUNDARY = 0.003
-"""Minimum share of cells with known values for harmonic interpolation, relative to the cells of image and margin."""
+"""Minimum share of cells, including the margin's cells, with known values. With fewer, harmonic interpolation is not
+used."""
 MIN_OFF_PLANE = 0.005
 """Minimum share of known points that lie off the enclosing planes. With fewer such points, harmonic interpolation is
 used only for cells whose ray hits no plane."""
@@ -59,8 +61,8 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     sizes = [np.count_nonzero(_off_planes(surface, planes)) for surface in surfaces]
     enough = [_has_enough_known(surface, xyz) for surface in surfaces]
     completed = list(surfaces)
-    # Images with the most known cells are completed first. Later images continue the completed depths, so that walls
-    # join.
+    # Images are completed in descending order of their known cells off the enclosing planes. Later images continue the
+    # interpolated depths of earlier ones, so that walls join.
     for index in np.argsort(sizes, kind="stable")[::-1]:
         if not enough[index]:
             continue

@@ -21,12 +21,12 @@ MIN_INLIERS = 0.05
 MAX_BEHIND = 0.01
 """Maximum share of all points that lie behind a plane."""
 TOLERANCE = 0.02
-"""Maximum distance between a plane and a point on it, relative to the point's distance from the cameras."""
+"""Maximum distance between a plane and a point on it, relative to the point's distance from the mean camera centre."""
 
 
 @dataclass(frozen=True, eq=False)
 class EnclosingPlanes:
-    """Planes with almost no points behind them: a camera ray ends at the nearest plane or before it.
+    """Planes with almost no points behind them: every camera ray ends at the first plane that it hits, or before.
 
     Attributes:
         planes: (P, 4) planes (n, d) with n . x = d in world coordinates.

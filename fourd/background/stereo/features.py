@@ -24,16 +24,17 @@ MAX_FEATURES = 4096
 MAX_SIDE_PX = 1600
 """Longer side in pixels above which an image is reduced to this size before feature detection."""
 MIN_CONTRAST = 0.003
-"""SIFT's peak threshold. It is below COLMAP's default of 0.0067 because walls have low contrast; the additional wrong
-matches are rejected with the known poses."""
+"""SIFT's peak threshold. It is below COLMAP's default of 0.0067 because walls have low contrast; the epipolar lines of
+the known poses reject the additional wrong matches."""
 HOLE_MARGIN_PX = 6
-"""Distance from holes in pixels within which no features are detected, since plates are blurred there."""
+"""Distance in pixels from a plate's holes. Nearer to a hole no features are detected, because plates are blurred
+there."""
 RATIO_TEST_THRESHOLD = 0.8
 """Maximum ratio of the distances to the nearest and the second nearest descriptor (Lowe, IJCV 2004)."""
 MAX_EXHAUSTIVE_CAMERAS = 8
 """Number of cameras up to which all pairs are matched."""
 MIN_COSINE = 0.4
-"""Minimum cosine of the angle between the viewing directions of a pair of cameras that is matched."""
+"""Minimum cosine of the angle between the viewing directions of two cameras for the pair to be matched."""
 
 
 @dataclass(frozen=True, eq=False)

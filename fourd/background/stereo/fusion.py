@@ -26,14 +26,16 @@ MIN_SCORE = 0.6
 DEPTH_TOLERANCE = 0.01
 """Maximum relative depth difference between a point and a surface for the point to lie on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
-"""Maximum distance in pixels between a cell and the reprojection of the surface point that agrees with it."""
+"""Maximum forward-backward error in pixels: the distance between a cell's centre and the reprojection of the point that
+the other image's surface has at the cell's projection."""
 OCCLUSION_MARGIN = 0.03
 """Relative depth difference above which a point in front of a known surface occludes it."""
 ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
 """Minimum number of cells in a connected component; smaller components are outliers."""
 CONTINUITY_TOLERANCE = 0.03
-"""Maximum relative inverse depth error with which a cell's plane predicts a neighbouring cell of the same component."""
+"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell, for the two cells to
+be connected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +105,10 @@ class Projection:
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
     """Remove the cells of depth maps that are inconsistent with other depth maps.
 
-    A cell is kept if at least one other image confirms it and it occludes the known surfaces of fewer images than
-    confirm it. One confirmation is enough because walls are often seen by only two cameras. With two cameras, 1 of 60
-    cells is confirmed at a wrong depth. Connected components of fewer than 25 cells are removed.
+    A cell is kept if at least one other image confirms it, and if the number of images whose known surface it occludes
+    is less than the number that confirm it. One confirmation is enough because walls are often seen by only two
+    cameras. With two cameras, one in 60 cells is confirmed although its depth is wrong. Connected components of fewer
+    than 25 cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))

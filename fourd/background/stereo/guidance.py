@@ -19,11 +19,12 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight with which the correction decays to 0; it is divided by the squared share of known cells. If almost all cells
-are known, the correction halves over seven cells. If few cells are known, they are unreliable and the correction decays
-faster."""
+"""Weight of the value 0 when the correction is interpolated; it makes the correction decay away from known cells. The
+weight is divided by the squared share of known cells. If almost all cells are known, the correction halves over seven
+cells. If few cells are known, they are unreliable and the correction decays faster."""
 MIN_GUIDE_FACTOR = 0.25
-"""Minimum of the corrected inverse depth relative to the guide. Without it, corrections could make it negative."""
+"""Minimum of the corrected inverse depth relative to the guide. Without this minimum, the correction could make the
+inverse depth negative."""
 
 
 def complete_with_guidance(
@@ -31,8 +32,9 @@ def complete_with_guidance(
 ) -> list[Surface]:
     """Complete the unknown cells of surfaces from guides.
 
-    The difference between known inverse depths and the guide is extrapolated. Cells that would occlude a known surface
-    of another image stay unknown. Completed cells have support 0: no other image confirms them.
+    In known cells, the correction is the known inverse depth minus the guide. In unknown cells, the correction is
+    extrapolated and added to the guide. Cells that would occlude a known surface of another image stay unknown.
+    Completed cells have support 0: no other image confirms them.
 
     Args:
         surfaces: one surface per image.

@@ -24,8 +24,8 @@ LEVELS = 4
 """Number of window sizes; each is twice as wide as the previous one. Large windows are needed on smooth walls, which
 have texture only at large scales."""
 MIN_TEXTURE = 2.5 / 255
-"""Minimum root mean square grey difference between neighbouring samples of a window, in [0, 1]. A window size is used
-if the difference is larger in every direction."""
+"""Minimum root mean square grey difference between neighbouring samples of a window, in [0, 1]. A cell uses the
+smallest window size whose difference is larger than this in every direction."""
 NOISE_STD = 1.5 / 255
 """Standard deviation of image noise in grey values in [0, 1]; windows with less contrast cannot be matched."""
 MIN_VISIBLE = 0.6
@@ -111,7 +111,7 @@ def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
 
 
 class PatchSimilarity:
-    """Scores plane hypotheses for the cells of one image by comparing its windows with source images."""
+    """Scores plane hypotheses for the cells of one image: compares a window around each cell with source images."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
         """Sample the windows of ``view`` at the cells of ``grid`` for comparison with ``sources``."""
@@ -131,7 +131,8 @@ class PatchSimilarity:
         self.usable: NDArray[np.bool_] = centre & (count >= MIN_VISIBLE * len(self._across)) & (std > NOISE_STD)
         """(N,) bool: whether a cell can be matched.
 
-        Its centre and enough of its window are visible, and the window's contrast exceeds the noise.
+        A cell can be matched if its centre and enough of its window are visible and the window's contrast exceeds the
+        noise.
         """
 
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:

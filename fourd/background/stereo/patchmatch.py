@@ -25,7 +25,8 @@ whose normals are at about 87 degrees to the ray."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
 """Offsets (rows, columns) of the cells whose planes are propagated to a cell."""
 SAME_DEPTH = 1e-3
-"""Relative difference in inverse depth up to which a neighbour's plane is not tried."""
+"""Relative difference in inverse depth. A neighbour's plane is not tried if it differs less from the cell's own
+plane."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Selection of source cameras that see the same space as a camera, at suitable angles between the rays."""
+"""Selection of source cameras for a reference camera: they see the same space at suitable triangulation angles."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ ANGLE_SPREAD = 0.9
 """Width of a source's score over log(angle between the rays). The score is 1 at 15 degrees, 1/2 at 6 and 37
 degrees, and 1/7 at 130 degrees (a floor seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective by another source, relative to the number of sampled points."""
+"""Minimum increase of the objective for another source to be added, relative to the number of sampled points."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
-    """Select up to 6 source cameras that see each point in the view frustum of camera ``index`` twice if possible.
+    """Select up to 6 source cameras for camera ``index``. If possible, two sources see each point in its frustum.
 
     The frustum is sampled between the depths ``nearest`` and ``farthest``. A source has a score for each point, which
     depends on the angle between the rays of the two cameras. The selection is greedy: each step adds the camera with

@@ -14,17 +14,17 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Relative depth difference up to which a sample of one image covers the surface of another image."""
+"""Relative depth difference up to which a sample of one image counts as a sample of another image's surface too."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
 """Side of the smallest squares in pixels."""
 EDGE_TOLERANCE = 0.05
-"""Relative inverse depth error of a cell's plane at its neighbours, above which the cell is at a depth edge. The error
-must be exceeded at the neighbours on both sides."""
+"""Relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth edge if
+the errors at the neighbours on both sides are larger."""
 MAX_PARTS = 2
 """Maximum number of parts of a square per axis. More parts would close all gaps between points on steep surfaces, but
-points on a floor would then hide the lower half of the points behind them. This shifts the floor's texture up by half a
-point."""
+points on a floor would then hide the lower half of the points behind them. This occlusion shifts the floor's texture up
+in the image by half a point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,10 +50,11 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     """Sample all surfaces with at most ``points`` samples.
 
     Each image is tiled with squares. Their size is the smallest that gives at most ``points`` samples. Squares on
-    surfaces at grazing angles are subdivided into parts, because a higher camera would show gaps between the samples.
-    The centre of each part is sampled if it is visible according to ``seen`` (H, W) and no earlier sample covers the
-    surface. Near objects therefore get more points, but surfaces that are visible in many images do not. Cells that
-    other images confirm are sampled before extrapolated cells.
+    surfaces at grazing angles are subdivided into parts, because a camera that sees the surface less obliquely would
+    show gaps between the samples. The centre of each part is sampled if it is visible according to ``seen`` (H, W) and
+    no earlier sample of any image lies on the surface within this part. Near objects therefore get more points, but
+    surfaces that are visible in many images do not. Cells that other images confirm are sampled before extrapolated
+    cells.
 
     Returns:
         the samples of each image.
