@@ -1,8 +1,8 @@
 """The camera type, in OpenCV's convention: x points right, y down and z forward; intrinsics are in pixels.
 
 A world point has camera coordinates ``x_camera = R_camera_world @ x_world + T``. The centre of the pixel in row i and
-column j is at ``(j + 0.5, i + 0.5)``. All arrays are float64 in NumPy, so that scenes can be opened and rendered
-without torch.
+column j is at ``(j + 0.5, i + 0.5)``. All arrays are NumPy arrays of float64. The module does not use
+torch, so that scenes can be opened and rendered without it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
-        # "not (error <= ...)" also rejects NaN, which a matrix product with an overflow gives.
+        # "not (error <= ...)" also rejects NaN, which results if the matrix product overflows.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
                 f"rotation: expected an orthonormal matrix of determinant +1, got one that differs from orthonormal by "
@@ -108,7 +108,7 @@ class Camera:
         return replace(self, intrinsics=zoom @ self.intrinsics, width=width, height=height)
 
     def crop(self, left: int, top: int, width: int, height: int) -> Camera:
-        """Return the view of the pixel rectangle whose top left corner is (``left``, ``top``)."""
+        """Return the camera of the image part of ``width`` x ``height`` pixels that starts at (``left``, ``top``)."""
         intrinsics = self.intrinsics.copy()
         intrinsics[0, 2] -= left
         intrinsics[1, 2] -= top
@@ -135,8 +135,8 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
 def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    The angle is measured at ``focus``, a (3,) world point, between the rays to two camera centres. 4K4D (sec. 3.2)
-    selects source views in this way. Equal angles are ordered by index.
+    The angle is measured at ``focus``, a (3,) world point, between the rays to the centres of ``camera`` and of the
+    source camera. 4K4D (sec. 3.2) selects source views in this way. Equal angles are ordered by index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])

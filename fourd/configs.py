@@ -1,7 +1,7 @@
 """Convert typed dataclass configs to YAML and back. An unknown key or a wrong type raises an error with the key's name.
 
 The type of the field decides how a scalar is read, not YAML 1.1's rules: ``test_views: [05, 11]`` gives the names "05"
-and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. Tags in a file cannot create Python objects.
+and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. YAML tags cannot create Python objects.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
     Args:
         base: a frozen dataclass instance, with the field types of :func:`load_overlay`.
         assignments: strings KEY=VALUE. Dots in KEY separate nested fields; VALUE is YAML. If a key is assigned twice,
-            the last assignment wins. The dataclasses validate after all assignments.
+            the last assignment wins. Values are validated after all assignments.
         option: name of the option, for error messages.
 
     Raises:
@@ -74,7 +74,7 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
 
 
 def assigned_keys(assignments: Sequence[str]) -> set[str]:
-    """The keys of assignments in the format of :func:`set_values`."""
+    """The KEY part of each assignment KEY=VALUE, as given to :func:`set_values`."""
     return {assignment.partition("=")[0].strip() for assignment in assignments}
 
 
@@ -213,7 +213,10 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 
 
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
-    """Convert a node to the type ``kind``. If ``base``, the old value, is a dataclass, its other fields are kept."""
+    """Convert a node to the type ``kind``.
+
+    ``base`` is the old value. If it is a dataclass, the fields that the node does not name are kept.
+    """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
         return _overlay(base if isinstance(base, kind) else _blank(kind, node, place), node, place)
@@ -323,7 +326,7 @@ def _describe(node: yaml.Node) -> str:
 
 
 def _yaml_word(option: object) -> str:
-    """The YAML text of an option of a Literal."""
+    """The YAML text of one of a Literal's values."""
     if option is None or isinstance(option, bool):
         return {None: "null", True: "true", False: "false"}[option]
     return str(option)

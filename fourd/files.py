@@ -17,9 +17,9 @@ UNFINISHED = ".unfinished-"
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success fsync it and rename it over ``target``.
 
-    For writers that need a path. If the body raises, the temporary file is removed and ``target`` is unchanged. A
-    killed process leaves the temporary file behind; :func:`remove_unfinished` removes it. The temporary name keeps the
-    suffix of ``target``, because some writers choose their format by it.
+    Use it for writers that take a path. If the body raises, the temporary file is removed and ``target`` is unchanged.
+    A killed process leaves the temporary file behind; :func:`remove_unfinished` removes it. The temporary name keeps
+    the suffix of ``target``, because some writers choose the file format by the suffix.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -56,9 +56,9 @@ def write_text_atomically(target: Path | str, content: str) -> None:
 
 
 def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
-    """Remove the temporary files of killed processes in ``folder``, and below it when ``deep``.
+    """Remove the temporary files that killed processes left in ``folder``; with ``deep``, also in its subfolders.
 
-    Do not call it while another process writes there: the temporary files of that process are removed too.
+    Do not call it while another process writes to ``folder``: the temporary files of that process are removed too.
     """
     for path in Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*"):
         path.unlink(missing_ok=True)
@@ -72,7 +72,7 @@ def remove_unfinished_file(target: Path | str) -> None:
 
 
 def is_unused(folder: Path | str) -> bool:
-    """Whether a folder is missing, or contains only temporary files of killed processes."""
+    """Whether a folder is missing, or contains no files except temporary files of killed processes."""
     folder = Path(folder)
     if not folder.is_dir():
         return not folder.exists()

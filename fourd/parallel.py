@@ -1,4 +1,4 @@
-"""A process pool that yields each result as soon as it is ready and terminates all its processes."""
+"""A process pool that yields each result as soon as it is ready. It leaves no process running after an error."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
     """Yield the results of ``work`` for all jobs in the order of completion.
 
-    One worker or one job runs in this process, without a pool. The processes of the pool are terminated when the
-    consumer stops or a job fails, and they exit when this process is killed. Jobs must therefore write files
-    atomically.
+    With one worker or one job, ``work`` runs in this process, without a pool. The processes of the pool are terminated
+    when the caller stops the iteration or a job fails, and they exit when this process is killed. Jobs must therefore
+    write files atomically.
     """
     if workers == 1 or len(jobs) == 1:
         for job in jobs:

@@ -1,4 +1,4 @@
-"""Coloured points in PLY files. Files are written as binary little endian and read in all three PLY formats."""
+"""Coloured points in PLY files. Files are written as binary little endian. All three PLY formats can be read."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ RATE_SECONDS = 60.0
 RATE_ITEMS = 20
 """Minimum number of items in the window that the rate is measured over."""
 MIN_LOGGED_SECONDS = 2.0
-"""Phases that take fewer seconds print no line."""
+"""Phases shorter than this number of seconds print no line."""
 
 
 class Track(Protocol):
@@ -94,8 +94,9 @@ class Tracker:
 class EndEstimate:
     """Estimates the end of a phase from the rate of the last items.
 
-    The rate is measured over the last minute and at least 20 items. The estimate is then stable when several processes
-    finish items at the same time, and still follows changes of the machine's load.
+    The rate is measured over the last minute, or over the last 20 items if they took longer. This is enough to keep the
+    estimate stable when several processes finish items at the same time, but the estimate still follows changes of the
+    machine's load.
     """
 
     def __init__(self, start: float, count: int) -> None:

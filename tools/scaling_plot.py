@@ -38,14 +38,20 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Series:
-    """Milliseconds of every kind of work at each position of an axis (points, pixels or layers)."""
+    """Milliseconds of every kind of work as a function of one quantity: points, pixels or layers.
+
+    ``axis`` names the quantity, ``positions`` are its values.
+    """
 
     axis: str
     positions: list[int]
     milliseconds: dict[str, list[float]]
 
     def slope(self, kind: str) -> float:
-        """Return the exponent of growth over the upper half of the axis. An exponent of 1 is linear growth."""
+        """Return the slope of log time over log position, fitted to the upper half of the positions.
+
+        A slope of 1 is linear growth.
+        """
         half = len(self.positions) // 2
         x, y = np.log(self.positions[half:]), np.log(self.milliseconds[kind][half:])
         return float(np.polyfit(x, y, 1)[0])
@@ -71,14 +77,14 @@ def main(arguments: Arguments) -> None:
 
 
 def by_pixels() -> dict[int, tuple[int, int]]:
-    """Return the image sizes by their number of pixels."""
+    """Return a mapping from the number of pixels to the image size (width, height)."""
     return {width * height: (width, height) for width, height in SIZES}
 
 
 def measure(
     axis: str, positions: list[int], setting: Callable[[int], tuple[int, tuple[int, int], int]], clock: Clock
 ) -> Series:
-    """Time every kind of work at each position of an axis."""
+    """Time every kind of work at each of the ``positions``; ``setting`` returns points, image size and layers."""
     found: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for position in positions:
         count, size, layers = setting(position)

@@ -1,8 +1,9 @@
-"""The table of a baked frame's arrays. The file, the manifest, combining and the OpenGL upload all use it.
+"""The table of a baked frame's arrays. The manifest, the reader and writer of files, combining and the OpenGL upload
+use it.
 
 To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True`` and a field of the same name to
-:class:`fourd.baking.scene.BakedFrame`, and compute it in :mod:`fourd.baking.bake`. Older scenes, which lack the
-attribute, stay readable. Older programs skip the attribute.
+:class:`fourd.baking.scene.BakedFrame`, and compute it in :mod:`fourd.baking.bake`. Scenes without the attribute
+stay readable. Programs that do not know the attribute skip it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ Values = Literal["any", "finite", "nonnegative", "unit"]
 """Valid values of an attribute. "unit" means [0, 1]. Every kind except "any" excludes NaN and infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
-"""How the background's array is appended to the frame's: unchanged, or multiplied by the frame's shadow first."""
+"""How the background's array is appended to that of the dynamic points: unchanged, or multiplied by the shadow."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +28,11 @@ class Attribute:
     """One array of a frame, as stored in the file.
 
     Attributes:
-        name: the field of BakedFrame, which is also the name of the file's member and the key in the manifest.
+        name: name of the field of BakedFrame, of the array's file inside the ZIP, and of its key in the manifest.
         dtype: little-endian NumPy dtype.
         shape: side lengths, where "points" and "views" stand for the numbers of points and of source views.
         values: the valid values, see :data:`Values`.
-        combine: how the background's array is appended to the frame's, see :data:`Combine`.
+        combine: how the background's array is appended to that of the dynamic points, see :data:`Combine`.
         is_optional: whether a scene may lack this attribute.
     """
 
@@ -100,12 +101,15 @@ ATTRIBUTES = (
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
-    """Whether all float16 values, given as bits, are valid. Comparing bits is several times faster than floats."""
+    """Whether all float16 values, given as bits, are valid.
+
+    Comparing bits is several times faster than comparing floats.
+    """
     limit = 0x3C00 if values == "unit" else 0x7BFF
     if values == "finite":
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # Infinity and NaN start at 0x7C00. Negative values have the highest bit set, which also exceeds the limit. -0 is
-    # valid.
+    # The bits of infinity and NaN are 0x7C00 or more, and those of negative values 0x8000 or more. Both exceed the
+    # limit. -0 has the bits 0x8000 and is valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

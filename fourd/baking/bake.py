@@ -1,4 +1,7 @@
-"""Export of a trained run to a scene file. Everything that needs the networks is evaluated once per frame."""
+"""Export of a trained run to a scene file.
+
+Export evaluates the networks for every frame, so that rendering the scene file does not need them.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
 
 GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
-"""A function that returns the source view of a camera, with a depth map for testing the points for occlusion."""
+"""Returns the source view of a camera index for the given points, with a depth map if occlusion is tested."""
 
 BAKED_LAYERS = 12
 MAX_BAKED_WEIGHT = 1024.0
@@ -156,7 +159,10 @@ def _bake_points(
 def _bake_blending(
     model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView
 ) -> tuple[Tensor, Tensor]:
-    """Compute blend weights (N, V) and colours (N, V, 3) in [0, 1], view by view. Occluded points have weight 0."""
+    """Compute blend weights (N, V) and colours (N, V, 3) in [0, 1], view by view.
+
+    A point has weight 0 in the views where it is occluded.
+    """
     count = points.xyz.shape[0]
     weights = torch.zeros(count, len(sources))
     rgb = torch.zeros(count, len(sources), 3)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, make_frame
 
 _ROWS = 2048
-"""Rows per chunk of the multiplication; a chunk fits in the L2 cache."""
+"""Number of points whose colours are multiplied by the shadow at a time; their data fits in the L2 cache."""
 
 
 def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> BakedFrame:
@@ -18,8 +18,9 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
 
     Args:
         dynamic: the frame's own N points.
-        background: the M background points, with the same source views and attributes.
-        shadow: (M,) uint8 factors of the background's colours, in units of 1/128. None leaves the colours unchanged.
+        background: the M background points, with the source views and attributes of ``dynamic``.
+        shadow: (M,) uint8 factors that multiply the background's colours, in units of 1/128. None leaves the colours
+            unchanged.
 
     Raises:
         ValueError: for an invalid argument. The message names the argument and the expected value.
@@ -46,7 +47,7 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
 def _cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> None:
     """Multiply colours (M, V, 3) by factors (M,) in place. Results are rounded half up and clipped at 255.
 
-    Only points in shadow are computed; most points are not in shadow.
+    Most factors are 1; their points are skipped.
     """
     points, views, channels = rgb.shape
     rows = rgb.reshape(points, views * channels)

@@ -1,4 +1,4 @@
-"""The `.4dv` file: a ZIP64 with manifest.json and one stored member per frame and attribute.
+"""The `.4dv` file: a ZIP64 with manifest.json and one member, a file inside the ZIP, per frame and attribute.
 
 A full scene also stores its background's attributes, once, and optionally one shadow per frame.
 
@@ -94,8 +94,8 @@ class SceneWriter:
 
         Args:
             frame: the points of this frame, without the background.
-            shadow: (M,) uint8 factors, in units of 1/128, of the colours of a full scene's M background points in this
-                frame. Either all frames have a shadow or no frame has one.
+            shadow: (M,) uint8 factors that multiply the colours of the M background points in this frame, in units of
+                1/128. Only full scenes have shadows. Either all frames have a shadow or no frame has one.
         """
         if index != len(self._points) or index >= self.manifest.frame_count:
             raise ValueError(
@@ -193,7 +193,7 @@ class SceneWriter:
 
 
 class SceneReader:
-    """Reads a `.4dv`. Frames are read from the file every time; only the background is cached.
+    """Reads a `.4dv`. Every call reads its frame from the file; only the background is cached.
 
     Several threads may use one instance.
 

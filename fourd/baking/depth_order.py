@@ -21,7 +21,7 @@ class DepthSorter:
         self._points = PointSorter()
 
     def sort(self, frame: BakedFrame, camera: Camera, near: float, *, threads: int = 0) -> NDArray[np.uint32]:
-        """Return the indices of the points visible to ``camera``, nearest first; equal depths are ordered by index.
+        """Return the indices of the points in the image of ``camera``, nearest first, and by index at equal depths.
 
         See :meth:`fourd.ops.play.op.PointSorter.sort` for the arguments, the errors and the points that are omitted.
         The radii and densities of ``frame`` must be finite; :class:`fourd.baking.container.SceneReader` checks this.

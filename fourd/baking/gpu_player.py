@@ -1,4 +1,7 @@
-"""Rendering of baked frames on a GPU: :mod:`fourd.baking.player` with frames and images in device memory."""
+"""Rendering of baked frames on a GPU.
+
+The images are those of :mod:`fourd.baking.player`. Frames and images are in device memory.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ from fourd.ops.shade.cuda import shade_points_gpu
 
 @dataclass(frozen=True)
 class GpuFrame:
-    """The arrays of a :class:`fourd.baking.scene.BakedFrame` of N points and V views in device memory.
+    """A :class:`fourd.baking.scene.BakedFrame` of N points and V views, with its arrays in device memory.
 
     Attributes:
         xyz: (N, 3) float32.
@@ -47,7 +50,7 @@ class GpuFrame:
 
 
 class GpuPlayer:
-    """Draws frames on a CUDA device. For tests, a CPU device runs emulated kernels."""
+    """Draws frames on a CUDA device. On a CPU device, it runs the CUDA kernels in an emulator, for tests."""
 
     def __init__(self, device: torch.device) -> None:
         """Raises ImportError if the device's kernels are not built."""

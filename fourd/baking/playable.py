@@ -33,7 +33,7 @@ class Playable(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """The number of every frame in the capture."""
+        """For each frame, its number in the capture."""
 
     @property
     def fps(self) -> float:
@@ -132,9 +132,9 @@ def find_view(playable: Playable, name: str) -> Camera:
 
 
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
-    """Return the indices of the frames whose capture numbers lie in A:B or A:B:S. None selects all.
+    """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    Raises UserError.
+    ``selection`` is A:B or A:B:S, without B and with step S. None selects all frames. Raises UserError.
     """
     numbers = playable.frame_numbers
     if selection is None:

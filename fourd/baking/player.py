@@ -32,10 +32,11 @@ class Player:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw the frame from ``camera``: an (H, W, 4) uint8 image of the colour over the background, and alpha.
+        """Draw the frame from ``camera`` as an (H, W, 4) uint8 image: RGB over the background, then alpha.
 
         The image equals that of :meth:`fourd.baking.rendering.Scene.render`, except that values are rounded to bytes
-        and that a pixel ends at a transmittance of :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
+        and that compositing of a pixel ends when its transmittance falls below
+        :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.

@@ -36,14 +36,15 @@ class RenderedImage:
 class Scene:
     """An open baked scene. Several threads may use one instance.
 
-    Use it as a context manager or call :meth:`close`. The most recently used frames are cached, up to a size in bytes.
+    Use it as a context manager or call :meth:`close`. The most recently used frames are cached, up to
+    ``cache_bytes``.
     """
 
     def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
         self._reader = SceneReader(path)
         manifest = self._reader.manifest
         largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
-        # The reader caches the background, so its size is subtracted. At least the largest frame must fit in the cache.
+        # ``cache_bytes`` includes the background, which the reader caches. The largest frame must fit in the cache.
         size = max(cache_bytes - manifest.background_nbytes, largest)
         self._cache: LRUCache[int, BakedFrame] = LRUCache(size, getsizeof=lambda frame: frame.nbytes)
         self._lock = Lock()
@@ -128,7 +129,7 @@ def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
     """Open a `.4dv`.
 
     Args:
-        cache_bytes: memory for cached frames and the background. One frame is cached even if it is larger.
+        cache_bytes: memory for cached frames and the background. One frame is cached even if it exceeds this limit.
 
     Raises:
         UserError: if the file is not a valid scene. The message is one line that names the file and the fix.

@@ -34,9 +34,9 @@ class BakedFrame:
         sh: (N, 3, 16) float16, degree-3 spherical harmonics of red, green and blue.
         blend_weights: (N, V) float16, 0 or more. Shading normalizes the weights over the views that it selects.
         rgb: (N, V, 3) uint8, the point's colour in every source view.
-        background: the M background points that this frame ends with, one object shared by all frames. None if the
-            frame has no background points.
-        has_shadow: whether the ``rgb`` of the last M points is the background's multiplied by a shadow.
+        background: the M background points, which are the last M points of this frame. All frames share this object.
+            None if the frame has no background points.
+        has_shadow: whether a shadow has been multiplied into the ``rgb`` of the last M points.
 
     Raises:
         ValueError: for a wrong shape or dtype. The message names the array.
@@ -135,7 +135,7 @@ class SceneManifest:
         source_names, source_cameras: names and cameras of the V source views, in the order of the frames' arrays.
         focus: (x, y, z) of the point at which angles between views are measured, world units.
         bounds: lower and upper corner of the box that contains the dynamic points, world units.
-        frame_numbers: the number of each frame in the capture.
+        frame_numbers: for each frame, its number in the capture.
         points: number of dynamic points of each frame; set by the writer.
         other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Their
             colours are not blended, but they can be rendered by name.

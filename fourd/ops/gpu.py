@@ -1,8 +1,8 @@
 """Access to the CUDA kernels for torch tensors: the native module, the stream and scratch memory.
 
 No function here synchronizes with the GPU. For CPU tensors the same functions run the CUDA sources in a slow emulator,
-one thread after another. The emulator serves to test the kernels on machines without a GPU. FOURD_SIMD=emulated makes
-the operators use it.
+which runs one CUDA thread after another. The emulator serves to test the kernels on machines without a GPU. The
+operators use the emulator if FOURD_SIMD=emulated is set.
 """
 
 from __future__ import annotations
@@ -44,7 +44,10 @@ class Gpu:
         return torch.cuda.device(self.device) if self.device.type == "cuda" else nullcontext()
 
     def allocate(self, size: int) -> Tensor:
-        """Allocate ``size`` bytes with torch's allocator. Later work on the same stream may reuse the memory."""
+        """Allocate ``size`` bytes with torch's allocator.
+
+        Later work on the same stream may reuse the memory after the tensor is deleted.
+        """
         return torch.empty(size, dtype=torch.uint8, device=self.device)
 
 

@@ -29,7 +29,9 @@ def as_array(tensor: Any) -> Any:
 
 
 def thread_count(threads: int, default: int | None = None) -> int:
-    """Return the number of threads: ``threads`` if positive, else FOURD_THREADS, ``default`` or all available cores.
+    """Return the number of threads.
+
+    This is the first of these that is set: ``threads`` if positive, FOURD_THREADS, ``default``, all available cores.
 
     Raises:
         ValueError: for a negative ``threads`` or an invalid FOURD_THREADS.

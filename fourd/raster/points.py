@@ -24,7 +24,8 @@ class PointRender:
     Attributes:
         features: (H, W, C) composited features. They include the background if one is given.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) weighted mean of the composited points' camera depths, in world units; 0 where alpha is 0.
+        depth: (H, W) mean camera depth of the composited points, weighted by transmittance times alpha, in world units;
+            0 where the image's alpha is 0.
     """
 
     features: Tensor

@@ -15,8 +15,8 @@ def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bi
     """Compute ``5 tanh((out . relu(point + weight sample) + bias) / 5)`` for every point and source view.
 
     This is the blend MLP of 4K4D (sec. 3.2). The part of the first layer that depends only on the point is an input,
-    because it is the same for all views. Float32 on the CPU uses a kernel that does not store the hidden layer. Other
-    inputs use :func:`fourd.ops.blend.reference.blend_logits_reference`.
+    because it is the same for all views. Float32 inputs on the CPU use a kernel that does not store the hidden layer.
+    Other inputs use :func:`fourd.ops.blend.reference.blend_logits_reference`.
 
     Args:
         point: (N, H) contribution of each point to the hidden layer, with H from 1 to 256.
@@ -59,7 +59,7 @@ def _logits_backward(
     point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor, logits: Tensor, gradient: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     gradients = _empty_gradients(point, samples, weight, out, bias)
-    # The kernel takes and returns the transposed weight matrix.
+    # The kernel takes the transposed weight matrix and returns the transposed gradient of the weights.
     grad_weight = weight.new_empty(weight.shape[1], weight.shape[0])
     targets = [gradients[0], gradients[1], grad_weight, gradients[3], gradients[4]]
     load_native().blend_logits_backward(

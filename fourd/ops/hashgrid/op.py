@@ -18,9 +18,10 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
     """Interpolate every level of a hash grid trilinearly and concatenate the features.
 
     This is the encoding of Instant-NGP, with the same constants (Mueller et al. 2022, Instant Neural Graphics
-    Primitives with a Multiresolution Hash Encoding, sec. 3). Let s = resolution + 1. If a level has at most
-    2^log2_entries samples, sample (x, y, z) is in row x + y s + z s^2. Otherwise it is in row (x xor 2654435761 y xor
-    805459861 z) mod 2^log2_entries, computed in 32 bits.
+    Primitives with a Multiresolution Hash Encoding, sec. 3). A level has s = resolution + 1 samples per
+    side. If it has at most 2^log2_entries samples in total, the sample with indices (x, y, z) is in row
+    x + y s + z s^2 of the level. Otherwise this sample is in row (x xor 2654435761 y xor 805459861 z) mod
+    2^log2_entries, computed in 32 bits.
 
     Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
     :func:`fourd.ops.hashgrid.reference.encode_hash_grid_reference`.
@@ -34,8 +35,8 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
     Returns:
         (N, shape.out_features), coarsest level first. Differentiable once in the table and in the coordinates; clamped
         coordinates have a gradient of 0. Only required gradients are computed. On the CPU the gradient's bits do not
-        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU its last bits vary
-        between calls.
+        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU the gradient's last
+        bits vary between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.

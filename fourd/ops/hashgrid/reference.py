@@ -37,5 +37,6 @@ def _entry_index(sample: Tensor, resolution: int, entries: int) -> Tensor:
     side = resolution + 1
     if side**3 <= entries:
         return x + y * side + z * side**2
-    # ``entries`` is a power of two of at most 2^24, so the mask discards the bits above 32 of the 64-bit products.
+    # ``entries`` is a power of two of at most 2^24. The mask keeps at most the 24 lowest bits, which are the same for
+    # 64-bit products as for 32-bit products.
     return (x * PRIMES[0] ^ y * PRIMES[1] ^ z * PRIMES[2]) & (entries - 1)

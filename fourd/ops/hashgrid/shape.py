@@ -53,7 +53,7 @@ class HashGridShape:
     def resolutions(self) -> tuple[int, ...]:
         """Cells per side of every level: a geometric progression from coarsest to finest.
 
-        A single level is the coarsest.
+        If there is only one level, it has the coarsest resolution.
         """
         growth = math.log(self.finest / self.coarsest) / max(self.levels - 1, 1)
         # Without 1e-6, rounding could reduce the last level to one cell less than the finest resolution.

@@ -18,21 +18,22 @@ MAX_PLANES_GPU = 64
 def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[int]) -> Tensor:
     """Sample every plane bilinearly and concatenate the features (K-Planes, Fridovich-Keil et al. 2023, eq. 1).
 
-    Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
-    :func:`fourd.ops.planes.reference.sample_planes_reference`.
+    Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built and
+    there are at most 64 planes. Other inputs use :func:`fourd.ops.planes.reference.sample_planes_reference`.
 
     Args:
         coordinates: (N, 4) x, y, z, t in [-1, 1], float32 or float64. Values outside [-1, 1] are clamped; NaN counts as
             -1.
-        planes: tensors of shape (rows, columns, F) and the coordinates' dtype, with at least 2 rows and 2 columns. F is
-            the same for all planes, from 1 to 64. The first and last samples lie at -1 and 1 (align_corners).
-        axes: two indices from 0 to 3 per plane: first the coordinate along a row of the plane, which selects the
-            column, then the coordinate that selects the row.
+        planes: tensors of shape (rows, columns, F) with the dtype of the coordinates, and with at least 2 rows and 2
+            columns. F is the same for all planes, from 1 to 64. The first and last samples lie at -1 and 1
+            (align_corners).
+        axes: two indices of coordinates per plane, from 0 to 3. The first coordinate selects the column of the plane,
+            the second the row.
 
     Returns:
         (N, F * len(planes)). Differentiable in the planes and the coordinates. On the CPU the gradient's bits do not
-        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU its last bits vary
-        between calls.
+        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU the gradient's last
+        bits vary between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.

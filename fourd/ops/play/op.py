@@ -17,7 +17,10 @@ from fourd.ops.points.validation import check_points, pack_camera
 from fourd.ops.shade.shading import Shading
 
 MIN_TRANSMITTANCE = 1e-3
-"""Compositing of a pixel ends below this transmittance, a quarter of an 8-bit step. Points behind are not visible."""
+"""Compositing of a pixel ends when its transmittance falls below this value.
+
+The value is a quarter of an 8-bit step, so that the remaining points are not visible.
+"""
 
 
 class PointPlayer:
@@ -48,7 +51,7 @@ class PointPlayer:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw N points in V source views.
+        """Draw N points, which have a colour in each of V source views.
 
         Args:
             xyz: (N, 3) positions, world units.
@@ -63,7 +66,7 @@ class PointPlayer:
             out: C-contiguous (H, W, 4) uint8 array to draw into. None for a new array.
 
         Returns:
-            (H, W, 4) uint8: colour over the background, and alpha. This is ``out`` if it is given.
+            (H, W, 4) uint8: RGB over the background, then alpha. This is ``out`` if it is given.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
@@ -117,11 +120,11 @@ class PointSorter:
         *,
         threads: int = 0,
     ) -> NDArray[np.uint32]:
-        """Return the indices of the points visible to ``camera``, nearest first; equal depths are ordered by index.
+        """Return the indices of the points in the image of ``camera``, nearest first, and by index at equal depths.
 
-        Points that :func:`fourd.raster.render_points` does not draw are omitted: points nearer than ``near``, points
-        outside the image, points with a radius or density that is not positive, and points at a position that is not
-        finite.
+        Occluded points are included. Points that :func:`fourd.raster.render_points` does not draw are omitted: points
+        nearer than ``near``, points outside the image, points with a radius or density that is not positive, and
+        points at a position that is not finite.
 
         Args:
             xyz: (N, 3) positions, world units.

@@ -13,7 +13,10 @@ from fourd.ops.shade.shading import Shading
 
 MAX_FLOAT32 = np.finfo(np.float32).max
 RADIUS_MARGIN = 1 + 1e-6
-"""The kernels enlarge discs by this factor before they search for covered pixels, so that rounding omits no pixel."""
+"""The kernels enlarge discs by this factor before they search for covered pixels.
+
+Rounding errors then do not omit a pixel.
+"""
 
 
 def draw_points_reference(
@@ -33,7 +36,7 @@ def draw_points_reference(
     """Compute the image of :meth:`fourd.ops.play.op.PointPlayer.draw` without early termination.
 
     Returns:
-        (H, W, 4) float32 in [0, 1]: colour over the background, and alpha. Values are not rounded to bytes.
+        (H, W, 4) float32 in [0, 1]: RGB over the background, then alpha. Values are not rounded to bytes.
     """
     colours = shade_points_reference(xyz, sh, blend_weights, rgb, shading)
     rendered = render_points_reference(

@@ -27,7 +27,9 @@ def render_points_numpy(
     transmittance_min: float = 0.0,
     threads: int = 0,
 ) -> tuple[Floats, Floats, Floats]:
-    """Render float32 arrays. Arguments and result bits are those of :func:`fourd.raster.render_points` on the CPU.
+    """Render points given as float32 arrays.
+
+    The arguments are those of :func:`fourd.raster.render_points`. The results have the same bits as on its CPU backend.
 
     With ``threads`` = 0, the number of threads is FOURD_THREADS if that is set, else all cores.
 

@@ -1,4 +1,4 @@
-"""Calls of the CUDA kernels of ``csrc/points`` on torch tensors, with their scratch memory."""
+"""Functions that call the CUDA kernels of ``csrc/points`` with torch tensors and allocate their scratch memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ def render(
     transmittance_min: float,
     out: tuple[Tensor, Tensor, Tensor],
 ) -> None:
-    """Render xyz, features, radius and density into ``out``: features (H, W, C), alpha (H, W) and depth (H, W)."""
+    """Render points and write features (H, W, C), alpha (H, W) and depth (H, W) to ``out``.
+
+    ``inputs`` are xyz, features, radius and density.
+    """
     gpu = load_gpu(inputs[0].device)
     height, width = out[1].shape
     with gpu.activate():
@@ -40,7 +43,7 @@ def render_backward(
 ) -> None:
     """Write the gradients of xyz, features, radius and density to ``out``.
 
-    ``gradients`` are those of the three images.
+    ``gradients`` are the gradients of the rendered features, alpha and depth.
     """
     gpu = load_gpu(inputs[0].device)
     height, width = gradients[1].shape
@@ -67,7 +70,10 @@ def visibility(
     near: float,
     out: Tensor,
 ) -> None:
-    """Write every point's largest weight in any pixel, (N,), to ``out``. ``size`` is (width, height) in pixels."""
+    """Write every point's largest compositing weight over all pixels, (N,), to ``out``.
+
+    ``size`` is (width, height) in pixels.
+    """
     gpu = load_gpu(inputs[0].device)
     with gpu.activate():
         plan = _plan(gpu, inputs[0].shape[0], 0, *size)

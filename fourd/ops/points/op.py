@@ -152,7 +152,7 @@ def visibility(
     near: float,
     threads: int,
 ) -> Tensor:
-    """Compute every point's largest weight in any pixel, (N,)."""
+    """Compute every point's largest compositing weight over all pixels, (N,)."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
     if uses_gpu_kernels(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)

@@ -31,7 +31,7 @@ class Splats(NamedTuple):
 class Layers(NamedTuple):
     """Indices of the splats that P pixels composite, (P, K), nearest first.
 
-    Where ``valid`` is False, ``splat`` is 0.
+    Where a pixel has fewer than K splats, ``valid`` is False and ``splat`` is 0.
     """
 
     splat: Tensor
@@ -92,7 +92,8 @@ def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Sp
 def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
     """Return density * (1 - distance_px^2 / radius_px^2), not clamped.
 
-    The splats are (P, K), or (1, M) for all pixels; the pixel centres are (P, 2).
+    The arrays of ``splats`` are (P, K), or (1, M) to evaluate all splats at every pixel. ``pixels`` are the pixel
+    centres, (P, 2).
     """
     dx = splats.u - pixels[:, :1]
     dy = splats.v - pixels[:, 1:]
@@ -127,7 +128,8 @@ def _composite(
     zero = pixels[:, 0] * 0
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
     # Depths are averaged relative to the nearest depth, which is a constant in autograd. This changes neither the mean
-    # nor its gradient, and avoids a rounding error that a small weight would amplify where a pixel has one layer.
+    # nor its gradient. In pixels with one layer it avoids a rounding error, which dividing by a small weight would
+    # amplify.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

@@ -32,8 +32,8 @@ def check_points(
         dtypes: names of the accepted dtypes.
 
     Raises:
-        TypeError: for a wrong type or dtype. The message names the argument and the expected value.
-        ValueError: for a wrong shape or range, with the same message.
+        TypeError: for a wrong type or dtype.
+        ValueError: for a wrong shape or range. Both messages name the argument and the expected value.
     """
     for name, array in arrays.items():
         if not hasattr(array, "shape") or not hasattr(array, "dtype"):
@@ -59,7 +59,7 @@ def check_background(background: Any, camera: Camera, channels: int) -> None:
 
 
 def pack_camera(camera: Camera) -> list[float]:
-    """Return the camera as the kernels expect it: 21 numbers, K and R row by row, then T."""
+    """Return the camera as the kernels expect it: 21 numbers, which are K row by row, R row by row, and T."""
     return [*camera.intrinsics.ravel(), *camera.rotation.ravel(), *camera.translation]
 
 

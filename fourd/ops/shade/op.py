@@ -22,14 +22,13 @@ def shade_points(
 
     Let d be the unit vector from the camera to the point, and Y(d) the 16 spherical harmonics in this direction.
     The colour is ``sum_v w_v rgb_v / sum_v w_v + sh_base + sh_range * tanh(sh . Y(d))``. The sums are over the views v
-    in ``shading.views``.
-    If all weights of a point are 0, its views get equal weights.
+    in ``shading.views``. If all these weights of a point are 0, the views get equal weights.
 
     Args:
         xyz: (N, 3) positions, world units.
         sh: (N, 3, 16) spherical harmonics coefficients of red, green and blue.
         blend_weights: (N, V) blend weights, 0 or more.
-        rgb: (N, V, 3) the points' colours in the source views.
+        rgb: (N, V, 3) uint8, the points' colours in the source views. The formula uses rgb / 255.
         shading: the viewpoint and the indices of the views to blend, below V.
         threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
 

@@ -13,7 +13,7 @@ class Shading:
     """The viewpoint, the source views and the constants of the colour model.
 
     Attributes:
-        views: (K,) int32 indices of the source views to blend. Empty if the colour is spherical harmonics only.
+        views: (N',) int32 indices of the source views to blend. Empty if the colour is spherical harmonics only.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.

@@ -35,7 +35,8 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         )
     x, y = _to_planes(prediction), _to_planes(target)
     planes = x.shape[1]
-    # The target's two means are filtered in a separate call, so that the backward pass of a loss skips them.
+    # The target needs no gradient in a loss. Its two means are filtered in a separate call, so that the backward pass
+    # skips this call.
     mean_x, square_x, product = _blur(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
     mean_y, square_y = _blur(torch.cat([y, y * y], dim=1)).split(planes, dim=1)
     covariance = product - mean_x * mean_y

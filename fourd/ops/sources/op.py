@@ -25,26 +25,26 @@ def sample_sources(
 ) -> tuple[Tensor, Tensor]:
     """Project points into every source view and sample the view bilinearly.
 
-    Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
-    :func:`fourd.ops.sources.reference.sample_sources_reference`.
+    Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built and
+    there are at most 16 views. Other inputs use :func:`fourd.ops.sources.reference.sample_sources_reference`.
 
     Args:
         xyz: (N, 3) world points.
-        features: (V, C, h, w) image features, whose resolution may differ from the images', or None. They are copied
-            unless they have torch's channels_last format.
+        features: (V, C, h, w) image features, or None. Their resolution may differ from that of ``images``. They are
+            copied unless they have torch's channels_last format.
         images: (V, 3, H, W) colours in [0, 1]. Not differentiable.
         mattes: (V, H, W) opacity in [0, 1], 1 where the object covers the pixel. Not differentiable.
         depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. None disables
             the occlusion test. Not differentiable.
         cameras: concatenated results of :func:`fourd.ops.points.validation.pack_camera` for all views.
-        softness: (N,) decay lengths in world units, above 0. The visibility weight of a point decays exponentially with
-            depth, starting two decay lengths behind the surface. Not differentiable.
+        softness: (N,) decay lengths in world units, above 0. The occlusion factor of a point is 1 up to two decay
+            lengths behind the surface, and decays exponentially with depth from there. Not differentiable.
 
     Returns:
         channels (V, C + 3, N), features followed by RGB, differentiable in ``xyz`` and ``features``; and visibility
-        weights (V, N) in [0, 1], not differentiable. A weight is the squared matte times the occlusion test. The matte
-        is squared because the colour of a silhouette pixel contains background: its weight must be less than its
-        coverage.
+        weights (V, N) in [0, 1], not differentiable. A weight is the squared matte times the occlusion factor.
+        Points behind the camera have weight 0. The matte is squared because the colour of a silhouette pixel contains
+        background, so that the weight must be less than the pixel's coverage.
 
     Raises:
         ValueError: if shapes do not match.
