@@ -1,4 +1,4 @@
-# Entry points: `make demo` and `make test` create their own environment in .venv.
+# Targets that run Python first create an environment in .venv, for example `make demo` and `make test`.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -45,7 +45,7 @@ docs: install
 clean:
 	rm -rf $(VENV) build demo .mypy_cache .pytest_cache .ruff_cache
 
-# The kernels on hostile inputs under ASan + UBSan, the CUDA kernels emulated, and under TSan.
+# Run the kernels on invalid inputs: under ASan and UBSan, including the emulated CUDA kernels, and under TSan.
 sanitize: sanitize-address sanitize-thread
 
 sanitize-address: install
