@@ -1,6 +1,7 @@
 """Background points from clean plates by stereo.
 
-Sparse features initialise depth maps, depths that disagree between plates are removed, and the surfaces are sampled.
+Sparse features initialise the plates' depth maps. Depths that disagree between plates are removed. Points are sampled
+on the surfaces that remain.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Detection of backgrounds that are not static, by comparison of images with clean plates outside the mattes."""
+"""Detection of backgrounds that are not static: images are compared with the clean plates outside the mattes."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from fourd.progress import Log
 Picture = NDArray[np.uint8]
 
 USER_FOLDER = "bgs"
-"""Folder in a capture for the user's plates, CAM.png or CAM.jpg, with the same lens distortion as the frames."""
+"""Folder in a capture for the user's plates. The files are CAM.png or CAM.jpg and have the frames' lens distortion."""
 MIN_SEEN_SHARE = 0.5
 MIN_CAMERAS = 2
 

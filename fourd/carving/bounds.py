@@ -79,7 +79,7 @@ def find_bounds(
     max_frames: int = 120,
     track: Track = untracked,
 ) -> Bounds:
-    """Find a bounding box, with a margin, of the visual hulls of the capture's frames.
+    """Find a box that contains the visual hulls of the capture's frames, with a margin.
 
     Args:
         capture: cameras and masks; frames are read one at a time.

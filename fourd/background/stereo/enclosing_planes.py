@@ -1,4 +1,4 @@
-"""Planes that bound a scene: floors and walls, where the rest of the scene is on the cameras' side."""
+"""Planes that bound a scene, such as floors and walls: the scene and the cameras lie on the same side of each plane."""
 
 from __future__ import annotations
 

@@ -193,7 +193,7 @@ class _PlaneWarp:
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
 
     def sample_positions(self, pixels: Floats, planes: Floats, across: Floats, down: Floats) -> tuple[Floats, Floats]:
-        """Positions x and y (o, n) in the other image of window samples at offsets (o, 1) from n cell centres.
+        """Map window samples at offsets (o, 1) from n cell centres to positions x and y (o, n) in the other image.
 
         Positions are NaN for points behind the other camera.
         """

@@ -25,7 +25,7 @@ whose normals are at about 87 degrees to the ray."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
 """Offsets (rows, columns) of the cells whose planes are propagated to a cell."""
 SAME_DEPTH = 1e-3
-"""Relative difference in inverse depth. A neighbour's plane is not tried if it differs less from the cell's own
+"""Relative difference in inverse depth. A neighbour's plane is tried only if it differs by more from the cell's own
 plane."""
 
 
@@ -116,7 +116,7 @@ class _PlaneSearch:
         self.scores = np.full(len(grid.pixels), UNKNOWN_SCORE, np.float32)
 
     def try_planes(self, planes: Floats, where: NDArray[np.bool_] | None = None) -> None:
-        """Replace each cell's plane by its plane in ``planes`` (N, 3) if the new plane has a higher score.
+        """Replace a cell's plane by the cell's row of ``planes`` (N, 3) if the new plane has a higher score.
 
         If ``where`` (N,) is given, only the cells selected by it are tried.
         """

@@ -1,4 +1,5 @@
-"""Initial plane hypotheses: dominant planes of triangulated points, and planes of triangles between neighbours."""
+"""Initial plane hypotheses: dominant planes of triangulated points, and planes through triangles of neighbouring
+points."""
 
 from __future__ import annotations
 

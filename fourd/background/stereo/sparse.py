@@ -98,7 +98,8 @@ def triangulate_sparse(plates: Sequence[PlateView], seed: int, track: Track) -> 
 
 
 def _match_guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
-    """Match features (M, 2 indices): mutual nearest neighbours near the epipolar lines that pass the ratio test."""
+    """Match features (M, 2 indices): mutual nearest neighbours that lie near the epipolar lines and pass the ratio
+    test."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.uint32)
     fundamental = fundamental_matrix(camera, other)

@@ -153,7 +153,7 @@ class _Squares:
         return np.clip(begins, 0, size), np.clip(begins + self.side, 0, size)
 
     def squares_at(self, xy: Array) -> NDArray[np.intp]:
-        """Indices (M,) of the squares that contain pixel indices (M, 2), or of the nearest square outside the image."""
+        """Indices (M,) of the squares that contain pixel indices (M, 2); outside the image, of the nearest squares."""
         row = np.clip((xy[:, 1] + 0.5) / self.side, 0, self.rows - 1).astype(np.intp)
         column = np.clip((xy[:, 0] + 0.5 + self._shift(row)) / self.side, 0, self.columns - 1).astype(np.intp)
         return np.asarray(row * self.columns + column, np.intp)
