@@ -1,6 +1,6 @@
-// Computes blend logits of source views with a small MLP: range * tanh((out . relu(point + weight * sample) + bias) /
-// range). The kernel never stores an array of views x points x hidden numbers. Callers check shapes, and arrays are
-// dense.
+// Computes, with a small MLP, the logits for blending source views: range * tanh((out . relu(point + weight * sample) +
+// bias) / range). The kernel never stores the hidden layer of all views and points. Callers check shapes, and arrays
+// are dense.
 #pragma once
 
 #include <cstddef>
@@ -16,7 +16,7 @@ struct Mlp {
     const float* weight;  // (channels, hidden): weights of the hidden layer for the samples
     const float* out;     // (hidden,)
     float bias;
-    float range;   // absolute logits are below this bound
+    float range;   // logits are between -range and range
     int channels;  // 1 to kMaxChannels
     int hidden;    // 1 to kMaxHidden
 };

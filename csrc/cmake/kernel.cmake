@@ -24,8 +24,8 @@ set_target_properties(fourd_kernels PROPERTIES POSITION_INDEPENDENT_CODE ON)
 #              [CUDA file...] [BINDING file] [CUDA_BINDING file] [FOLDER folder])
 # CPU           sources compiled once.
 # DISPATCH      sources compiled once per instruction set, from the baseline to WIDEST (common/dispatch.h).
-# EXACT         no fused multiply-add in dispatched sources, which give the reference's bits (the default).
-# TOLERANT      fused multiply-add in dispatched sources, which match the reference within a tolerance.
+# EXACT         no fused multiply-add in dispatched sources: the same bits for every instruction set (the default).
+# TOLERANT      fused multiply-add is allowed in dispatched sources: bits can differ between instruction sets.
 # CUDA          .cu files, for the GPU and for the emulation.
 # BINDING       defines fourd::bind_NAME(nanobind::module_&); CUDA_BINDING defines fourd::cuda::bind_NAME.
 # FOLDER        where the files are; by default csrc/NAME.

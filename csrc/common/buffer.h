@@ -1,5 +1,5 @@
-// An uninitialised array. The kernels write every element before they read it. Clearing the memory first would take as
-// long as sorting the same data.
+// An uninitialised array. The kernels write every element before they read it. Clearing an array first would take as
+// long as sorting its elements.
 #pragma once
 
 #include <cstddef>

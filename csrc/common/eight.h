@@ -1,5 +1,5 @@
-// Vectors of eight floats for any instruction set, for loops that compilers do not vectorise by themselves. They are
-// never passed or returned by value, because the calling convention depends on the instruction set.
+// Vectors of eight floats for any instruction set, for loops that compilers do not vectorise by themselves. Functions
+// take and return them by pointer, because the calling convention for vectors depends on the instruction set.
 #pragma once
 
 #include <cstddef>
@@ -25,8 +25,8 @@ FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
-// Calls body(i, tag) over [0, count), in steps of 8 and then in steps of 1. tag is a null pointer. Its type tells the
-// body whether to process 8 elements (Eight) or 1 element (float), starting at i.
+// Calls body(i, tag) for i in [0, count), first in steps of 8 and then, for the last elements, in steps of 1. tag is a
+// null pointer. Its type tells the body whether to process 8 elements (Eight) or 1 element (float), starting at i.
 template <typename Body>
 FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;

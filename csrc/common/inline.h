@@ -1,7 +1,7 @@
 // Compiler-specific spellings of forced inlining, non-aliasing pointers, bit operations and prefetching.
 //
-// Dispatched files depend on forced inlining. The linker could merge a function that is not inlined with a copy that is
-// compiled for another instruction set.
+// Dispatched files (common/dispatch.h) depend on forced inlining. The linker could replace a function that is not
+// inlined by a copy that is compiled for another instruction set.
 #pragma once
 
 #include <cstdint>

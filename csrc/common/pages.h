@@ -1,4 +1,4 @@
-// Requests huge pages for large arrays from operating systems that support such requests.
+// Asks the operating system to hold large arrays in huge pages. Does nothing where this is not supported.
 #pragma once
 
 #include <cstddef>

@@ -8,7 +8,7 @@ Team::Team(int threads) {
         try {
             workers_.emplace_back([this, worker] { work(worker); });
         } catch (const std::system_error&) {
-            break;  // The system allows no further threads; results do not depend on their number.
+            break;  // The system allows no further threads. Fewer threads give the same results.
         }
     }
 }

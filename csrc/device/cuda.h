@@ -67,7 +67,7 @@ class Executor {
               "a sort");
     }
 
-    // Sets out[i] to the sum of the counts before element i. count is below 2^31.
+    // Sets out[i] to the sum of counts[0] to counts[i - 1]. count is below 2^31.
     void exclusive_sum(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void* scratch,
                        std::size_t scratch_bytes) const {
         check(cub::DeviceScan::ExclusiveSum(scratch, scratch_bytes, counts, out, static_cast<int>(count), stream_),

@@ -1,4 +1,4 @@
-// Predicts the number of entries, which are (point, tile) pairs, of an image from earlier images.
+// Predicts the number of entries of an image from earlier images. An entry is one (point, tile) pair.
 #pragma once
 
 #include <algorithm>
@@ -7,12 +7,12 @@
 
 namespace fourd::device {
 
-// A host counter that the GPU writes to. Throws std::runtime_error if it cannot be allocated.
+// A number in host memory that the GPU can write. Throws std::runtime_error if it cannot be allocated.
 std::uint64_t* allocate_mapped_counter();
 void free_mapped_counter(std::uint64_t* number);
 
-// There is one estimator per device, for the life of the process. It never waits for the GPU. The number of entries of
-// an image is used for images that start after the GPU has written the number.
+// There is one estimator per device, for the life of the process. It never waits for the GPU. A prediction uses the
+// last number that the GPU has written by then.
 class EntryEstimator {
   public:
     EntryEstimator() : needed_(allocate_mapped_counter()) { *needed_ = 0; }

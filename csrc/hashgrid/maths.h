@@ -15,17 +15,17 @@ constexpr int kCorners = 8;  // corners of a cell; bits 0, 1 and 2 of a corner's
 
 constexpr std::size_t kAlign = 16;  // each level starts at a multiple of 16 entries, which is the start of a cache line
 
-// A level has (resolution + 1)^3 grid vertices on [0, 1]^3. Its entries start at index first of the table. Each vertex
-// has its own entry if all fit. Otherwise a spatial hash assigns vertices to entries.
+// A level has (resolution + 1)^3 grid vertices on [0, 1]^3. Its entries start at index `first` of the table. Each
+// vertex has its own entry if there are enough entries. Otherwise a spatial hash assigns vertices to entries.
 struct Level {
     std::size_t first;
     std::uint32_t entries;    // a power of two if hashed
-    std::uint32_t stride[3];  // per axis: factor of the vertex index in the entry index
+    std::uint32_t stride[3];  // per axis: factor of the vertex index in entry_of
     int resolution;
     bool hashed;
 };
 
-// The number of vertices of a level with resolution cells per side.
+// The number of vertices of a level that has `resolution` cells per side.
 FOURD_HD static FOURD_INLINE std::uint64_t samples_of(int resolution) {
     const std::uint64_t side = static_cast<std::uint64_t>(resolution) + 1;
     return side * side * side;
@@ -47,7 +47,7 @@ FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, st
 struct Interpolation {
     std::uint32_t low;
     float fraction;
-    float slope;  // vertices per unit of the coordinate; 0 if it was clamped to the border
+    float slope;  // vertices per unit of the coordinate; 0 if the coordinate was clamped
 };
 
 // NaN counts as 0.
@@ -93,12 +93,12 @@ FOURD_HD static FOURD_INLINE Cell cell_of(const Level& level, const Interpolatio
     return out;
 }
 
-// Adds the coordinate gradient (3,) of the trilinear interpolation to out (3,).
+// Interpolates value (kCorners,) trilinearly, and adds the gradient with respect to the coordinates to out (3,).
 FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* coordinates, const float* value,
                                              float* out) {
     const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),
                         z = interpolate_axis(level, coordinates[2]);
-    float rise[4], mean[4];  // interpolated values of the edges along x
+    float rise[4], mean[4];  // of each edge along x: difference of its ends, interpolated value
     for (int edge = 0; edge < 4; ++edge) {
         rise[edge] = value[2 * edge + 1] - value[2 * edge];
         mean[edge] = value[2 * edge] + x.fraction * rise[edge];

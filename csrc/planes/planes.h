@@ -1,5 +1,5 @@
-// K-Planes: looks up points in space and time in feature planes. Callers check shapes. Every pointer points to a dense
-// row-major array.
+// K-Planes: interpolates feature planes at points in space and time. Callers check shapes. Every pointer points to a
+// dense row-major array.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
-// Draws and depth-sorts baked frames from their float16 arrays. Memory is kept between images. Callers check shapes,
-// and arrays are dense and row-major.
+// Draws and depth-sorts baked frames from their float16 arrays. Objects of both classes keep their memory for the next
+// image. Callers check shapes, and arrays are dense and row-major.
 #pragma once
 
 #include "common/buffer.h"

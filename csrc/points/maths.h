@@ -32,7 +32,7 @@ struct alignas(16) Splat {
     float inverse_square;  // 1 / rho^2
     float density;         // at most 1
     float z;               // camera depth
-    float rho;
+    float rho;             // projected radius, pixels
     std::uint16_t left, right, top, bottom;  // blocks that can contain a hit, inclusive, clipped to the image
 };
 
@@ -55,8 +55,8 @@ FOURD_HD static inline std::uint64_t tile_count(const TileRange& range) {
     return tiles_across(range) * static_cast<std::uint64_t>(range.bottom - range.top + 1);
 }
 
-// Sums over the pixels of a point. dx, dy, square and falloff sum the gradient of alpha times (dx, dy, distance^2,
-// falloff). z sums the gradient of depth.
+// Sums over the pixels of a point. dx, dy, square and falloff sum the gradient with respect to alpha, times dx, dy,
+// distance^2 and falloff. z sums the gradient with respect to the camera depth of the point.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
@@ -64,11 +64,11 @@ struct SplatGradient {
 // The coordinate of a pixel's centre. float32 represents the index exactly.
 FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
 
-// The range of pixels whose centres are within rho of centre, clipped to [0, size). It is empty if first > last.
-// Clipping before rounding needs no branches, so the code vectorises.
+// Along one axis, the range of pixels whose centres are within rho of `centre`, clipped to [0, size). It is empty if
+// first > last. Clipping before rounding needs no branches, so the code vectorises.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
-    // The hit test has a float32 rounding error of about 4e-7 of rho^2. The margin ensures that the range contains all
-    // hits.
+    // The hit test has a float32 rounding error of about 4e-7 of rho^2. The margin of 1e-6 ensures that the range
+    // contains all hits.
     const double extent = static_cast<double>(rho) * (1.0 + 1e-6);
     double low = static_cast<double>(centre) - extent - 0.5, high = static_cast<double>(centre) + extent - 0.5;
     low = low > 0.0 ? low : 0.0;

@@ -22,7 +22,7 @@ struct Settings {
     Pinhole camera;
     float near_depth;         // positive; points with a smaller camera depth are culled
     int layers;               // K, at least 1
-    float transmittance_min;  // compositing of a pixel ends at or below this value; 0 is exact
+    float transmittance_min;  // a pixel is complete at or below this transmittance; 0 is exact
     int threads;              // at least 1; does not change the result
     Simd simd;                // an instruction set that this machine supports
 };

@@ -46,12 +46,12 @@ FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Project
 }
 
 // The four samples around a position in a map of height x width, row by row. As in torch's grid_sample without
-// align_corners, the centre of sample (0, 0) is half a sample from the border. A sample outside the map has weight 0
-// and the offset of some other sample.
+// align_corners, the centre of sample (0, 0) is half a sample from the border. A sample outside the map has weight 0.
+// Its offset is that of a sample inside, which can be read safely.
 struct Bilinear {
     std::size_t offset[4];
     float weight[4];
-    float slope_x[4];  // derivatives of the weights with respect to x in samples
+    float slope_x[4];  // derivatives of the weights with respect to x, which is measured in samples
     float slope_y[4];
 };
 

@@ -1,5 +1,5 @@
-// Samples the source views around a camera at the projections of points. Callers check shapes. Every pointer points to
-// a dense row-major array.
+// Projects points into source views and samples the views there. Callers check shapes. Every pointer points to a dense
+// row-major array.
 #pragma once
 
 #include <cmath>
@@ -14,7 +14,7 @@ struct Maps {
     const float* images;    // (views, 3, height, width)
     const float* mattes;    // (views, height, width) in [0, 1]
     const float* depth;     // (views, height, width), depth of the nearest surface; null for no occlusion
-    const float* features;  // (views, feature_height, feature_width, channels), cover the same images; may be null
+    const float* features;  // (views, feature_height, feature_width, channels), cover the whole image; may be null
     int width, height;
     int channels, feature_width, feature_height;  // 0 if there are no features
 };
@@ -26,7 +26,7 @@ struct Query {
     const float* xyz;  // (count, 3)
     std::size_t count;
     const float*
-        softness;  // (count,) decay length of the visibility weight behind a surface; unused by the gradient
+        softness;  // (count,) decay length of the visibility behind a surface, in world units; unused by the gradient
     int threads;   // at least 1; does not change the result; used on the CPU only
     Simd simd;     // an instruction set that this machine supports; used on the CPU only
 };
@@ -36,7 +36,8 @@ struct Samples {
     float* visibility;  // (views, count)
 };
 
-// Gradients with respect to the inputs, from the gradient of Samples' channels. The visibility has no gradient.
+// Gradients with respect to the inputs, computed from the gradient with respect to Samples::channels. The visibility is
+// treated as constant.
 struct Gradients {
     float* xyz;       // (count, 3)
     float* features;  // shaped as Maps' features; may be null
@@ -69,8 +70,9 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
 
 constexpr float kMinSoftness = 1e-12f;  // replaces a softness that is smaller or NaN
 
-// The visibility weight of a view at a point. It is the squared matte times an exponential decay with the depth behind
-// the surface. The matte is squared because pixels on the silhouette contain some background.
+// The visibility weight of a view at a point. It is the squared matte times a decay factor. The factor is 1 up to twice
+// the softness behind the surface, and decays exponentially from there. The matte is squared because pixels on the
+// silhouette contain some background.
 FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const Projection& at, const Bilinear& image,
                                        float softness) {
     if (!(at.z > 0.0f)) return 0.0f;

@@ -1,5 +1,5 @@
-// Inner loops over batches of kRun consecutive points. Each SIMD lane holds one point, so there are no horizontal sums,
-// and MLP weights are broadcast scalars.
+// Inner loops over batches of kRun consecutive points. Each SIMD lane holds one point. The loops therefore never add
+// the lanes of a vector, and each MLP weight is broadcast to all lanes.
 #include <cmath>
 #include <cstring>
 

@@ -8,8 +8,8 @@
 namespace fourd::hashgrid {
 namespace {
 
-// Points per part. The rows of a part stay in the L2 cache from level to level, and the entries of a level are reused
-// for many points.
+// Points per part. The encoding of a part's points stays in the L2 cache from level to level. The entries of a level
+// are reused for many points.
 constexpr std::size_t kPointsPerTask = 4096;
 
 // Calls work(begin, end) for parts of the points, on every worker of the team.

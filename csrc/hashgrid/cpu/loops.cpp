@@ -95,8 +95,8 @@ FOURD_INLINE void find_cells_as(const Level& level, const Coordinates& from, Cel
     }
 }
 
-// Finds the cells of count points, at most kRun. It is not forced inline, because it is most of the code and is the
-// same for all callers.
+// Finds the cells of count points, at most kRun. This function is not forced inline: it is most of the code, and all
+// callers can share one copy.
 void find_cells(const Level& level, const float* coordinates, int count, Cells* out) {
     Coordinates run;
     gather(coordinates, count, &run);
@@ -139,7 +139,7 @@ FOURD_INLINE void interpolate(const Cells& cells, int i, const float* values, fl
     store(lower, out);
 }
 
-// Adds each corner's share of a gradient to its entry.
+// Adds each corner's share of a point's gradient to the gradient of the corner's entry.
 template <int Features>
 FOURD_INLINE void scatter_sample(const Cells& cells, int i, const float* gradient, float* values) {
     Entry<Features> lower, upper = {}, entry;
@@ -207,7 +207,7 @@ FOURD_INLINE void encode_level(const Query& query, int l, std::size_t begin, std
             FOURD_INLINE_LAMBDA { interpolate<Features>(cells, i, values, out + at.width * point + at.column); });
 }
 
-// Adds the gradients of all points to the entries of one level.
+// Adds the contributions of all points to the gradient of one level's entries.
 template <int Features>
 FOURD_INLINE void scatter_level(const Query& query, int l, const float* gradient, float* grad_table) {
     const LevelView<Features> at(query, l);

@@ -29,8 +29,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples around point i of a batch, in the large planes of [first, last). values(k) is the array of
-// plane k, or an array of the same shape.
+// Prefetches the samples around point i of a batch, in those of planes [first, last) that are large. values(k) is the
+// array of plane k, or an array of the same shape.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {
@@ -68,7 +68,7 @@ FOURD_INLINE void interpolate(const Corners& c, const float* top, const float* b
     }
 }
 
-// Adds the weighted gradient to each of the four samples.
+// Adds the weighted gradient of a point to the gradients of its four samples.
 template <int Features>
 FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int features, float* top, float* bottom) {
 #if defined(FOURD_EIGHT)
@@ -92,7 +92,7 @@ FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int fe
     }
 }
 
-// Adds the position gradient of each feature to along_x and along_y.
+// For each feature, adds the gradient with respect to the position to along_x and along_y.
 template <int Features>
 FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, const float* gradient, const float* top,
                              const float* bottom, int features, float* along_x, float* along_y) {
@@ -171,7 +171,8 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
     }
 }
 
-// Adds the gradients of planes [first, last) to out, whose arrays have the shapes of the planes' values.
+// Adds the batch's contribution to the gradients of planes [first, last), which are in out. The arrays of out have the
+// shapes of the planes' values.
 template <int Features>
 FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions, int first,
                               int last, const float* gradient, float* const* out) {

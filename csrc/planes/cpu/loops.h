@@ -10,8 +10,8 @@ namespace fourd::planes {
 
 constexpr int kRun = 64;  // points per batch; their positions stay in the L1 cache
 
-// A coordinate that is divided into size samples. Several planes can share an axis, so a point is located once per axis
-// and not once per plane.
+// A coordinate along which planes have `size` samples. Several planes can share an axis, so a point is located once per
+// axis and not once per plane.
 struct Axis {
     int coordinate;
     int size;
@@ -45,7 +45,7 @@ struct RunLoops {
     void (*sample)(const Plan&, std::size_t begin, int count, const RunPositions&, float* out);
     void (*coordinate_gradient)(const Plan&, std::size_t begin, int count, const RunPositions&, const float* gradient,
                                 float* out);
-    // Adds the gradients of planes [first, last) to out.
+    // Adds the batch's contribution to the gradients of planes [first, last), which are in out.
     void (*scatter)(const Plan&, std::size_t begin, int count, const RunPositions&, int first, int last,
                     const float* gradient, float* const* out);
 };

@@ -116,7 +116,7 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     Team team(query.threads);
     QueryPlan planned(query, team.size());
     // One worker processes all points of a plane in order, so that no locks are needed and the order of sums is fixed.
-    // It processes its planes together, because they share the cache lines of the gradient.
+    // A worker processes its planes together, because their parts of `gradient` share cache lines.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

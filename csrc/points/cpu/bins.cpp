@@ -34,7 +34,7 @@ std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
     return runs;
 }
 
-// Projects all points. Each returned span starts with the items of its visible points.
+// Projects all points. Each returned span holds only the items of visible points.
 std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& settings, Team& team) {
     const Loops& loops = select_loops(settings.simd);
     std::vector<Run> runs = split(cloud.count, team.size());

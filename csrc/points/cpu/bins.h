@@ -33,8 +33,8 @@ class Bins {
     std::size_t bytes() const;  // of the memory that is kept
 
   private:
-    // A span of consecutive items, which one thread processes in a pass. Spans are merged in order, so that the result
-    // does not depend on their number.
+    // A span of consecutive items. In each pass, one thread processes the span. Spans are merged in order, so that the
+    // result does not depend on the number of spans.
     struct Run {
         std::size_t begin, end;
     };

@@ -20,21 +20,21 @@ struct Item {
 struct Tile {
     const Splat* splats;           // indexed by point
     const float* features;         // by point, with `channels` floats each
-    const std::uint32_t* entries;  // the tile's points, nearest first; ties in the order of their indices
+    const std::uint32_t* entries;  // the tile's points, nearest first; points of equal depth by index
     std::size_t count;             // number of entries
     int channels;
     int layers;
     float transmittance_min;
-    int column, row;    // of its first pixel
+    int column, row;    // of the first pixel of the tile
     int width, height;  // of the image
 };
 
-// Scratch memory of the backward pass. A visit is one (entry, block) pair that the forward pass evaluated. Visits are
-// sorted by entry, then by block.
+// Scratch memory of the backward pass. A visit is one (entry, block) pair in which the point of the entry may hit
+// pixels of the block. Visits are sorted by entry, then by block.
 struct Visits {
-    float* transmittance;  // per visit, 16 pixels: transmittance before the entry; negative if not hit
+    float* transmittance;  // per visit and pixel of the block: transmittance before the entry; negative if not hit
     std::uint64_t* tags;   // 16 * entry + block, or kNoVisit if no pixel was hit
-    std::size_t count;     // count_visits of the tile
+    std::size_t count;     // count_visits(tile)
 };
 
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};

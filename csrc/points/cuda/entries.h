@@ -10,7 +10,7 @@
 namespace fourd::points::cuda {
 
 constexpr int kTilePixels = kTile * kTile;
-constexpr std::uint32_t kCulled = 0xffffffffu;  // sort key larger than any depth
+constexpr std::uint32_t kCulled = 0xffffffffu;  // sort key of culled points, above the key of any depth
 
 struct Tiles {
     int columns, rows;
@@ -38,12 +38,12 @@ struct Entries {
     std::uint32_t* entry_ranks;  // rank of each entry, sorted by tile, then by rank
     std::uint32_t* tile_begin;   // by tile: first entry; followed by the number of entries
     std::uint32_t* visible;      // number of visible points
-    float* sums;                 // by rank: sums of gradients
+    float* sums;                 // by rank: sums of gradients over pixels
     void* scratch;
     std::size_t scratch_bytes;
 };
 
-// sums is the number of floats per point.
+// `sums` is the number of floats that Entries::sums has per point.
 inline Entries allocate_entries(device::Arena& arena, std::size_t count, int sums, Tiles tiles, std::size_t capacity) {
     Entries out{};
     const std::size_t sorted = count > capacity ? count : capacity;
@@ -101,7 +101,8 @@ struct ProjectPoint {
     }
 };
 
-// Called for ranks 0 to count. Rank count is not a point; it ends the exclusive sum.
+// Called for ranks 0 to `count`, inclusive. Rank `count` is not a point. The exclusive sum at this rank is the number
+// of entries.
 struct GatherRank {
     Entries to;
 
@@ -126,7 +127,7 @@ struct EmitEntry {
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
             // The last rank whose first entry is at or before this entry. A rank without tiles has the same first entry
-            // as the next rank.
+            // as the next rank, so it is never the last.
             rank = static_cast<std::uint32_t>(lower_bound(to.begin, to.count + 1, std::uint64_t{entry} + 1) - 1);
             const TileRange range = tile_range_of(to.splats[rank]);
             const std::uint64_t place = entry - to.begin[rank];

@@ -5,8 +5,8 @@
 
 namespace fourd::points::cuda {
 
-// The gradient with respect to the image at one pixel, with the same formula as points/cpu/gradient.inc. The gradient
-// of alpha is computed separately. Treated as a further channel, it would suffer cancellation near alpha = 1.
+// The gradient with respect to the image at one pixel, for the same formula as in points/cpu/gradient.inc. The alpha
+// term is computed separately. As a further channel, it would suffer cancellation near alpha = 1.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];
@@ -21,8 +21,8 @@ struct Upstream {
     }
 };
 
-// A thread composites its pixel front to back and records the layers. It then processes the layers back to front. The
-// threads of a warp go back together and stop at every entry that some pixel of the warp recorded.
+// A thread composites its pixel front to back and records the layers. It then processes the layers back to front. On
+// the way back, the threads of a warp stay together: they stop at every entry that at least one of them recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // layers is at most kLayers

@@ -10,8 +10,8 @@
 namespace fourd::points::cuda {
 
 // Scratch memory with space for a number of (point, tile) entries. If an image needs more entries, every pixel goes
-// through every point, which gives the same image but is slow. The GPU reports the needed number for use in later
-// images, because waiting for it before allocating would stall.
+// through every point, which gives the same image but is slow. The GPU writes the needed number to `needed`, which
+// helps to choose the number of entries for later images. Waiting for the number of the same image would stall the CPU.
 struct EntryBuffer {
     void* memory;           // workspace_bytes() bytes
     std::size_t entries;    // below 2^31

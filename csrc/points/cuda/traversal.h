@@ -28,7 +28,7 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
 // The points that the pixels of a tile process, nearest first. They are the entries of the tile, or all visible points
 // if the entries did not fit.
 struct EntryList {
-    const std::uint32_t* ranks;  // null if rank i is i
+    const std::uint32_t* ranks;  // of the points; null if the point at position i has rank i
     std::size_t count;
 
     FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }

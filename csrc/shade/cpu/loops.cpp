@@ -31,7 +31,7 @@ FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, 
 
 #ifdef FOURD_SHADE_VECTORS
 
-// Transposes an 8 x 8 matrix of eight harmonics of eight points.
+// Transposes an 8 x 8 matrix, which holds eight harmonics at eight points.
 FOURD_INLINE void transpose(const float (*basis)[kBlock], int first, __m256* rows) {
     __m256 a[8], b[8];
     for (int k = 0; k < 8; ++k) a[k] = _mm256_loadu_ps(basis[k] + first);
@@ -136,7 +136,8 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
 #endif
 }
 
-// Computes the unweighted sum, for points whose chosen views all have weight 0. Returns the number of views.
+// Computes the sum of the colours without weights. It is used if all chosen views have weight 0 at the point. Returns
+// the number of chosen views.
 FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
     *out = {{0, 0, 0}};
     for (int v = 0; v < settings.chosen_count; ++v) {

@@ -7,7 +7,8 @@
 
 namespace fourd::shade::cuda {
 
-// A kernel over points. It stores a copy of the chosen view indices, which are in host memory.
+// A kernel over points. The kernel contains a copy of the chosen view indices, because settings.chosen is in host
+// memory.
 class ShadePoint {
   public:
     ShadePoint(const Points& points, const Settings& settings, float* out)

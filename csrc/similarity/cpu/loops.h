@@ -6,7 +6,9 @@
 
 namespace fourd::similarity {
 
-constexpr int kBorder = kWindow - 1;  // rows and columns by which the valid part is smaller
+// The valid part of a picture consists of the pixels whose window lies inside the picture. It has kBorder fewer rows
+// and columns than the picture.
+constexpr int kBorder = kWindow - 1;
 
 struct Window {
     float weights[kWindow];
@@ -27,12 +29,13 @@ struct Plan {
 // Number of window means per pixel: the means of the picture, the truth, their two squares and their product.
 constexpr int kMeans = 5;
 
-// Number of derivatives of the similarity: with respect to the picture's mean, its mean square and the mean product.
+// Number of derivatives of the similarity: with respect to the picture's mean, the mean of its square and the mean of
+// the product.
 constexpr int kDerivatives = 3;
 
 struct Loops {
-    // Returns the sum of similarities of a valid row, and writes their derivatives unless derivatives is null. scratch
-    // has 2 * kMeans rows of stride floats.
+    // Returns the sum of similarities of a row of the valid part. Writes their derivatives unless `derivatives` is
+    // null. scratch has 2 * kMeans rows of stride floats.
     double (*compare)(const Plan&, std::size_t row, float* scratch, float* derivatives);
 
     // Computes the gradient of a row of the picture from the derivatives of all windows that contain the row. scratch

@@ -31,8 +31,8 @@ void sample(const Query& query, const Samples& out) {
     });
 }
 
-// There is one task per view, so that the gradient of a view is summed in a fixed order. The gradient of xyz is summed
-// over the views afterwards.
+// There is one task per view, so that the gradient of a view's features is summed in a fixed order. The gradient of xyz
+// is summed over the views afterwards.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out) {
     const RunLoops& loops = select_loops(query.simd).of(query.maps.channels);
     const std::size_t views = static_cast<std::size_t>(query.views), numbers = 3 * query.count;

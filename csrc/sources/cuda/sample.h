@@ -10,7 +10,8 @@ constexpr int kMaxViews = 16;  // cameras are passed to the kernel by value
 
 void sample(const Query& query, const Samples& out, void* stream);
 
-// gradient is with respect to Samples' channels. The visibility has no gradient. The order of sums is not fixed.
+// `gradient` is the gradient with respect to Samples::channels. The visibility is treated as constant. The order of
+// sums is not fixed.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out, void* stream);
 
 }  // namespace fourd::sources::cuda
