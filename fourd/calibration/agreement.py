@@ -19,7 +19,7 @@ FEW_CAMERAS_FRAMES = 3
 MAX_PICTURE_PIXELS = 2.1e6
 """Maximum number of pixels per image; larger images are reduced."""
 MAX_FRAME_PIXELS = 12e6
-"""Maximum number of pixels of all cameras' images of one frame; larger images are reduced.
+"""Maximum total number of pixels of one frame's images from all cameras; larger images are reduced.
 
 With this limit, the check of a ring of cameras takes seconds.
 """
@@ -49,7 +49,7 @@ class Agreement:
 def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     """Compute the epipolar residuals of a capture's calibration.
 
-    One frame is used; for captures of up to 5 cameras, 3 frames are used.
+    The check uses 3 frames for captures of up to 5 cameras, and the middle frame for captures of more cameras.
 
     Args:
         path: the capture's folder.

@@ -20,11 +20,15 @@ Picture = NDArray[np.uint8]
 MIN_FEATURE_MATCHES = 20
 """Minimum number of feature matches of a camera pair.
 
-Wide baselines need this limit: in a capture, repeated patterns gave 8 wrong matches that fit a homography.
+The limit excludes wrong matches between distant cameras. In one capture, repeated patterns gave 8 wrong matches that
+fit a homography.
 """
 NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
 GROUND_HEIGHTS_M = (0.0, -0.02, 0.02)
-"""Heights z in metres of the planes on which the ground is matched, in this order, until there are enough matches."""
+"""Heights z in metres of the planes on which the ground is matched.
+
+The planes are tried in this order until there are enough matches.
+"""
 GROUND_HALF_SIDE_M = 2.5
 METRIC_DISTANCES_M = (0.5, 50.0)
 """Plausible range of distances between cameras; outside it, the calibration's unit is assumed not to be metres."""

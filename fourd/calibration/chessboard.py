@@ -79,8 +79,8 @@ def _detect_corners(grey: Picture, columns: int, rows: int) -> Array:
     pixels = corners.reshape(rows, columns, 2).astype(np.float64)
     along, across = pixels[0, -1] - pixels[0, 0], pixels[-1, 0] - pixels[0, 0]
     if along[0] * across[1] - along[1] * across[0] > 0:
-        # Seen from +z, the rotation from x to y is counterclockwise. In an image y points down, so that the cross
-        # product of the two axes is negative.
+        # Seen from +z, the rotation from x to y is counterclockwise. In an image y points down, so the cross product
+        # of the two axes is negative. Here it is positive, so the rows are in the wrong order.
         pixels = pixels[::-1]
     if _is_first_square_bright(grey, pixels):
         pixels = pixels[::-1, ::-1]
@@ -88,7 +88,10 @@ def _detect_corners(grey: Picture, columns: int, rows: int) -> Array:
 
 
 def _is_first_square_bright(grey: Picture, corners: Array) -> bool:
-    """Whether the square at the first of the corners (rows, columns, 2) is brighter than the next square."""
+    """Whether the square at the first corner is brighter than the next square along x.
+
+    ``corners`` has shape (rows, columns, 2).
+    """
     values = [
         float(
             cv2.getRectSubPix(grey, (3, 3), tuple(map(float, corners[:2, left : right + 1].mean(axis=(0, 1))))).mean()

@@ -1,4 +1,4 @@
-"""Hypotheses of how images that differ in size from their calibration were made, and tests of these on the images."""
+"""Hypotheses of how images were resized after the calibration, and tests of these hypotheses on the images."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 BLACK_LEVEL = 40
-"""Brightness limit of black borders, of 255; 95% of the pixels of a border row or column are darker."""
+"""Brightness (0 to 255) below which 95% of the pixels of a row or column must be for it to count as black border."""
 CONTENT_ROWS = 4
 MAX_BORDER_ERROR_PX = 0.75
 """Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""
@@ -35,7 +35,7 @@ class Borders:
     bottom: float
 
     def max_difference(self, other: Borders) -> float:
-        """The largest difference in pixels between the borders of one side."""
+        """The largest difference in pixels between the two images' borders on the same side."""
         pairs = ((self.left, other.left), (self.top, other.top), (self.right, other.right), (self.bottom, other.bottom))
         return max(abs(a - b) for a, b in pairs)
 
@@ -136,7 +136,7 @@ def _border_width(rows: Array) -> float:
     if content - floor < 1:
         return 0.0
     share = np.clip((level[: first + 2] - floor) / (content - floor), 0, 1)
-    # Brightness inside the border is ringing of the codec and not content.
+    # Only the last black row can be partly covered by content. Brightness before it is ringing of the codec.
     share[: max(first - 1, 0)] = 0
     return float((1 - share).sum())
 

@@ -109,9 +109,11 @@ def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float =
 
     Up to 3 homographies are fitted one after the other, then a fundamental matrix, each with MAGSAC (Barath et al.,
     CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan
-    and Stival, IJCV 2004). A fundamental matrix is degenerate for planar scenes, where it fits any two matches off
-    the plane. After a homography is accepted, only inliers off the plane therefore count for the fundamental matrix,
-    and two of them are not counted.
+    and Stival, IJCV 2004).
+
+    For matches on a plane, the fundamental matrix is ambiguous: it can fit all of them and any two other matches. If a
+    homography was accepted, the test of the fundamental matrix therefore ignores the matches on planes. It also does
+    not count two of the other inliers as evidence.
 
     Args:
         matches: M matches in undistorted pixels.

@@ -23,11 +23,11 @@ Picture = NDArray[np.uint8]
 HALF_PATCH = 24
 MIN_CORRELATION = 0.75
 MIN_LEAD = 0.12
-"""Minimum difference between the highest correlation and the highest correlation more than 8 pixels away."""
+"""Minimum difference between the correlation's peak and the highest correlation more than 8 pixels from the peak."""
 MIN_DROP = 0.03
 """Minimum decrease of the correlation 3 pixels from its peak in all directions.
 
-For a patch on a straight edge, the decrease along the edge is smaller.
+This rejects patches on a straight edge, whose correlation hardly decreases along the edge.
 """
 MIN_CONTRAST = 6.0
 
@@ -109,7 +109,8 @@ def _rectify(picture: Picture, camera: Camera, patch: PlanePatch) -> tuple[Pictu
     to_ray = np.linalg.inv(camera.intrinsics) @ patch.to_picture(camera) @ half
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
-    # OpenCV inverts the new camera matrix, which may be any homography. One map thus rectifies and distorts.
+    # OpenCV inverts its last matrix argument, which may be any homography, and then applies the lens distortion. One
+    # map therefore leads from the raster to the distorted image.
     map_x, map_y = cv2.initUndistortRectifyMap(
         k, camera.distortion, None, np.linalg.inv(to_ray), patch.size, cv2.CV_32FC1
     )
@@ -130,7 +131,11 @@ def _to_picture_px(camera: Camera, patch: PlanePatch, raster_px: Array) -> Array
 def _search(
     raster: Picture, other: Picture, x: int, y: int, search_radius: int
 ) -> tuple[float, float, float, float] | None:
-    """The position (x, y) and its subpixel match in the other raster; None if the correlation has no distinct peak."""
+    """Search the patch around (x, y) of ``raster`` in ``other``.
+
+    Returns:
+        (x, y), then the subpixel position of the match; None if the correlation has no distinct peak.
+    """
     reach = HALF_PATCH + search_radius
     template = raster[y - HALF_PATCH : y + HALF_PATCH + 1, x - HALF_PATCH : x + HALF_PATCH + 1]
     if template.std() < MIN_CONTRAST:

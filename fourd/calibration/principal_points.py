@@ -21,7 +21,7 @@ from fourd.cameras import Camera
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MIN_GAIN = 3.0
-"""Minimum ratio of the given calibration's residual to the mirrored calibration's residual."""
+"""Minimum ratio of the given calibration's residual to the mirrored calibration's residual for clear evidence."""
 MIN_LEAD = 1.5
 
 
@@ -37,8 +37,9 @@ class MirrorChoice:
         given_px: mean of the camera pairs' median residuals of the given calibration, in pixels.
         chosen_px: the same mean of the chosen combination.
         next_px: the same mean of the second best combination.
-        is_clear: whether the evidence is clear. ``chosen_px`` is at most 3 pixels, and ``next_px`` is at least 1.5
-            times ``chosen_px``. If a principal point is mirrored, ``given_px`` is at least 3 times ``chosen_px``.
+        is_clear: whether the evidence is clear. This requires a ``chosen_px`` of at most 3 pixels, and a ``next_px``
+            of at least 1.5 times ``chosen_px``. If a principal point is mirrored, it also requires a ``given_px`` of
+            at least 3 times ``chosen_px``.
     """
 
     names: tuple[str, ...]

@@ -31,7 +31,7 @@ MAX_GOOD_PX = 3.0
 MAX_GOOD_RATIO = 4.0
 MIN_PAIRS = 2
 MIN_BAD_SHARE = 0.75
-"""Minimum share of a camera's pairs that disagree if the camera is bad."""
+"""Minimum share of a bad camera's pairs that must disagree; see :func:`find_bad_cameras`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,8 +100,8 @@ def match_pairs(
 def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
     """Select the camera pairs (i, j), i < j, to match.
 
-    Up to 8 cameras give all pairs. With more cameras, each camera is paired with its 6 nearest neighbours. The
-    distance for this is the angle between viewing directions, plus a small term for the distance between centres.
+    Up to 8 cameras give all pairs. With more cameras, each camera is paired with its 6 nearest neighbours. Nearness is
+    measured by the angle between viewing directions, plus a small term for the distance between centres.
     """
     count = len(cameras)
     if count <= ALL_PAIRS_CAMERAS:

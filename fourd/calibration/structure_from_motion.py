@@ -30,7 +30,8 @@ MAX_FEATURES = 4096
 SIFT_PEAK_THRESHOLD = 0.003
 """Minimum peak value of SIFT features; COLMAP's default is 0.0067.
 
-With few images, weak features are needed: in a real ring of 20 cameras, neighbours match only with them.
+The lower value keeps weak features. In a recorded ring of 20 cameras, neighbouring cameras could not be matched without
+them.
 """
 FIX = (
     "give the cameras more overlap (at most 30 degrees between neighbours), add texture to the scene, or provide a "

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
 MAX_ROTATION_DIFFERENCE = 1e-3
-"""Maximum difference between the matrix elements of R_c (Rodrigues vector) and Rot_c if a file has both."""
+"""Maximum difference between the elements of Rot_c and those of R_c (Rodrigues vector) as a matrix, if both exist."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,7 +45,7 @@ class PictureFrames:
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """Frames of a video; ``numbers`` are the frame numbers in the video of the selected frames."""
+    """Selected frames of a video; ``numbers[i]`` is the number in the video of the selected frame i."""
 
     reader: VideoReader
     numbers: Sequence[int]

@@ -37,9 +37,9 @@ MIN_COVERAGE = 1e-4
 MAX_COVERAGE = 0.98
 MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
-"""Limit for the distance between a camera's optical axis and the cameras' common focus.
+"""Maximum distance between a camera's optical axis and the cameras' common focus, relative to the focus' camera depth.
 
-The limit is a share of the depth of the focus. Cameras beyond it cause a warning.
+A larger distance causes a warning that the camera faces away from the focus.
 """
 
 

@@ -16,7 +16,7 @@ Below this limit, which corresponds to 0.6 degrees, the axes are treated as para
 
 
 def find_focus(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """Find the world point (3,) that is nearest to all optical axes in the least-squares sense; None if parallel."""
+    """Find the world point (3,) with the least squared distances to all optical axes; None if the axes are parallel."""
     projections = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
     if np.linalg.eigvalsh(np.mean(projections, axis=0))[0] < PARALLEL:
         return None

@@ -22,7 +22,7 @@ DERIVED = Path(".fourd")
 """Folder in a capture for all files that fourd computes from the capture; fourd deletes stale files in it."""
 
 MATTES = DERIVED / "mattes"
-"""Folder in a capture for the mattes that fourd makes of the undistorted images, CAM/FRAME.png."""
+"""Folder in a capture for generated mattes, CAM/FRAME.png. They match the undistorted images."""
 
 
 def camera_folders(folder: Path) -> list[str]:
@@ -112,7 +112,7 @@ def sort_frames(stems: set[str]) -> list[str]:
 
 
 def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
-    """Create the error for the first of ``frames`` that is missing in a camera's folder; None if no frame is missing.
+    """Create the error for the first missing frame of a camera's folder; None if the folder has all ``frames``.
 
     ``found`` maps the frame names in the folder to file names.
     """

@@ -40,7 +40,8 @@ class Mattes:
 
     Attributes:
         frames: the matte files, one per frame.
-        is_generated: whether fourd made the mattes; generated mattes have the pixels of the undistorted images.
+        is_generated: whether fourd made the mattes. Generated mattes match the undistorted images, so they are not
+            undistorted when they are read.
     """
 
     frames: CameraFrames
@@ -196,7 +197,7 @@ def open_capture(
         frames: frame range ``A:B[:S]`` of indices in the sorted list of frames; None for all.
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
-        cache_frames: number of frames of all cameras by which the cache is enlarged.
+        cache_frames: number of frames for which the cache is enlarged; a frame has one image per camera.
         mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
 
     Raises:

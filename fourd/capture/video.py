@@ -146,7 +146,8 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # A frame may be stored after a keyframe that is displayed later, and some containers seek too far.
+            # The seek went past the frame: the frame may be stored after a keyframe that is displayed later, and
+            # some containers seek beyond the requested time. Decode from the start.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:

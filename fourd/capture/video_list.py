@@ -16,7 +16,7 @@ from fourd.files import write_text_atomically
 
 NAME = "videos.json"
 CACHE = DERIVED / NAME
-"""Cache file with video indices, for the source of an import and for captures without videos.json."""
+"""Cache file in a capture for indices of videos that are not in videos.json, such as during an import."""
 VERSION = 1
 
 Entry = dict[str, Any]
@@ -29,7 +29,7 @@ class Video:
     Attributes:
         path: the video file.
         index: frame count, times and keyframes of the video.
-        offset: number, at least 0, of the video's frame that is frame 0 of the capture.
+        offset: number in the video, at least 0, of the capture's frame 0.
     """
 
     path: Path
@@ -84,7 +84,7 @@ def align_offsets(offsets: Mapping[str, int]) -> dict[str, int]:
 
 
 def common_frames(videos: Mapping[str, Video]) -> int:
-    """Number of frames of the capture: frames after the offset that all videos have."""
+    """Number of frames of the capture: the smallest number of frames that a video has from its offset on."""
     return min((video.frames_left for video in videos.values()), default=0)
 
 
@@ -101,12 +101,14 @@ def make_entry(video: Video) -> Entry:
 
 
 def is_entry_current(entry: Entry | None, path: Path) -> bool:
-    """Whether the name and size in an entry are those of the file."""
+    """Whether the entry has the name and size of the file at ``path``."""
     return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
 
 
 def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
-    """Create the video from its entry in the file ``listing``; index it again if it has no entry or has changed.
+    """Create the video from its entry in the file ``listing``.
+
+    The video is indexed if it has no entry, or if the file at ``path`` has changed since.
 
     Raises:
         UserError: if the entry is damaged or the video cannot be used.

@@ -27,7 +27,7 @@ class Format:
     """One importer.
 
     Attributes:
-        name: its name on the command line.
+        name: the format's name on the command line.
         summary: what a source contains, for help texts.
         looks_like: function that tests whether a path has this format, from file names and first bytes only.
         read: function that reads the cameras of a source. It raises UserError.
@@ -54,7 +54,7 @@ FORMATS = (
 
 
 def pick_format(name: str | None, source: Path) -> Format:
-    """Find the format with the name ``name``, or for None the first format that the source matches.
+    """Find the format called ``name``; if ``name`` is None, find the first format that the source matches.
 
     Raises:
         UserError: when the source is missing, the name is unknown, or no format fits.

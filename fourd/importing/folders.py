@@ -18,7 +18,8 @@ from fourd.importing.imported import Frames, ImportedCamera, PictureFiles, Video
 Array = NDArray[np.float64]
 
 MAX_VALUE = 1e100
-"""Maximum magnitude of a number. Larger numbers count as not finite, because their products may overflow."""
+"""Maximum magnitude of a number in a calibration file. Larger numbers count as not finite, because their products may
+overflow."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw")
 """Folders of a source that may contain the cameras' frames, in order of preference. The last two are Anipose's."""
 
@@ -110,9 +111,10 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 
 
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
-    """Match cameras with frames to cameras in the calibration: by equal name, or by an equal and unique number in it.
+    """Match the names of the cameras that have frames to the names in the calibration.
 
-    Returns a dict from names of frames to names in the calibration, without the cameras that have no calibration.
+    Equal names match. If there are none, names match whose last numbers are equal, provided that these numbers are
+    unique. Returns the calibration's name for each camera in ``found``, without cameras that have no calibration.
 
     Raises:
         UserError: when no camera has a calibration.

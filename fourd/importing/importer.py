@@ -34,10 +34,10 @@ from fourd.progress import Log, Track
 Indices = Mapping[str, VideoIndex]
 
 MAX_SAMPLE_FRAMES = 3
-"""Number of frames that are matched between cameras, for captures with few cameras."""
+"""Number of frames whose images are matched to check the calibration of at most FEW_CAMERAS cameras."""
 FEW_CAMERAS = 5
-"""Maximum number of cameras of a capture with few cameras. With more cameras, one frame has enough matches and three
-frames would take minutes."""
+"""Number of cameras above which only one frame is matched. One frame then has enough matches, and three frames would
+take minutes."""
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ def _write(
     *,
     with_calibration: bool,
 ) -> list[str]:
-    """Write missing files. Write the calibration if ``with_calibration``. Returns notes."""
+    """Write the files that ``out`` lacks, and the calibration if ``with_calibration``. Returns notes for the user."""
     if not with_calibration:
         imported = replace(imported, cameras=tuple(replace(camera, calibration=None) for camera in imported.cameras))
     return write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)

@@ -1,4 +1,4 @@
-"""The record .fourd/import.json of an import: source and options. It prevents overwriting another capture."""
+"""The record .fourd/import.json of an import: source and options. With it, an import overwrites no other capture."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
 
 
 def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, int]) -> None:
-    """Raise UserError when the folder contains unpacked frames of other videos or with other offsets."""
+    """Raise UserError when the folder's frames were unpacked from other videos or with other offsets."""
     if before.unpacked and before.files != files:
         raise UserError(
             f"{out}: expected the videos whose frames were unpacked there, got other videos; import into another folder"

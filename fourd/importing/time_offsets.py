@@ -52,7 +52,7 @@ def find_offsets(
 
 
 def confident_offsets(names: Iterable[str], found: Offsets) -> dict[str, int]:
-    """Select the offsets to apply, by camera: more than 3 frames, with a confidence of at least 0.5."""
+    """Select the offsets of more than 3 frames that have a confidence of at least 0.5, by camera name."""
     return {
         name: frames
         for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True)

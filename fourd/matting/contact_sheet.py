@@ -22,12 +22,12 @@ CELL_HEIGHT = 240
 CELL_WIDTH = 240
 """Maximum width of an image or a cut-out on the sheet, in pixels; CELL_HEIGHT is the maximum height."""
 MARGIN = 0.12
-"""Margin around the bounding box of the mattes, as a share of its longer side.
+"""Margin around the bounding box of the mattes, as a share of the box's longer side.
 
 Limbs that a matte misses remain visible in the margin.
 """
 MIN_ALPHA = 8
-"""Minimum matte value, of 255, of pixels inside the bounding box; the low value makes faint errors visible."""
+"""Minimum matte value (0 to 255) of pixels that the bounding box must contain; the low value includes faint errors."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120
@@ -35,7 +35,7 @@ MIN_WIDTH_PX = 120
 SHEET_COLOUR = (32, 32, 32)
 CAPTION_COLOUR = (235, 235, 235)
 FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))
-"""RGB colours to choose from for the area behind cut-outs; all differ from black, white and skin."""
+"""RGB background colours of cut-outs, of which one is chosen; all differ from black, white and skin."""
 NEAREST_QUANTILE = 0.1
 
 

@@ -72,7 +72,7 @@ def soften_edge(subject: Picture, rgb: Picture, radius: int) -> Floats:
 def estimate_edge_alpha(
     rgb: Picture, subject: Picture, alpha: Floats, radius: int, background: Floats | None = None
 ) -> Floats:
-    """Estimate alpha (H, W) in [0, 1] of edge pixels as mixtures of the subject's and the background's colour.
+    """Estimate alpha (H, W) in [0, 1]: an edge pixel is a mixture of the subject's and the background's colour.
 
     The two colours are local means inside and outside the subject. Where ``background`` (H, W, 4) is confident, its
     colour replaces the outside mean. Where the contrast is too low, ``alpha`` is kept.

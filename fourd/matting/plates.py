@@ -1,8 +1,9 @@
 """Clean plates: each camera's background without the subject.
 
-A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. There are three
-changes. A running mean needs constant memory. Each frame is matched to the first frame's exposure. A second pass
-excludes outliers from the first pass's mean: pixels where a matte missed the subject.
+A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. It differs from 4K4D
+in three ways. The mean is a running mean, which needs constant memory. Each frame is matched to the first frame's
+exposure. A second pass excludes pixels that differ too much from the first pass's mean: there, a matte missed the
+subject.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ The band covers the matte's soft edge and shadows next to the subject.
 OUTLIER_STDS = 3.0
 MIN_OUTLIER_DISTANCE = 6.0
 MIN_WEIGHT = 1.0
-"""Minimum total weight of the frames of a pixel; pixels with less are holes."""
+"""Minimum weight of a pixel, summed over all frames; pixels with less are holes."""
 INPAINT_PX = 5
 
 
@@ -121,7 +122,10 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
 
 
 def _camera_key(capture: Capture, name: str, key: str) -> str:
-    """Hash of ``key`` and the contents of the mattes for the camera's plate; users may edit these files."""
+    """Hash of ``key`` and of the matte files for the camera's plate.
+
+    The files' contents are hashed, because users may edit mattes.
+    """
     digest = hashlib.sha256(key.encode())
     for frame in sample_indices(capture.frame_count, MAX_FRAMES):
         for folder in (Path("masks"), MATTES):

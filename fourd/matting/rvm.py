@@ -79,7 +79,8 @@ class RVM:
         """Compute the matte of one image, and the recurrent state for the next image."""
         import torch
 
-        # The mode is enabled here and not in the generator _mattes, where it would stay enabled in the caller.
+        # Inference mode is not enabled in the generator _mattes, because it would stay enabled in the caller after
+        # each yield.
         with torch.inference_mode():
             values = torch.from_numpy(np.array(rgb)).to(self.device).permute(2, 0, 1)[None]
             try:

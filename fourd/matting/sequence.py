@@ -114,7 +114,7 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def _prepare_folder(folder: Path, key: str) -> None:
-    """Delete results that have another key, and unfinished files of killed processes."""
+    """Delete results that were computed with another key, and unfinished files of killed processes."""
     state = folder.parent / STATE
     try:
         known = json.loads(state.read_text(encoding="utf-8")).get("key")
@@ -163,7 +163,8 @@ def _make_network_mattes(
 ) -> None:
     """Run the network on each camera's frames in order.
 
-    It starts at the first frame even if mattes exist, because the recurrent state depends on all earlier frames.
+    The network starts at the first frame even if its matte exists, because the recurrent state depends on all earlier
+    frames.
     """
     if settings.rvm is None:
         raise UserError("--rvm: expected a network file for --method rvm, got none; pass --rvm FILE")

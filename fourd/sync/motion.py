@@ -99,7 +99,7 @@ def _difference(before: NDArray[np.float32], now: NDArray[np.float32]) -> float:
 
 
 def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tuple[float, float]:
-    """Fit a gain and an offset from ``before`` to ``now`` by linear regression, repeated without moving pixels."""
+    """Fit ``now = gain * before + offset`` by linear regression, repeated without the pixels that move."""
     gain, offset = 1.0, float(np.median(now - before))
     for _ in range(3):
         error = np.abs(now - gain * before - offset)
@@ -205,7 +205,7 @@ def _correlation(first: Array, second: Array, lag: int) -> float:
 
 
 def _solve(pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, count: int) -> Array:
-    """Fit offsets (count,) to the lags of the pairs; the first offset is 0.
+    """Fit one offset per camera, shape (count,), to the lags of the pairs; the first camera's offset is 0.
 
     A camera whose pairs all have weight 0 gets offset 0.
     """

@@ -18,14 +18,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A rounded cone, the convex hull of two spheres, scaled along its own axes.
+    """The convex hull of two spheres (a rounded cone), scaled along the part's own axes.
 
     Attributes:
         frame: (3, 3) rotation R_world_part.
         origin: (3,) centre of the first sphere in the world, in metres.
         stretch: (3,) scale factors along the part's axes.
-        length: distance along +z from the first to the second sphere's centre before scaling; 0 for an ellipsoid.
-        radii: radii of the first and the second sphere before scaling.
+        length: distance in metres along +z from the first to the second sphere's centre before scaling; 0 for an
+            ellipsoid.
+        radii: radii in metres of the first and the second sphere before scaling.
         pattern: colours of the surface.
     """
 
@@ -181,7 +182,7 @@ def _make_head(figure: Figure, rotation: Array, chest: Array, waist: Array, p: f
 
 
 def _make_ponytail(rotation: Array, root: Array, p: float, pattern: Pattern) -> list[Part]:
-    """Three links; the phase of each link lags behind that of the link before it."""
+    """Create the three links of the ponytail; each link swings later than the link before it."""
     parts = []
     frame = rotation @ _rotation_y(1.1)
     for link, (thin, thick) in enumerate(((0.03, 0.047), (0.047, 0.043), (0.043, 0.018))):
@@ -210,7 +211,7 @@ def _limb(frame: Array, joint: Array, length: float, first: float, second: float
 
 
 def _lowest_height(parts: Sequence[Part]) -> float:
-    """Height of the lowest point.
+    """Approximate height in metres of the figure's lowest point: a soft minimum over the parts' spheres.
 
     The soft minimum makes the height smooth over time when the other foot becomes the lower one.
     """

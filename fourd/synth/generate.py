@@ -31,7 +31,7 @@ CYCLE_FRAMES = 24
 RING_RADIUS = 3.6
 RING_HEIGHTS = (1.35, 0.75, 2.15)
 FILL = 0.9
-"""Largest extent of the figure's motion in an image, as a share of the image's side."""
+"""Largest extent in an image of the figure over a whole gait cycle, as a share of the image's side."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class SynthSettings:
     """Settings that determine every byte of a synthetic capture.
 
     Attributes:
-        frames: number of frames, at least 1. They contain whole gait cycles of about 24 frames, so that the capture can
-            be played in a loop.
+        frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each,
+            so that the capture can be played in a loop.
         cameras: number of cameras, 3 to 100. They are evenly spaced on a ring with a radius of 3.6 m, at three
             heights.
         size: width and height of the images, 32 to 4096 pixels.
-        seed: random seed, at least 0, of clothes, proportions and the gait's first phase.
+        seed: random seed, at least 0. It determines the clothes, the proportions and the gait's phase in frame 0.
         gloss: strength of the highlights, 0 to 1.
 
     Raises:

@@ -20,8 +20,8 @@ class Pattern:
     """Two colours and the rule that mixes them.
 
     Attributes:
-        kind: stripes are oblique to the part's axis, hoops are perpendicular to it, checks and dots repeat around it,
-            noise varies smoothly, plain has the first colour only.
+        kind: stripes are oblique to the part's axis, hoops are perpendicular to the axis, checks and dots repeat along
+            and around the axis, noise varies smoothly, plain has the first colour only.
         first: first colour, RGB in [0, 1].
         second: second colour, RGB in [0, 1].
         period: period along the part's axis in metres.

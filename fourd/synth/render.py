@@ -96,7 +96,8 @@ def _trace(
     """Trace the rays of a band of pixels.
 
     Returns:
-        Premultiplied colour (h, w, 3), hit (h, w) 0 or 1, and camera depth (h, w) in metres of each ray.
+        For each ray: premultiplied colour (h, w, 3), 1 for a hit or 0 for a miss (h, w), and camera depth (h, w) in
+        metres.
     """
     left, top, right, bottom = band
     u, v = _pixel_rays(

@@ -2,8 +2,9 @@
 
 To add a format:
 
-1. ``formats/NAME.py``: ``looks_like(source) -> bool``, from file names and first bytes alone, and
-   ``read(source) -> Imported``, with cameras in fourd's conventions; helpers are in ``importing/folders.py``.
-2. ``importing/detection.py``: the module in FORMATS, before less specific formats. Help texts list it from there.
-3. ``tests/importing/formats/test_NAME.py``: round trip, missing files, ``assert_damage_is_reported``.
+1. Write ``formats/NAME.py`` with two functions. ``looks_like(source) -> bool`` tests file names and first bytes only.
+   ``read(source) -> Imported`` returns cameras in fourd's conventions. Helpers are in ``importing/folders.py``.
+2. Add the module to FORMATS in ``importing/detection.py``, before less specific formats. Help texts list FORMATS.
+3. Write ``tests/importing/formats/test_NAME.py`` with tests of a round trip, of missing files, and of damaged files
+   (``assert_damage_is_reported``).
 """

@@ -39,7 +39,7 @@ def read(source: Path) -> Imported:
     """Read the cameras of ``source``, in metres.
 
     Raises:
-        UserError: when the CSV lacks a column or a number, names a camera twice, or cameras do not match.
+        UserError: when the CSV lacks a column or a number, names a camera twice, or names no camera in rgbs/.
     """
     path = source / NAME
     calibrations = read_cameras(path)

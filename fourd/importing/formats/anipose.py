@@ -31,7 +31,8 @@ HEAD_BYTES = 4096
 """Number of bytes at the start of a file that contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
-"""Threshold of the median distance between cameras. Above it, the unit is assumed to be millimetres."""
+"""Largest plausible median distance between cameras in metres. If the number in the file is larger, the file's unit is
+assumed to be millimetres."""
 MAX_PIXELS = 1 << 20
 
 
@@ -45,7 +46,7 @@ def read(source: Path) -> Imported:
 
     Raises:
         UserError: when there is no such TOML or several, it does not parse, a value is missing or invalid, a lens is a
-            fisheye, or cameras and videos do not match.
+            fisheye, or no camera in the TOML has a video.
     """
     files = _find_files(source)
     if len(files) != 1:

@@ -35,7 +35,7 @@ PARAMETER_COUNTS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5,
 MAX_MOTION = 1e-3
 """Maximum pose difference between the images of a static camera.
 
-The rotation difference is in radians, the position difference relative to the size of the rig.
+The rotation difference is in radians. The position difference is relative to the size of the rig.
 """
 
 
@@ -49,7 +49,7 @@ def read(source: Path) -> Imported:
 
     Raises:
         UserError: when the model is damaged, a lens model is not OpenCV's, a camera moves or changes its intrinsics, or
-            cameras do not match.
+            no camera of the model has a video or images.
     """
     path = _find_model(source)
     if path is None:

@@ -174,9 +174,10 @@ class _Smc:
         return None if path is None else self.file[path]
 
     def _resolve(self, name: str) -> str | None:
-        """Resolve the path of an object through hard links only; None if it is missing.
+        """Resolve the soft links in the path of an object; None if the object is missing.
 
-        External links are rejected before their file is opened. Otherwise an import would copy its content.
+        External links are rejected before the linked file is opened. Otherwise an import would copy the content of
+        a file outside the source.
         """
         path, parts, soft_links = "/", name.split("/"), 0
         while parts:
@@ -218,7 +219,10 @@ def _read_picture(path: Path, datasets: tuple[str, ...], index: int) -> bytes:
 
 
 def _read_cameras(smc: _Smc, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
-    """Read the cameras of Camera_Parameter that have images, by number. The image sizes are read from the images."""
+    """Read the calibrations in Camera_Parameter by camera number, for the cameras in ``pictures``.
+
+    ``pictures`` also has the image sizes.
+    """
     cameras = {}
     for number, group_path in smc.numbered("Camera_Parameter").items():
         if number not in pictures:

@@ -29,7 +29,7 @@ def read(source: Path) -> Imported:
     """Read the cameras of ``source``, in the calibration's unit of length.
 
     Raises:
-        UserError: when read_calibration raises it, cameras and calibrations do not match, or an image has no matte.
+        UserError: when read_calibration raises it, no camera with frames has a calibration, or an image has no matte.
     """
     path = source / INTRINSICS_NAME
     calibrations = read_calibration(source)
@@ -43,7 +43,7 @@ def read(source: Path) -> Imported:
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
-    """Make the camera. A missing size is read from its first image; without images it is 1 x 1."""
+    """Make the camera. If the calibration has no size, it is read from the first image; without frames it is 1 x 1."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = (1, 1) if frames is None else _size(frames)

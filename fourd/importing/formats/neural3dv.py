@@ -56,7 +56,7 @@ def read(source: Path) -> Imported:
 
 def _rows(path: Path) -> Array:
     try:
-        # With memory mapping, a header with a wrong size is an error before memory is allocated.
+        # With memory mapping, a header that declares too large an array raises an error before memory is allocated.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(array, np.ndarray):
             raise ValueError("an archive of arrays")

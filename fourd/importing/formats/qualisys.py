@@ -2,7 +2,7 @@
 
 A camera's ``transform`` contains its position in the world in millimetres, and a rotation. The rows of the
 rotation are the camera's axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths
-and principal points are in 1/64 pixel of the sensor; ``fov_video`` is the part of the sensor in the video.
+and principal points are in 1/64 pixel of the sensor; ``fov_video`` is the part of the sensor that the video shows.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def read(source: Path) -> Imported:
     """Read the cameras of ``source``: a folder with NAME.qca.txt and videos, or the file beside the videos.
 
     Raises:
-        UserError: when the XML does not parse, a value is missing, or cameras and videos do not match.
+        UserError: when the XML does not parse, a value is missing, or no camera in the XML has a video.
     """
     path = _find_file(source)
     if path is None:

@@ -169,7 +169,10 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
 
 
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
-    """Make a camera of each entry. Its name is the file name, the folder name or the path: the first that is unique."""
+    """Make a camera of each entry.
+
+    Cameras are named by file name if file names are unique, else by folder name if these are unique, else by path.
+    """
     stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
     folders = [entry.path.parent.name for entry in entries]
     paths = ["_".join((*entry.path.parent.parts, stem)) for entry, stem in zip(entries, stems, strict=True)]

@@ -43,7 +43,10 @@ class BackgroundModel:
         return np.clip(self.frames / CONFIDENT_FRAMES, 0, 1)
 
     def log_likelihood(self, rgb: Picture) -> Floats:
-        """Log density (h, w) at colours (h, w, 3) over 8-bit RGB space; the background may be in shadow."""
+        """Log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
+
+        The background may be in shadow.
+        """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
         value: Floats = rgb.astype(np.float32)
@@ -75,7 +78,10 @@ class BackgroundModel:
 
 
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
-    """Fit a background model: each pixel's colour with the largest total weight of frames of similar colour.
+    """Fit a background model to frames.
+
+    At each pixel, the frame is found with whose colour the largest total weight of frames agrees. The model is the
+    weighted mean and variance of these frames' colours.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

@@ -25,11 +25,17 @@ SURROUND_PX = 20
 """Width in pixels of the area around the subject whose colours represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
-"""Magnitude of the colour log-odds at which the weight functions below are halfway between their limits."""
+"""Colour log-odds at which :func:`_background_weight` is 0.5.
+
+:func:`_background_confirmation` is 0.5 at the negative of this value.
+"""
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
 CONFIRMED_FRAMES = 1.5
-"""Minimum total weight of frames, outside the other views' hull, that confirms a pixel's colour as background."""
+"""Minimum total weight of matching frames that confirms a pixel's colour as background.
+
+Frames count where the pixel is outside the other views' hull and its colour matches the background model.
+"""
 MIN_CONFIRMATION = np.float32(0.03)
 
 
@@ -156,8 +162,9 @@ def _background_weight(odds: Floats) -> Floats:
 def _background_confirmation(odds: Floats) -> Floats:
     """Background confirmation in (0, 1] from the subject's colour log-odds; high for typical background colours.
 
-    A static part of the subject keeps its colour over as many frames as the background does. Pixels that are inside
-    the other views' hull in all frames are therefore confirmed as background only by their colour.
+    A static part of the subject keeps its colour over as many frames as the background does. A constant colour is
+    therefore no evidence for background at pixels that are always inside the other views' hull. There, only a colour
+    that is typical of the background is evidence.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 

@@ -22,7 +22,10 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 MAX_SIDE_PX = 640
-"""Maximum longest side in pixels of the images for the log-odds; edge refinement adds the detail of larger images."""
+"""Maximum longest side in pixels of the images from which log-odds are computed.
+
+Edge refinement adds the detail of larger images.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class MatteMaker:
 
     Attributes:
         appearances: one per camera, at the size of ``cameras``.
-        cameras: cameras of the images for the log-odds.
+        cameras: cameras of the reduced images from which log-odds are computed.
         grid: voxel grid for multi-view consistency; None if the views cannot be combined.
     """
 
@@ -59,7 +62,8 @@ class MatteMaker:
             small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
             if other is not None:
-                # Frames are read in order: after a backward seek a video is decoded from the previous keyframe.
+                # The frames between the two are also read, in order, so that they are cached. To read them later, a
+                # video would seek backwards and decode from the previous keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))
@@ -82,7 +86,7 @@ def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None
 
 
 def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
-    """The capture's cameras, rescaled to the image size for the log-odds."""
+    """The capture's cameras, rescaled to the size of the images from which log-odds are computed."""
     longest = max(max(camera.width, camera.height) for camera in capture.cameras)
     return tuple(camera.rescale(min(1.0, MAX_SIDE_PX / longest)) for camera in capture.cameras)
 
@@ -90,7 +94,7 @@ def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
 def refine_background(capture: Capture, index: int, coarse: BackgroundModel, camera: Camera) -> BackgroundModel:
     """Recompute a camera's background at ``camera``'s size.
 
-    The result is the mean of frames, weighted by each pixel's similarity to the ``coarse`` background.
+    The result is a weighted mean of frames. A pixel's weight is its similarity to the ``coarse`` background.
     """
     height, width = coarse.frames.shape
     large = coarse.resize(camera.width, camera.height)

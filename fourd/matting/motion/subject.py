@@ -35,7 +35,7 @@ MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels in at least one camera; with fewer, there is no moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""Weight in [0, 1] of the subject colours pooled from all cameras in each camera's colour model.
+"""Weight in [0, 1] of the colours pooled from all cameras, when they are mixed into one camera's subject colours.
 
 Pooling helps where a part of the subject is static in one view.
 """
