@@ -22,12 +22,12 @@ from fourd.viewer.window_renderer import WindowRenderer
 _MAX_STEP_SECONDS = 0.1
 """Longest time step of playback, in seconds.
 
-After a longer pause, playback continues near the frame where it stopped.
+After a longer stall of the event loop, playback continues near the frame where it stopped.
 """
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
 _SPINNER_SECONDS = 0.1
-"""Seconds between images of the spinner. They are few, because loading a scene needs the processor."""
+"""Seconds between images of the spinner. The rate is low, because loading a scene needs the processor."""
 _IMAGES_AFTER_INPUT = 8
 """Count of images drawn after each input, because imgui handles a press, a motion and a release in separate images."""
 

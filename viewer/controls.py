@@ -37,10 +37,10 @@ _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 def handle_navigation(session: Session, window_height: float, seconds: float) -> bool:
-    """Move the pose by mouse and keys, unless the panel captures them. ``window_height`` is in window coordinates.
+    """Move the pose by mouse and keys, unless the panel uses them. ``window_height`` is in window coordinates.
 
-    Returns whether the pose has changed. Events alone do not show a change, because a key that is held down produces
-    none.
+    Returns whether the pose has changed. The caller cannot infer this from window events, because a key that is held
+    down produces no event.
     """
     io = imgui.get_io()
     if session.pose is None:

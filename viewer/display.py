@@ -32,7 +32,7 @@ class DisplaySettings:
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
         """``frame`` with scaled radii and densities; ``frame`` itself if both factors are 1.
 
-        A scaled frame has ``background`` None, because its scaled background points differ from the stored ones.
+        A scaled frame has ``background`` None, because its background points differ from those that all frames share.
         """
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame

@@ -126,8 +126,8 @@ class Session:
     def render_request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
         """The request for an image of ``size``; None until a scene is open and its first frame is read.
 
-        While a frame is being read, the previous one is returned and ``is_waiting`` is set. When a frame cannot be
-        read, ``message`` contains the reason.
+        While a frame is being read, the request has the previous frame and ``is_waiting`` is set. When a frame cannot
+        be read, the request has the previous frame and ``message`` contains the reason.
         """
         if self.scene is None or self.pose is None:
             return None

@@ -54,7 +54,7 @@ class ViewerState:
         self._deferred: list[Callable[[], None]] = []
 
     def defer(self, action: Callable[[], None]) -> None:
-        """Run ``action`` after the current image is finished, because it draws and the panel is still being built."""
+        """Run ``action`` after the current image is finished, since it may draw and the panel is still being built."""
         self._deferred.append(action)
 
     def run_deferred(self) -> bool:
@@ -73,7 +73,7 @@ class ViewerState:
         self.recorded_path = self.recorder = None
 
     def save_view(self) -> None:
-        """Save the pose, so that the scene starts from it when it is opened again."""
+        """Save the pose, so that the viewer starts from this pose when the scene is opened again."""
         if self.session.scene is not None and self.session.pose is not None:
             self._saved_views.save(self.session.scene.path, self.session.pose)
 

@@ -43,7 +43,7 @@ class Timings:
     def medians(self) -> dict[str, float]:
         """Median milliseconds per part.
 
-        Images without that part are ignored, since an unchanged scene is not drawn again.
+        The median of a part ignores images in which that part did not run: an unchanged scene is not drawn again.
         """
         nonzero = [column[column > 0] for column in self._history.T]
         return {

@@ -120,8 +120,8 @@ class Window:
         """
         from OpenGL import GL
 
-        # This does not use moderngl's copy, because OpenGL 3.3 rejects its names for the buffers of the default
-        # framebuffer.
+        # moderngl's copy fails here: for the buffers of the default framebuffer, it uses names that OpenGL 3.3
+        # rejects.
         width, height = self.framebuffer_size
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, framebuffer)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, 0)

@@ -51,7 +51,7 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     Args:
         steps: whether to include whole training steps, for which a synthetic capture is created.
     """
-    # The reference is compared only here, because its memory grows with points times pixels.
+    # Only this small case times the reference, whose memory is proportional to the number of points times pixels.
     yield _composite(2_048, make_camera(96, 96), 15, True, reference=True)
     for backward in (False, True):
         yield _composite(65_536, make_camera(512, 512), 15, backward)
@@ -80,7 +80,7 @@ def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: boo
 
 
 def plane_case(count: int, device: torch.device) -> Case:
-    """Return the case that samples K-Planes at random points and computes the planes' gradients."""
+    """Return the case that samples K-Planes at random points and computes the gradient with respect to every plane."""
     tensors, axes = make_planes()
     leaves = [plane.to(device).requires_grad_() for plane in tensors]
     levels, features = len(tensors) // 6, tensors[0].shape[2]
@@ -98,7 +98,10 @@ def plane_case(count: int, device: torch.device) -> Case:
 
 
 def sampling_case(count: int, device: torch.device) -> Case:
-    """Return the case that samples four source views at points and computes the gradients of points and features."""
+    """Return the case that samples four source views at projected points.
+
+    The backward pass computes the gradients with respect to the points and to the feature maps of the views.
+    """
     generator = torch.Generator().manual_seed(count)
 
     def random(*shape: int) -> Tensor:

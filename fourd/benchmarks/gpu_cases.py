@@ -1,4 +1,7 @@
-"""Benchmark cases on a CUDA device. As in real use, calls are queued on its stream without waiting in between."""
+"""Benchmark cases on a CUDA device.
+
+As in real use, calls are queued on the device's stream, and the host does not wait for one call before the next.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
 from fourd.cameras import Camera
 
 REPEATS = 20
-"""Number of runs between two synchronizations with the device."""
+"""Number of times that a computation runs between two synchronizations with the device."""
 
 SIZES = ((1920, 1080), (3840, 2160))
 

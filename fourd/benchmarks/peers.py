@@ -13,7 +13,10 @@ from fourd.cameras import Camera
 
 
 def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool) -> Work | None:
-    """Return a function that runs PyTorch3D's point rasterizer and alpha compositor. None if it is not installed."""
+    """Return a function that runs PyTorch3D's point rasterizer and alpha compositor.
+
+    Returns None if PyTorch3D is not installed.
+    """
     try:
         rasterizer: Any = import_module("pytorch3d.renderer.points.rasterize_points")
         structures: Any = import_module("pytorch3d.structures")
@@ -50,8 +53,8 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
 def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:
     """Return a function that runs gsplat's rasterizer. None if gsplat is not installed.
 
-    The points become isotropic Gaussians of the same extent, so that the work is comparable. The cloud must be on a
-    CUDA device, because gsplat supports only CUDA.
+    So that the work is comparable, each point becomes an isotropic Gaussian that gsplat truncates at the point's
+    radius. The cloud must be on a CUDA device, because gsplat supports only CUDA.
     """
     try:
         rendering: Any = import_module("gsplat.rendering")

@@ -1,4 +1,7 @@
-"""Timings that are comparable on a machine under varying load: medians, relative to a fixed computation, the unit."""
+"""Timings that are comparable on a machine under varying load.
+
+A timing is a median of several runs, in milliseconds and relative to the time of a fixed computation, the unit.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +18,13 @@ UNIT_SIDE = 2048
 
 @dataclass(frozen=True)
 class Timing:
-    """Median time of several runs. Every run is preceded by a run of the unit, a fixed computation.
+    """Median time of several runs. Before every timed run of the work, the unit, a fixed computation, is timed.
 
     Attributes:
         ms: median time of the work in milliseconds.
         units: median of the ratios of the work's time to the unit's time. The unit is torch's product of two 2048 x
             2048 float32 matrices.
-        runs: number of runs.
+        runs: number of timed runs of the work.
     """
 
     ms: float
@@ -33,7 +36,10 @@ class Clock:
     """Times a function in rounds. Each round also times the unit."""
 
     def __init__(self, seconds: float, min_runs: int = 3, max_runs: int = 50) -> None:
-        """``seconds`` is the approximate time to spend on one function, with ``min_runs`` to ``max_runs`` runs."""
+        """``seconds`` is the approximate sum of the timed runs of one function.
+
+        It determines the number of timed runs, which is limited to ``min_runs`` to ``max_runs``.
+        """
         generator = torch.Generator().manual_seed(0)
         self._square = torch.randn(UNIT_SIDE, UNIT_SIDE, generator=generator)
         self._seconds = seconds

@@ -24,7 +24,10 @@ CAMERAS = 6
 
 
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
-    """Yield training steps with their names: one with the default config, and one on whole images with every point.
+    """Yield four training steps with their names.
+
+    Two use the default config, and two use whole images and every point. Of each two, one trains the image CNN and one
+    keeps it frozen.
 
     The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """
@@ -42,7 +45,7 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 
 
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
-    """Return a repeatable training step. Its learning rates are too small to change the scene."""
+    """Return a repeatable training step. Its learning rates are too small for repeated steps to change the scene."""
     trainer = Trainer(run, None, Console(quiet=True), config)
     sample = trainer.sampler.sample(1)
     points = trainer.frames.get(sample.frame)

@@ -53,7 +53,7 @@ def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> t
     """Make a baked frame of :func:`make_points` with ``views`` source cameras in a ring, and its manifest.
 
     Args:
-        ordered: whether to sort the points in Morton order, as in a trained run. Otherwise their order is random.
+        ordered: whether to sort the points in Morton order, as a trained run does. Otherwise their order is random.
     """
     rng = np.random.default_rng(SEED + 2)
     xyz, radius, density = make_points(count)
@@ -83,7 +83,7 @@ def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> t
 
 
 def make_planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
-    """Make six K-Planes per level, and their axes.
+    """Make six K-Planes per level, and a list with the two axes of each plane in turn.
 
     A spatial axis has ``side`` samples at the first level and twice as many at each next level. The time axis has
     ``frames`` samples at every level.

@@ -49,7 +49,7 @@ class TrainingOptions:
     """Flags and --set override the config file, which overrides the defaults."""
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
-    """object: only the foreground in the mattes, on black. full: the foreground and a static background."""
+    """object: only the foreground that the mattes mark, on black. full: the foreground and a static background."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
     """YAML file with config keys; docs/configuration.md lists them."""
     assignments: Annotated[
@@ -87,8 +87,8 @@ class TrainingOptions:
         """The defaults, overridden first by the config file and then by --set and the flags.
 
         Args:
-            max_seconds: time budget in seconds, used if neither an option nor the file sets a budget. If it is None,
-                a missing budget raises UserError.
+            max_seconds: time budget in seconds, used if neither an option nor the config file sets a budget. If it
+                is None, a missing budget raises UserError.
         """
         config = self.overlay(TrainConfig())
         if config.max_steps is None and config.max_seconds is None:
@@ -117,7 +117,7 @@ class TrainingOptions:
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
-    """The fields, with values, that an option sets in the dataclass of its key."""
+    """The fields, with their values, that option ``name`` sets in the dataclass that contains ``key``."""
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):

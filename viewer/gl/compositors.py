@@ -114,9 +114,9 @@ class DepthPeeling:
 class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): each pass finds a layer from the front and one from the back.
 
-    If a pixel has more than K layers, its layers from the back are dropped. Peeling then continues from the front until
-    no further layer is visible. The result has the K nearest layers, as in
-    :class:`DepthPeeling`.
+    The first K // 2 passes find two layers each. A pixel that then has layers left can have more than K layers, so its
+    layers from the back are dropped. Further passes peel this pixel from the front, until it has K layers or no further
+    layer is visible. The result has the K nearest layers, as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
@@ -153,7 +153,7 @@ class DualDepthPeeling:
     def _peel(self, index: int, front_only: bool = False) -> None:
         """Run geometry pass ``index``, from 0.
 
-        It finds the nearest and farthest ranks inside the previous pass's bounds.
+        In each pixel, it finds the nearest and the farthest rank between the two that the previous pass found.
         """
         targets = self._targets
         bounds, previous_bounds = f"bounds {index % 2}", f"bounds {1 - index % 2}"
@@ -189,14 +189,14 @@ class DualDepthPeeling:
         return first + max_layers - 1
 
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
-        """Whether pass ``index`` has found visible layers.
+        """Whether geometry pass ``index`` has found layers that are visible through the front.
 
-        With ``clear_back``, layers hidden by the front count too, and the layers from the back of their pixels are
-        erased.
+        With ``clear_back``, hidden layers count too. Each pixel with such a layer then loses its composited layers from
+        the back.
         """
         targets = self._targets
         previous = 1 - index % 2
-        # The bounds of the previous pass can be overwritten, because no pass reads them again.
+        # The query needs a target. The bounds of the previous pass can be overwritten: no pass reads them again.
         targets.framebuffer([f"back {previous}" if clear_back else f"bounds {previous}"]).use()
         disable_blending(self._context)
         with self._counter:

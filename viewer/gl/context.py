@@ -30,7 +30,8 @@ def offscreen_context() -> moderngl.Context:
 def driver_info(context: moderngl.Context) -> dict[str, Any]:
     """The names and limits that the driver reports, keyed by GL constant."""
     info = context.info
-    # moderngl also queries limits of newer OpenGL versions. Each limit that the driver does not know sets a GL error.
+    # moderngl also queries limits of newer OpenGL versions. Each limit that the driver does not know sets a GL error,
+    # which this loop clears.
     while context.error != "GL_NO_ERROR":
         pass
     return info

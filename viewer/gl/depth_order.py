@@ -43,7 +43,7 @@ class DepthOrders(Protocol):
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
         """A depth order.
 
-        With ``wait``, it is computed for this request; otherwise it may be from an earlier request.
+        With ``wait``, it is the order of this request; otherwise it may be the order of an earlier request.
         """
 
     def release(self) -> None:
@@ -73,8 +73,8 @@ class ExactOrders:
 class BackgroundOrders:
     """Sorts in a thread that always takes the newest request. :meth:`order` may return the order of an earlier request.
 
-    The thread sorts the points in twice the field of view. The order then includes points that enter the image while
-    the next order is computed.
+    The thread sorts the points inside an image of twice the width and height. The order then includes points that enter
+    the image while the next order is computed.
     """
 
     def __init__(self) -> None:
@@ -88,7 +88,10 @@ class BackgroundOrders:
         self._thread.start()
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """The newest order. The first call waits until an order exists. Raises RuntimeError when sorting has failed."""
+        """The newest order; with ``wait``, the order of this request.
+
+        The first call always waits until an order exists. Raises RuntimeError when sorting has failed.
+        """
         with self._changed:
             self._newest = request
             self._changed.notify_all()

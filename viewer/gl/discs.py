@@ -25,9 +25,10 @@ _MAX_RANKS = 1 << 24
 class Discs:
     """The discs of the visible points.
 
-    In nearest-first order, discs are stored in drawing order, and the index of a disc is its rank. In farthest-first
-    order, sprites are stored in the order of their points and are drawn through an index buffer. This halves the time
-    to read the points' textures, compared with reading them in depth order.
+    In nearest-first order, discs are stored in drawing order, and the rank of a disc is its index plus 1. In
+    farthest-first order, sprites are stored in the order of the frame's points, and an index buffer has their drawing
+    order. The vertex shader then reads the points' textures in sequence, which takes half the time of reading them in
+    depth order.
     """
 
     def __init__(
@@ -139,7 +140,7 @@ class Discs:
 
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
         """Pixels by which sprites can extend past the image; None if a sprite may exceed the driver's maximum size."""
-        # The cheap bound is too large for scenes with a background, whose points have large radii but are far away.
+        # The cheap bound is too large for scenes with a background: its points have large radii, but are far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):
             margin = math.ceil(float(request.camera.intrinsics[1, 1]) * ratio(order, request)) + 1
             if self._driver_allows(margin):
@@ -196,7 +197,7 @@ def _radius_depth_ratio_bound(order: NDArray[np.uint32], request: RenderRequest)
 
 
 def _max_radius_depth_ratio(order: NDArray[np.uint32], request: RenderRequest) -> float:
-    """The largest ratio of radius to depth beyond the near plane. It takes 1 ms for 140,000 points."""
+    """The largest ratio of radius to depth among the points beyond the near plane. It takes 1 ms for 140,000 points."""
     camera, near = request.camera, request.manifest.near
     depth = (request.frame.xyz @ camera.forward.astype(np.float32)).take(order) + np.float32(camera.translation[2])
     radius = request.frame.radius.take(order).astype(np.float32)

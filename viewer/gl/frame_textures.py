@@ -37,7 +37,7 @@ class ArrayTexture:
     def write(self, array: NDArray[np.generic], first: int = 0) -> None:
         """Upload an array of whole texels, starting at texel ``first``.
 
-        Call :meth:`reserve` for these texels before.
+        The caller must have reserved these texels with :meth:`reserve`.
         """
         content = np.ascontiguousarray(array).reshape(-1, self._components)
         texture, end = self._texture, first + content.shape[0]
@@ -65,7 +65,8 @@ class ArrayTexture:
     def reserve(self, texels: int) -> bool:
         """Reserve storage for ``texels`` texels.
 
-        Returns whether the content is kept. Raises UserError above the driver's limit.
+        Returns whether the texture keeps its content; a larger texture starts empty. Raises UserError above the
+        driver's limit.
         """
         rows = -(-texels // TEXELS_PER_ROW)
         if self._texture is not None and self._texture.height >= rows:
@@ -84,16 +85,16 @@ class ArrayTexture:
 
 
 class FrameTextures:
-    """The arrays of one frame in GPU textures, which the next frame reuses.
+    """The arrays of one frame in GPU textures. The next frame reuses the textures.
 
-    The dynamic points come first, then unused space, then the background's points. A background that
-    consecutive frames share is uploaded once.
+    Each texture stores the dynamic points first, then unused space, then the background's points. A background that
+    consecutive frames share is uploaded once, except for colours that a frame's shadow changes.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
-        """``precision`` float32 doubles memory and bandwidth.
+        """``precision`` float32 is the reference for tests and benchmarks of float16.
 
-        It is the reference for tests and benchmarks of float16.
+        It doubles the memory and the bandwidth of the arrays that float16 stores in two bytes.
         """
         short = "f2" if precision == "float16" else "f4"
         self._float16_dtype = np.float16 if precision == "float16" else np.float32
@@ -105,7 +106,7 @@ class FrameTextures:
         self.frame: BakedFrame | None = None
         self._background: BakedFrame | None = None
         self._has_shadow = False
-        self._dynamic_capacity = 0  # points that fit before the background's points
+        self._dynamic_capacity = 0  # count of points that fit before the background's points
 
     def load(self, frame: BakedFrame) -> None:
         """Upload ``frame``, unless it is already loaded."""
@@ -126,7 +127,7 @@ class FrameTextures:
     def use(self) -> dict[str, int]:
         """Bind all textures.
 
-        Returns the uniforms of shade.vert, which are texture units by name and the storage layout.
+        Returns uniforms of shade.vert: the texture unit of each array by name, and the layout of the points.
         """
         assert self.frame is not None
         names = [attribute.name for attribute in self.frame.attributes]
@@ -143,7 +144,7 @@ class FrameTextures:
         self.frame = self._background = None
 
     def _reserve(self, frame: BakedFrame) -> bool:
-        """Reserve storage for all points of ``frame``. Returns whether its background is already uploaded."""
+        """Reserve storage for all points of ``frame``. Returns whether the textures already contain its background."""
         is_same = frame.background is not None and frame.background is self._background
         keeps_background = is_same and frame.dynamic_count <= self._dynamic_capacity
         if not keeps_background:

@@ -70,7 +70,7 @@ class RenderTargets:
 
 
 def release_framebuffer(context: moderngl.Context, framebuffer: moderngl.Framebuffer) -> None:
-    """Unbind and release a framebuffer. moderngl fails if it restores the binding of a released framebuffer."""
+    """Unbind and release a framebuffer. If it stayed bound, moderngl would later fail to bind it again."""
     if context.fbo is not None and context.fbo.glo == framebuffer.glo:
         context.detect_framebuffer(0).use()
     framebuffer.release()
@@ -126,12 +126,12 @@ class SampleCounter:
 
 
 def blend_under(context: moderngl.Context) -> None:
-    """Composite premultiplied colours behind the framebuffer's content."""
+    """Set the blend mode that composites premultiplied colours behind the framebuffer's content."""
     _set_blending(context, moderngl.FUNC_ADD, moderngl.ONE_MINUS_DST_ALPHA, moderngl.ONE)
 
 
 def blend_over(context: moderngl.Context) -> None:
-    """Composite premultiplied colours over the framebuffer's content."""
+    """Set the blend mode that composites premultiplied colours over the framebuffer's content."""
     _set_blending(context, moderngl.FUNC_ADD, moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA)
 
 
@@ -141,12 +141,12 @@ def blend_max(context: moderngl.Context) -> None:
 
 
 def disable_blending(context: moderngl.Context) -> None:
-    """Overwrite the framebuffer's content, without a depth test."""
+    """Set the mode in which drawing overwrites the framebuffer's content, without a depth test."""
     context.disable(moderngl.BLEND | moderngl.DEPTH_TEST)
 
 
 def _set_blending(context: moderngl.Context, equation: int, source: int, destination: int) -> None:
     context.disable(moderngl.DEPTH_TEST)
     context.enable(moderngl.BLEND)
-    context.blend_equation = equation  # type: ignore[assignment]  # one for colour and alpha
+    context.blend_equation = equation  # type: ignore[assignment]  # one equation for colour and alpha
     context.blend_func = source, destination

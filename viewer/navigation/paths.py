@@ -61,11 +61,11 @@ def orbit(
         steps: count of images, at least 1.
         focus: (3,) centre of the circle; None estimates it (:func:`estimate_focus`).
         up: (3,) up direction; None estimates it (:func:`estimate_up`).
-        distance: distance from the focus in world units; None uses the median of the cameras.
-        elevation: degrees above the horizontal plane through the focus; None uses the median of the cameras.
+        distance: distance from the focus in world units; None uses the cameras' median distance.
+        elevation: degrees above the horizontal plane through the focus; None uses the cameras' median elevation.
         size: (width, height) in pixels; None for the first camera's.
         full: True makes a full circle. False swings back and forth over the arc of the cameras. None makes a full
-            circle unless the cameras leave a gap of more than 120 degrees.
+            circle unless two neighbouring cameras are more than 120 degrees of azimuth apart.
     """
     rig = _measure_rig(cameras, steps, focus, up)
     distance = rig.distance if distance is None else distance
@@ -89,8 +89,8 @@ def spiral(
 
     Args:
         turns: count of full circles or of swings, at least 1.
-        swing: amplitude of the elevation in degrees around its median. None uses the largest deviation of the cameras,
-            but at least 10.
+        swing: amplitude in degrees of the elevation around the cameras' median elevation. None uses the largest
+            deviation of a camera from this median, but at least 10.
     """
     if turns < 1:
         raise ValueError(f"turns: expected at least 1, got {turns}")
@@ -113,7 +113,7 @@ def interpolate(
     """A smooth path through ``cameras`` in the given order.
 
     Positions, orientations (quaternions), focal lengths and principal points follow cubic splines with continuous
-    second derivatives. The speed is nearly constant.
+    second derivatives. The speed along the path is nearly constant.
 
     Args:
         cameras: cameras to pass through; at least 1. Consecutive duplicates count once.
@@ -147,8 +147,8 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
     """The least-squares intersection of all optical axes, (3,).
 
     The axes do not determine a point in front of the cameras if they are nearly parallel or if there is one camera. The
-    result is then the centre of ``bounds`` (lower, upper). Without bounds it is a point in front of the cameras at
-    three times their spread, or at distance 1 for a single camera.
+    result is then the centre of ``bounds`` (lower, upper). Without bounds it is a point in front of the cameras, at a
+    distance of three times the spread of their centres, or of 1 for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -182,8 +182,8 @@ class _Rig:
         axes: (3, 3) unit vectors as rows. The first points towards the first camera in the horizontal plane, the second
             sideways, the third up.
         azimuths: (C,) azimuths of the cameras in radians.
-        distance, elevation: medians of the cameras, in world units and in radians.
-        elevation_deviation: largest deviation from the median elevation, in radians.
+        distance, elevation: the cameras' median distance in world units and median elevation in radians.
+        elevation_deviation: largest deviation of a camera from the median elevation, in radians.
         zoom: median focal length, in units of the shorter image side.
         size: (width, height) of the first camera.
     """
@@ -306,7 +306,7 @@ def _drop_duplicates(knots: Array, loop: bool) -> Array:
 
 
 def _distances(first: Array, second: Array) -> Array:
-    """Length of each step: translation plus weighted rotation, so that a pure rotation also takes time."""
+    """Length of each step. It combines translation and rotation, so that a pure rotation also takes time."""
     turn = 1 - np.abs((first[:, 3:7] * second[:, 3:7]).sum(axis=1)).clip(max=1)
     moved = np.linalg.norm(first[:, :3] - second[:, :3], axis=1)
     return np.hypot(moved, np.sqrt(turn) * 0.1 * max(float(moved.mean()), 1e-3))

@@ -61,12 +61,12 @@ class Pose:
     def orbit(self, right: float, down: float) -> Pose:
         """Rotate about the pivot, as if the scene were dragged by these angles in radians.
 
-        The rotation stops at the poles.
+        The rotation stops 1 degree before the viewing axis is parallel to ``up``.
         """
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # With camera roll, a rotation about the x axis of the image would pass over the pole.
+        # The axis is horizontal. If the camera is rolled, a rotation about the image's x axis would move past the pole.
         level = level / length if length > 1e-6 else self.rotation[0]
         if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down
@@ -86,7 +86,7 @@ class Pose:
         return replace(self, distance=float(np.clip(self.distance * factor, _MIN_DISTANCE, _MAX_DISTANCE)))
 
     def fly(self, right: float, up: float, forward: float) -> Pose:
-        """Translate eye and pivot along the eye's axes, in world units."""
+        """Translate eye and pivot along the eye's axes by these lengths in world units."""
         step = right * self.rotation[0] - up * self.rotation[1] + forward * self.rotation[2]
         return replace(self, pivot=self.pivot + step)
 

@@ -31,7 +31,7 @@ class Section:
 def text_scale(state: ViewerState) -> float:
     """The scale of text and widgets.
 
-    It is the scale of the display, or 1 if the framebuffer is already larger than the window.
+    It is the scale factor of the display, or 1 if the framebuffer is already larger than the window.
     """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

@@ -136,7 +136,7 @@ class FramePrefetcher:
         return True
 
     def _first_missing(self) -> int | None:
-        """The first frame in playback order that fits and is not buffered."""
+        """The first frame in playback order that is not buffered and fits into the memory limit."""
         if not self._has_started:
             return None
         upcoming = islice(self._playback_order(), self._capacity())
@@ -148,7 +148,7 @@ class FramePrefetcher:
             del self._buffer[index]
 
     def _capacity(self) -> int:
-        """Count of frames that fit if all are as large as the largest frame read until now.
+        """Count of frames that fit into the memory limit if all are as large as the largest frame read until now.
 
         This bound is conservative, so that evicting one frame frees enough memory for another.
         """

@@ -10,7 +10,7 @@ flat out vec3 disc_centre;  // centre in window coordinates, and 1 / radius^2
 flat out vec4 tint;
 flat out float rank;  // the first disc drawn has rank 1
 
-const float RANKS = 16777216.0;  // a depth buffer has 24 bits
+const float RANKS = 16777216.0;  // number of depths that a 24-bit depth buffer distinguishes
 
 // position is in [-1, 1] across the viewport, with y downwards in the image.
 void write_outputs(vec2 position, int index) {

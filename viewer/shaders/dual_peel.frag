@@ -1,6 +1,7 @@
 #version 330 core
 // Geometry pass of dual depth peeling (Bavoil and Myers 2008). With max blending, one pass finds the nearest and the
-// farthest remaining layer of each pixel. Ranks replace depths, because no two points share a rank.
+// farthest remaining layer of each pixel. Ranks replace depths, because depths can be equal and
+// ranks cannot.
 #include "alpha.glsl"
 
 uniform sampler2D bounds;  // previous pass: (-nearest rank, farthest rank); (-NONE, -NONE) for pixels without layers

@@ -12,7 +12,7 @@ uniform int views;
 uniform int dynamic_count;        // count of dynamic points, which are stored first
 uniform int gap;                  // count of unused slots between the dynamic points and the background
 
-uniform vec3 intrinsics_x;  // the first two rows of K
+uniform vec3 intrinsics_x;  // the first two rows of the intrinsic matrix
 uniform vec3 intrinsics_y;
 uniform vec3 rotation_x;    // rows of R_camera_world
 uniform vec3 rotation_y;
@@ -28,7 +28,7 @@ uniform float sh_base;
 
 in uint point;
 
-out vec4 disc;   // u, v, 1 / rho^2, rho; in pixels
+out vec4 disc;   // u, v, 1 / rho^2, and the radius rho; in pixels
 out vec4 paint;  // red, green, blue, density
 
 int slot;  // index of the point in the textures

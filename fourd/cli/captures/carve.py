@@ -49,7 +49,7 @@ class Arguments:
     scale: float = 1.0
     """Scale factor of the images; 0.5 halves width and height."""
     seed: int = 0
-    """Random seed of the order of the points."""
+    """Random seed of the order in which points are stored."""
     workers: Workers = None
 
 

@@ -41,7 +41,7 @@ def run(arguments: Arguments) -> None:
         try:
             agreement = _agreement(arguments.capture)
         except UserError as error:
-            # Matching decodes images, so it can find damage that the check without --deep does not.
+            # Matching decodes images, so it can find damage that the check without --deep misses.
             report = replace(report, problems=(str(error),))
     console.print(_facts(arguments.capture, report, agreement))
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()))

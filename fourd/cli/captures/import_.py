@@ -35,7 +35,7 @@ BOARD_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """Links files unless --copy is given. Run an interrupted command again to resume it."""
+    """The capture links to the files of SRC unless --copy is given. Run an interrupted command again to resume it."""
 
     words: tyro.conf.Positional[
         Annotated[
@@ -44,7 +44,7 @@ class Arguments:
         ]
     ]
     copy: bool = False
-    """Copy files instead of linking them."""
+    """Copy the files of SRC instead of linking to them."""
     unpack: bool = False
     """Write the frames of videos as JPEG images, which makes random access faster."""
     offset: Annotated[
@@ -52,9 +52,10 @@ class Arguments:
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
     sync: bool = False
-    """Estimate offsets from motion and print them, but do not apply them. Writes a plot to OUT/.fourd/sync.png."""
+    """Estimate the videos' time offsets from motion and print them, but do not apply them. Writes a plot to
+    OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate offsets and apply those that exceed 3 frames and have a confidence of at least 0.5."""
+    """Estimate the videos' time offsets and apply those above 3 frames with a confidence of at least 0.5."""
     resize: Annotated[
         str,
         tyro.conf.arg(
@@ -71,9 +72,10 @@ class Arguments:
         ),
     ] = "auto"
     calibrate: bool = False
-    """Calibrate the cameras from the images and ignore the calibration of the source."""
+    """Calibrate the cameras from the images, and ignore a calibration in SRC."""
     scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
-    """Distance in metres between the optical centres of two cameras. It scales the world to metres."""
+    """Distance in metres between the optical centres of two cameras. The world is scaled so that
+    its unit is the metre."""
     board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
 
 

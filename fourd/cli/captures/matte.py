@@ -20,7 +20,7 @@ from fourd.pipeline.stages.mattes import MatteStageSettings
 
 @dataclass(frozen=True)
 class MatteOptions:
-    """How mattes are made for a capture without masks/."""
+    """Method of making mattes, used for a capture without masks/."""
 
     method: Annotated[
         Literal["motion", "chroma", "rvm"],

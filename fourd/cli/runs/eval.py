@@ -38,11 +38,11 @@ class Arguments:
     run: RunPath
     """Run folder."""
     json: Annotated[Path | None, option("FILE", "none")] = None
-    """Write the scores of all images to this file."""
+    """Write the scores of every image to this file as JSON."""
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
     scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
-    """Evaluate this exported scene of the run instead of the run's own rendering."""
+    """Evaluate images rendered from this scene, which was exported from the run, instead of from the run's model."""
     plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
     """Before evaluation, fit the pose of each evaluated camera to its own images, with the scene fixed (as in BARF)."""
@@ -109,7 +109,7 @@ def run(arguments: Arguments) -> None:
 def _fit_cameras(
     trained: TrainedRun, indices: list[int], arguments: Arguments, console: Console
 ) -> dict[int, FittedView]:
-    """Fit the evaluated cameras to their own images. Returns them by index; empty without --refine-test."""
+    """Fit each evaluated camera to its own images, by camera index. Returns none without --refine-test."""
     if arguments.refine_test_colours and not arguments.refine_test:
         raise UserError("--refine-test-colours: expected --refine-test too, got it alone; add --refine-test")
     if arguments.refine_test_colours and arguments.scene is not None:

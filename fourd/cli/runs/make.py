@@ -40,7 +40,7 @@ def run(arguments: Arguments) -> None:
     console = Console()  # stderr is reserved for the one-line error message
     options = arguments.training
     config = options.train_config(DEFAULT_SECONDS)
-    load_lpips(options.lpips_weights)  # report invalid weights before any stage runs
+    load_lpips(options.lpips_weights)  # report invalid LPIPS weights before any stage runs
     make_scene(
         arguments.capture,
         arguments.out,

@@ -43,7 +43,7 @@ def run(arguments: Arguments) -> None:
     console = Console()  # stderr is reserved for the one-line error message
     options = arguments.training
     context = Context(console, worker_count(arguments.workers))
-    load_lpips(options.lpips_weights)  # report invalid weights before any stage runs
+    load_lpips(options.lpips_weights)  # report invalid LPIPS weights before any stage runs
     stages: tuple[AnyStage, ...]
     if arguments.resume:
         config = _resumed_config(options, open_run(arguments.out).config.train)

@@ -24,14 +24,16 @@ from fourd.files import write_text_atomically
 class Arguments:
     """Times are in milliseconds and in units. One unit is the time of one matrix product of two 2048 x 2048 float32
     matrices in torch, measured before every run. Times in units vary less when other programs use the machine. CUDA
-    kernels are timed if they are built and a device exists. FOURD_THREADS and FOURD_SIMD apply."""
+    kernels are timed if they are built and a device exists. The environment variables FOURD_THREADS and FOURD_SIMD set
+    the number of threads and the instruction set of the CPU kernels."""
 
     json: Annotated[Path | None, option("FILE", "none")] = None
-    """Write all measurements to this file."""
+    """Write all measurements to this file as JSON."""
     markdown: Annotated[Path | None, option("FILE", "none")] = None
     """Write the table to this file as Markdown."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Finish in less than a minute: fewer repetitions, no whole training steps, no slow references."""
+    """Finish in less than a minute: fewer repetitions, no whole training steps, no other
+    implementations."""
 
 
 def run(arguments: Arguments) -> None:

@@ -30,7 +30,7 @@ _MOST_HEADER = 100 << 20
 
 @dataclass(frozen=True)
 class Arguments:
-    """Detects the type from the content. Reads only; writes no file."""
+    """Detects the type from the content. Changes no file."""
 
     path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE|DIR")]]
     """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder."""

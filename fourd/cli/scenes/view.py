@@ -36,19 +36,19 @@ class Arguments:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
     headless: Annotated[Path | None, option("FILE.mp4", "none")] = None
-    """Render this video without opening a window."""
+    """Render a video to this file, without opening a window."""
     path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
-    """Camera path of --headless. FILE.json is a path that was recorded in the window."""
+    """Camera path of the --headless video. FILE.json is a path that was recorded in the window."""
     steps: Annotated[int | None, option("INT", "120, or the number of frames if larger")] = None
-    """Number of images of --headless. Each image shows the next frame of the scene; the scene loops."""
+    """Number of images in the --headless video. Each image shows the next frame of the scene; the scene loops."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
-    """Frames per second of the video of --headless."""
+    """Frames per second of the --headless video."""
     screenshot: Annotated[Path | None, option("FILE.png", "none")] = None
-    """Render this image without opening a window."""
+    """Render an image to this file, without opening a window."""
     camera: Annotated[str | None, option("NAME", "the first")] = None
-    """Name of the capture camera of --screenshot."""
+    """Name of the capture camera that renders the --screenshot image."""
     frame: int = 0
-    """Position of the frame of --screenshot in the scene, from 0."""
+    """Index, from 0, of the scene's frame in the --screenshot image."""
 
 
 def run(arguments: Arguments) -> None:
