@@ -13,7 +13,7 @@ from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
 """Smallest visibility weight that counts: a view with a lower weight at a point is ignored there. The threshold bounds
-the ratio of the weights, so that float16 can store them."""
+the ratio between two views' weights, so that a baked scene can store the weights in float16."""
 
 
 class ImageEncoder(nn.Module):
@@ -49,8 +49,8 @@ class BlendHead(nn.Module):
     """MLP that predicts a blend logit for each point and source view.
 
     The input of the first layer is [point feature, image sample, optional direction]. The part that depends on the
-    point feature alone is computed once for each point instead of once for each view. Only the order of the sums
-    changes.
+    point feature alone is computed once for each point instead of once for each view. The result differs only by
+    rounding, because the terms are summed in another order.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -112,12 +112,12 @@ def blend(logits: Tensor, visibility: Tensor, colours: Tensor, base: Tensor | No
         logits: (V, N).
         visibility: (V, N) in [0, 1]; views below MIN_VISIBILITY get no weight.
         colours: (V, N, 3).
-        base: (N, 3) the points' own colours, or None. A view with visibility v and colour c then contributes v c + (1 -
-            v) base instead of c.
+        base: (N, 3) the points' own colours, or None. If they are given, a view with visibility v and colour c
+            contributes v c + (1 - v) base instead of c.
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets ``base`` or, without ``base``, the mean of the views'
-        colours. A baked point whose weights are all 0 also gets this mean.
+        colours. In a baked scene, a point whose stored weights are all 0 gets the mean of the views' colours.
     """
     visibility = zero_low_visibility(visibility)
     if base is not None:

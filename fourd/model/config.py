@@ -23,7 +23,7 @@ class PlanesConfig:
     base_resolution: int = 64
     """Grid resolution along the longest side of the bounds at the coarsest level."""
     multiplier: int = 2
-    """Ratio of the resolutions of a level and the next coarser level."""
+    """Factor by which the resolution increases from one level to the next finer level."""
     reduction: Literal["concat", "sum", "product"] = "concat"
     """How the features of a level's planes are combined: concat as in 4K4D, product as in K-Planes, or sum."""
     time: bool = True
@@ -47,8 +47,8 @@ class ModelConfig:
     """Parts of a point's colour: both is the sum of ibr and sh; ibr is blended from source images; sh is spherical
     harmonics."""
     sh: Literal["mlp", "explicit"] = "mlp"
-    """Source of SH coefficients: mlp predicts them from the point feature; explicit optimises 48 for each point and
-    frame."""
+    """Source of SH coefficients: mlp predicts them from the point feature; explicit optimises 48 coefficients for each
+    point of each frame."""
     sh_range: float = 0.25
     """Maximum absolute value of the SH part when it is added to the image-based colour."""
     continuous: bool = False
@@ -58,13 +58,14 @@ class ModelConfig:
     image_features: int = 8
     """Channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2
-    """Stride in pixels of the image encoder's features. Stride 1 takes four times as long as stride 2."""
+    """Stride in pixels of the image encoder's features. With stride 1, the encoder takes four times as long as with
+    stride 2."""
     occlusion: bool = True
     """Ignore source views in which a point is occluded."""
     radius_range: tuple[float, float] = (0.5, 6.0)
     """Minimum and maximum radius of points, in multiples of the mean distance between neighbouring points."""
     radius_start: float = 1.3
-    """Radius of every point before training, in multiples of the same distance."""
+    """Radius of every point before training, in multiples of the mean distance between neighbouring points."""
     residual: bool = False
     """Displace points by a learnt field (a smaller K-Planes). Export bakes the displacement into the positions."""
     residual_range: float = 0.1

@@ -15,10 +15,10 @@ TIME_PAIRS = ((0, 3), (1, 3), (2, 3))
 class KPlanes(nn.Module):
     """Multi-resolution feature planes over (x, y, z, t) (Fridovich-Keil et al. 2023, sec. 3).
 
-    Coordinates are (N, 4) float32 in [-1, 1]. Coordinates outside are clamped to the border. The first and last samples
-    of each axis lie on the borders (``align_corners=True``). With F frames, the time planes therefore have one row for
-    each frame. Features are differentiable in the planes and the coordinates. A plane is (rows, columns, features), so
-    that the values that are read for a point are adjacent in memory.
+    Coordinates are (N, 4) float32 in [-1, 1]. Coordinates outside this range are clamped to it. The first and last
+    samples of each axis lie on the borders (``align_corners=True``). With F frames, the time planes therefore have one
+    row for each frame. Features are differentiable in the planes and the coordinates. Each plane has the shape (rows,
+    columns, features), so that all features of one sample are adjacent in memory.
     """
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
@@ -55,6 +55,7 @@ class KPlanes(nn.Module):
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)
         if self.config.reduction == "product":
-            # With all planes at zero the product would have no gradient. K-Planes initialises time planes to one.
+            # If all planes were zero, the gradient of the product would be zero. As in K-Planes, time planes start at
+            # one.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)

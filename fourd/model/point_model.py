@@ -24,7 +24,8 @@ RGB = 3
 
 @dataclass(frozen=True)
 class PointFeatures:
-    """Outputs of the first layers of the heads for the K-Planes features of N points. Each is (N, H), before the ReLU.
+    """Output of each head's first layer for N points, computed from the points' K-Planes features. Each output is (N,
+    H), before the ReLU.
 
     Attributes:
         geometry: output of the geometry head's first layer.
@@ -49,8 +50,8 @@ class EvaluatedPoints:
         displacement: (N, 3) displacement by the residual field, contained in ``xyz``; None without a residual field.
         features: hidden features of the heads.
         explicit_sh: (N, 48) optimised SH coefficients; None where an MLP gives them.
-        rgb: (N, 3) the points' own colours, which replace the colours of views in which the point is not visible; None
-            uses the colours of these views.
+        rgb: (N, 3) the points' own colours, passed to ``blend`` as ``base``: the lower a view's visibility weight at a
+            point, the more the own colour replaces the view's colour. None uses the views' colours only.
     """
 
     xyz: Tensor
@@ -90,7 +91,8 @@ class PointModel(nn.Module):
             upper: (3,) upper corner of the bounds.
             spacing: mean distance between neighbouring points in world units.
             frame_count: number of frames of the whole capture, which is the number of rows of the time planes.
-            contraction: map of all of space into the planes; with None, the planes cover the bounds only.
+            contraction: function that maps unbounded space into the volume of the planes; with None, the planes cover
+                the bounds only.
         """
         super().__init__()
         self.config = config
@@ -174,8 +176,10 @@ class PointModel(nn.Module):
             points: the output of :meth:`evaluate`.
             viewer: the viewing camera.
             sources: the N' views nearest to the viewer; None if colour is SH alone.
-            shadow: factors on the image-based part. An exported scene applies them to the same part, stored as bytes.
-            train_encoder: whether the image encoder gets a gradient. Without it a step takes a third less time.
+            shadow: factors by which the image-based colours are multiplied. An exported scene stores the factors as
+                bytes and applies them to image-based colours, too.
+            train_encoder: whether the image encoder gets a gradient. A step without this gradient takes a third less
+                time.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:

@@ -18,11 +18,11 @@ MARGIN = 0.5
 """Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
 FADE = 0.25
 """Width of the zone at the field's border in which shadows fade out, as a share of the distance from border to centre.
-Without it, shadows would end in a sharp edge."""
+Without this zone, shadows would end in a sharp edge."""
 GAIN = 3.0
-"""Factor on the MLP's output. It speeds up learning, because each frame is rendered in few steps."""
+"""Factor on the MLP's output. It speeds up learning. This is necessary because only few steps render each frame."""
 STRENGTH = 127 / 128
-"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. This range fits into bytes in units of 1/128."""
+"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store this range in units of 1/128."""
 
 
 @dataclass(frozen=True)
@@ -39,23 +39,24 @@ class Shadow:
     is_inside: Tensor
 
     def apply(self, colour: Tensor) -> Tensor:
-        """Image-based colours (N, 3) times the shadow factor. Unshadowed colours get no gradient inside the field, as
-        in :meth:`detach_inside`."""
+        """Image-based colours (N, 3) times the shadow factor. Inside the field, the gradient reaches the factor but not
+        ``colour``, as in :meth:`detach_inside`."""
         return self.detach_inside(colour) * self.factor[:, None]
 
     def detach_inside(self, colour: Tensor) -> Tensor:
         """The same colours (N, 3), detached from the gradient inside the field.
 
-        Inside the field, clean plates train the background's colours, and frames train its shadow alone.
+        Inside the field, clean plates train the background's colours, and frames train only the shadow.
         """
         return torch.where(self.is_inside[:, None], colour.detach(), colour)
 
 
 class ShadowField(nn.Module):
-    """A small K-Planes with time planes and an MLP, over the foreground's bounds extended by a margin.
+    """Small K-Planes with time planes, followed by a small MLP. The field covers the foreground's bounds, extended by a
+    margin.
 
     ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0. Hence
-    the factor is exactly 1 before training, and stays 1 where no image gives a gradient.
+    the factor is exactly 1 before training, and it stays 1 wherever the planes never get a gradient.
     """
 
     lower: Tensor
@@ -89,6 +90,7 @@ class ShadowField(nn.Module):
         return Shadow(torch.ones_like(edge).index_put((rows,), factor), is_inside)
 
     def mean_squared_deviation(self, xyz: Tensor, time: float) -> Tensor:
-        """Scalar mean of (factor - 1)^2 over those of the points (N, 3) that lie inside the field."""
+        """Mean of (factor - 1)^2 over the points inside the field, as a scalar. Points of ``xyz`` (N, 3) outside are
+        ignored."""
         shadow = self(xyz, time)
         return (shadow.factor - 1).square().sum() / shadow.is_inside.sum().clamp(min=1)

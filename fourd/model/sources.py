@@ -12,8 +12,8 @@ from fourd.ops.sources import op as ops
 from fourd.ops.sources import reference
 
 OCCLUSION_FALLOFF_SPACINGS = 1.0
-"""Scale, in spacings, of the exponential decay of an occluded point's visibility weight with its depth behind the
-surface. The decay starts at a depth of twice the scale."""
+"""Decay length of an occluded point's visibility weight, in spacings. The weight decays exponentially with the point's
+depth behind the surface. The decay starts at a depth of two decay lengths."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +59,17 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
     """Project points into every source view and sample the views bilinearly.
 
     The matte is squared because a pixel on the silhouette contains background colour: the visibility weight must fall
-    faster than the coverage. In float32, one kernel computes everything, on the CPU or on a CUDA device with compiled
-    kernels.
+    faster than the coverage. For float32 inputs, one fused kernel computes projection and samples, on the CPU or, if
+    the CUDA kernels are compiled, on a CUDA device.
 
     Args:
         xyz: (N, 3) points in world units. Gradients flow through the projection.
         sources: the views.
         features: (V, C, h, w) features of the same views from the image encoder, at the encoder's resolution; None for
             RGB alone.
-        softness: (N,) scale, in world units, of the exponential decay of a point's visibility weight with its depth
-            behind the view's surface. The decay starts at a depth of twice the scale. No gradient.
+        softness: (N,) decay length of a point's visibility weight, in world units. The weight decays exponentially with
+            the point's depth behind the view's surface. The decay starts at a depth of two decay lengths. ``softness``
+            gets no gradient.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)

@@ -21,7 +21,8 @@ def has_masks(capture: Path) -> bool:
 
 
 def is_usable(source: Path) -> bool:
-    """Whether a folder is a capture that needs no import. It must have masks, or be writable for mattes."""
+    """Whether a folder is a capture that needs no import. The folder must contain masks, or be writable so that mattes
+    can be stored in it."""
     is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 
@@ -32,7 +33,7 @@ def stages_to_capture(source: Path, imported: Path) -> tuple[AnyStage, ...]:
 
 
 def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that make mattes, unless the capture has its own masks, and plates."""
+    """Stages that make mattes and plates. Mattes are not made if the capture has its own masks."""
     stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
     if plates:
         stages.append(capture_plates_stage(capture, settings))

@@ -1,4 +1,4 @@
-"""The graph of stages: selects the stages that an input needs, in the order of their dependencies.
+"""The graph of stages. It selects the stages that an input needs and puts them in the order of their dependencies.
 
 The order is import, check, mattes, plates, adjust, carve (or points), background, train, bake. The config (object or
 full scene, adjusted cameras, given points) and the contents of the capture decide which stages are needed.
@@ -33,7 +33,7 @@ class RunRequest:
         capture: the capture's folder.
         run: the run's folder.
         train: the training config.
-        points_from: folder with the user's own FRAME.ply files, which replace carving; None: carve.
+        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points; None to carve.
         lpips_weights: file or folder with the weights of LPIPS. None: the default locations, see
             :func:`~fourd.training.losses.lpips.load_lpips`.
     """

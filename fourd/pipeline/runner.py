@@ -23,8 +23,9 @@ class Runner:
     """Runs stages in order.
 
     With a record file, the runner prints the state of each stage and skips a stage if its key is unchanged and its
-    outputs exist. A stage with a new key first removes the files of its old key. Without a record file, the runner
-    executes every stage and prints nothing itself; the work of a stage keeps files that are finished.
+    outputs exist. Before a stage with a new key starts, the runner removes the files that were written with the old
+    key. Without a record file, the runner executes every stage and prints nothing itself. The work of each stage then
+    detects and keeps finished files.
     """
 
     def __init__(self, context: Context, record: Path | None = None, execute: Execute = run_here) -> None:
@@ -79,7 +80,7 @@ class Runner:
 
 
 def _started(stage: AnyStage) -> str:
-    """Name of the entry in the record that contains the key of a started stage."""
+    """Name of the record's entry for the key of a stage that has started."""
     return f"{stage.name} started"
 
 

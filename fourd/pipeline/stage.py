@@ -23,7 +23,7 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Context:
-    """Runtime context of a stage: console and worker count. Results do not depend on it.
+    """Runtime context of a stage: console and worker count. The context does not affect results.
 
     Attributes:
         console: console for progress and log lines.
@@ -70,7 +70,7 @@ class Artefact:
 
 @dataclass(frozen=True)
 class Leftovers:
-    """Files that the stage wrote into a folder with another key, and that must be removed before it starts.
+    """Files from a run of the stage with another key. They are removed before the stage starts with a new key.
 
     Attributes:
         folder: the folder to empty. It may be missing.
@@ -123,7 +123,7 @@ class Stage(Generic[Files, Settings]):
         """A hash of everything that the result depends on.
 
         Args:
-            keys: keys of earlier stages, by name. A name in ``after`` without a key is ignored.
+            keys: keys of earlier stages, by name. Names in ``after`` that are missing here are ignored.
         """
         parts = [
             self.name,
@@ -138,7 +138,7 @@ class Stage(Generic[Files, Settings]):
         return all(path.exists() for path in self.outputs)
 
     def run(self, context: Context | None = None) -> None:
-        """Execute the work. Without a context, it uses one process and prints nothing."""
+        """Execute the work. Without a context, the work uses one process and prints nothing."""
         self.work(self.files, self.settings, context or Context())
 
 

@@ -27,7 +27,8 @@ SIZE_STEP_PX = 32
 CACHED_STEPS = 100
 """Number of steps for which a plate's depth and features are reused. Both change slowly."""
 MAX_DEPTH_BEHIND = 9.0
-"""Depth behind a plate's occlusion depth, in spacings. A point that lies deeper is occluded in the plate."""
+"""Tolerance of the occlusion test, in spacings. A point is occluded in a plate if it lies farther than this behind the
+plate's occlusion depth."""
 MIN_RADIUS = 0.6
 """Smallest radius of background points, in spacings."""
 
@@ -38,10 +39,10 @@ def create_background(
     """An untrained background.
 
     Args:
-        points: initial points. Their colours are used where they are visible in no source view.
+        points: initial points. A point's own colour is used if no source view sees the point.
         plates: camera index -> clean plate.
         config: the run's training config.
-        contraction: map of all of space into the K-Planes.
+        contraction: function that maps unbounded space into the volume of the K-Planes.
     """
     order = morton_order(points.xyz)
     xyz, rgb = torch.from_numpy(points.xyz[order]), torch.from_numpy(points.rgb[order]).float() / 255
@@ -64,7 +65,7 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # Features outside all plates get no gradient, so random initial values would remain there as noise.
+        # Plane samples that no plate observes get no gradient. Random initial values would remain there as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -95,7 +96,8 @@ class _CachedPlate:
 
 @dataclass(eq=False)
 class StaticBackground:
-    """The points that all frames share, and their model. Their source views are the clean plates.
+    """The background's points, which all frames share, and the background's model. The source views of these points are
+    the clean plates.
 
     Attributes:
         model: point model without time planes, in contracted space.
@@ -112,7 +114,7 @@ class StaticBackground:
     _cache: dict[int, _CachedPlate] = field(default_factory=dict)
 
     def count_step(self) -> None:
-        """Count a step that changed the points or the model. Cached depths and features expire after a number of such
+        """Count a step that changed the points or the model. Cached depths and features expire after CACHED_STEPS such
         steps."""
         self._step += 1
 
@@ -123,8 +125,8 @@ class StaticBackground:
     def clear_cache(self) -> None:
         """Drop cached depths and features.
 
-        A resumed run starts without them. They are therefore dropped at each checkpoint, so that an uninterrupted run
-        computes the same.
+        A resumed run starts with an empty cache. The cache is therefore also cleared at each checkpoint, so that a
+        resumed run and an uninterrupted run give the same result.
         """
         self._cache.clear()
 
@@ -149,7 +151,8 @@ class StaticBackground:
         Args:
             cameras: indices of the cameras.
             train_encoder: whether to omit the cached features, so that the image encoder runs and gets a gradient.
-            points: points from which depths and features are recomputed; None uses the cached ones.
+            points: points whose occlusion depths are computed for this call, together with the plates' features; None
+                uses cached depths and features.
         """
         images, mattes, padded = self._padded_plates(cameras)
         if points is not None:

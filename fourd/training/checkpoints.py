@@ -222,7 +222,8 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _drop_old(folder: Path, step: int) -> None:
-    """Delete all checkpoints up to ``step`` except the two newest, and all damaged later ones.
+    """Keep only the two newest of the checkpoints up to ``step``. Of the checkpoints after ``step``, delete the damaged
+    ones.
 
     Later checkpoints exist if the run was resumed from an earlier step.
     """
@@ -247,7 +248,7 @@ def _cannot_write(folder: Path, error: Exception) -> UserError:
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """CRC-32 of names and bytes. safetensors itself detects truncated files, but not altered ones."""
+    """CRC-32 of the tensors' names and bytes. safetensors itself detects truncated files, but not altered ones."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)

@@ -69,8 +69,8 @@ class BackgroundConfig:
     """Maximum number of background points, not counting the coarse shell of points in directions that no plate
     shows."""
     seeding: Literal["ngp", "sfm"] = "ngp"
-    """Source of the points: ngp is a radiance field fitted to the plates, with depths from stereo; sfm is stereo
-    alone."""
+    """Source of the points: ngp takes them from a radiance field that is fitted to the plates and to depths from
+    stereo; sfm takes them from stereo alone."""
     seeds: Path | None = None
     """PLY file with background points in world units. These points are used instead of points from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
@@ -78,22 +78,24 @@ class BackgroundConfig:
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """Render foreground and background together. If false, the foreground is trained alone on black, the background on
-    plates."""
+    """Render foreground and background together. If false, steps on frames train the foreground alone, on black, and
+    steps on plates train the background."""
     share: float = 0.35
     """Share of the training steps that render a clean plate instead of a frame."""
     window_px: int = 256
-    """Side in pixels of the square window of the plate that is rendered in such a step."""
+    """Side in pixels of the square window that is rendered in a step on a clean plate."""
     margin_px: int = 64
     """Maximum margin in pixels around the matte's bounding box in steps that render a frame."""
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a share of the point spacing."""
     least_layers: int = 12
-    """Minimum of the number K of composited points, sampled in each step of a full scene. With too small a K, the last
-    points of a floor at a grazing angle are cut off. The gradient then enlarges the discs, more points are cut off, and
-    the image blurs."""
+    """Minimum of the number K of points that are composited at each pixel of a full scene. Each step samples K between
+    this and `layers` of the training config. If K is too small, the farthest points of a floor viewed at a grazing
+    angle are not composited. The gradient then enlarges the discs, even more points are left out, and the image
+    blurs."""
     encoder_every: int = 8
-    """The background's image encoder is updated in plate steps whose number is a multiple of this."""
+    """Update the background's image encoder only in steps that render a plate and whose number is a multiple of
+    this."""
     shadow: bool = False
     """Learn the shadows and reflected light of the foreground on the background in each frame. Needs image-based
     colour."""
@@ -115,8 +117,8 @@ class DensifyConfig:
     on: bool = True
     """Split and remove points while training."""
     frame_every: int = 40
-    """Steps of a frame between two densifications of its points. Points without a gradient in all these steps are
-    removed."""
+    """Number of training steps on a frame between two densifications of the frame's points. Points that are at least
+    this many steps old and never got a gradient are removed."""
     background_every: int = 250
     """Steps between two densifications of the background. Points that are occluded in every plate are removed."""
     share: float = 0.1
@@ -157,7 +159,7 @@ class RefineConfig:
     """Maximum distance of a matched feature from its epipolar line under the given cameras, as a share of the longer
     image side."""
     weight: float = 1e-5
-    """Loss weight of the sum of squared corrections, each divided by its standard deviation."""
+    """Loss weight of the sum of (correction / standard deviation)^2."""
     pose_rate: float = 1e-4
     """Learning rate of poses: rotation in radians, translation as a share of the distance from the scene's centre."""
     focal_rate: float = 5e-5
@@ -200,25 +202,26 @@ class TrainConfig:
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
-    """Minimum of K. Each step samples K between this and `layers`, because an exported scene composites fewer layers
-    and its surfaces must be opaque nevertheless. Full scenes use background.least_layers instead."""
+    """Minimum of K. Each step samples K between this and `layers`. With a small K, the model learns surfaces that are
+    opaque in few layers, because an exported scene composites fewer layers than training. Full scenes use
+    background.least_layers instead."""
     crop: Literal["mask", "full"] = "mask"
     """Part of an image to train on: mask is the matte's bounding box with a margin; full is the whole image."""
     random_background: bool = True
     """Composite prediction and ground truth on a random colour in each step. On black, holes in dark surfaces would
     cause no loss."""
     encoder_every: int = 2
-    """Update the image encoder in every n-th step only. Its backward pass is expensive, and its weights change
+    """Number of steps between two updates of the image encoder. Its backward pass is expensive, and its weights change
     slowly."""
     hidden_weight: float = 3e-2
     """Points whose largest compositing weight in the view is below this are skipped in a step. With 0, all points are
     used."""
     keep_in_hull: bool = True
-    """Revert moves of points out of the silhouettes of the step's target and source views. This prevents stray
-    points."""
+    """Move a point back if a step moves it out of the silhouette in the target view or in a source view. This prevents
+    stray points."""
     neighbour_pool: int = 5
-    """Number of nearest views from which a step's source views are sampled. A larger pool includes the wider baselines
-    of novel views."""
+    """Size of the pool from which a step's source views are sampled. The pool contains the views nearest to the target
+    view. A larger pool includes wider baselines, such as those between a novel view and its source views."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
@@ -238,7 +241,7 @@ class TrainConfig:
     checkpoint_steps: int | None = None
     """Steps between checkpoints."""
     validation_seconds: float = 60.0
-    """Seconds between validations. They use held-out views, or training views if no view is held out."""
+    """Seconds between validations. Validations use held-out views, or training views if no view is held out."""
     memory_mb: int = 96
     """Size of the cache of decoded images in MiB. The cache of points has half this size. Data that does not fit is
     read when needed."""

@@ -103,7 +103,7 @@ def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -
 
 
 def _prior(capture: Capture, training: list[int], settings: AdjustSettings) -> Prior:
-    """Prior of the adjustment: standard deviations of the errors of the given calibration, by camera."""
+    """Prior of the adjustment: for each camera, the standard deviations of the given calibration's errors."""
     given = [capture.cameras[index] for index in training]
     focus = viewing_centre(given)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])

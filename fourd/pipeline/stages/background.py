@@ -121,7 +121,7 @@ def _log_unstable(shares: dict[str, float], log: Log) -> None:
 
 
 def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, context: Context) -> ColouredPoints:
-    """Compute points on the surfaces in the plates with the method in the settings."""
+    """Compute points on the surfaces that the plates show, with the method that the settings select."""
     count, seed, workers = settings.points, settings.seed, context.workers
     if settings.seeding == "sfm":
         return seed_from_stereo(plates, count, seed=seed, workers=workers, log=context.log, track=context.track)

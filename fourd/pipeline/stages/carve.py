@@ -37,7 +37,8 @@ class CarveStageSettings:
     Attributes:
         selection: views and frames. Held-out views are not used.
         points: maximum number of points per frame.
-        agreement: minimum share in (0, 1] of mattes that contain a point, among the views that see it.
+        agreement: minimum share in (0, 1]. A point is kept if at least this share of the views that see it contain it
+            in their mattes.
         least_views: minimum share in (0, 1] of all views that must see a point.
         seed: random seed of the order of the points.
     """

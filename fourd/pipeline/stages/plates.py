@@ -20,7 +20,8 @@ from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")
 RUN_KEY = "run"
-"""Cache key of the plates of a run. The cache key of a capture's plates contains the settings of its mattes."""
+"""Cache key of the plates in a run folder. It is constant, but the key of the plates in a capture's folder depends on
+the settings of the mattes."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context
 
 
 def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[RunPlateFiles, DataSelection]:
-    """Create the stage that makes plates of the training views of a run, unless the capture has all of them."""
+    """Create the stage that makes plates for a run's training views, unless the capture has a plate for each of
+    them."""
     return Stage(
         "plates",
         make_run_plates,

@@ -32,7 +32,8 @@ POWERS[i]."""
 
 
 def with_start_cameras(capture: Capture, folder: Path) -> Capture:
-    """The capture with the start cameras of the run in ``folder``. Raises UserError if one of them is missing."""
+    """The capture, with its cameras replaced by the start cameras of the run in ``folder``. Raises UserError if a start
+    camera is missing."""
     start = folder / CALIBRATION / START
     if not (start / INTRINSICS_NAME).exists():
         raise UserError(f"{start}: expected the start cameras of the run, got no file; train in a new folder")
@@ -77,7 +78,8 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
-    """``lens`` with the pose and focal length of ``camera``. Undistorted images stay the same."""
+    """``lens`` with the pose and focal length of ``camera``. The distortion coefficients are scaled, so that
+    undistorted images stay the same."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)
@@ -85,10 +87,11 @@ def _lens(lens: Camera, camera: Camera) -> Camera:
 
 
 def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[np.float64]:
-    """OpenCV's distortion coefficients for a focal length scaled by ``zoom``, such that each pixel has the same
-    displacement as before.
+    """OpenCV's distortion coefficients for a focal length that is scaled by ``zoom``. Distortion displaces each pixel
+    by the same amount as before the scaling.
 
-    The coefficients of sensor tilt are not scaled. With sensor tilt, the result is exact for a zoom of 1 only.
+    The coefficients of sensor tilt are not scaled. For lenses with sensor tilt, the result is therefore exact only if
+    ``zoom`` is 1.
     """
     powers = np.array([*POWERS, 0, 0])[: len(distortion)]
     return distortion * zoom**powers

@@ -1,8 +1,8 @@
 """Corrections of the cameras that are learnt while training.
 
-The renderers have no gradient with respect to cameras. They use the corrected cameras as constants, and the gradient
-flows through the points instead. The points are transformed by a function whose value is the identity and whose
-derivative is that of the corrected camera.
+The renderers compute no gradient with respect to cameras. They use the corrected cameras as constants. The gradient
+reaches a correction through the points instead: they pass through a function of the correction that leaves their values
+unchanged. Its derivative is the motion of the points relative to the corrected camera.
 """
 
 from __future__ import annotations
@@ -95,8 +95,8 @@ class Refinement(nn.Module):
         return Rig(tuple(cameras), colours)
 
     def attach_camera_gradient(self, clouds: Sequence[RenderablePoints], index: int) -> list[RenderablePoints]:
-        """The same points, connected so that their gradient also reaches the correction of camera ``index``, which
-        renders them."""
+        """Return the same points, connected to the correction of camera ``index``, which renders them. The points'
+        gradient then also reaches this correction."""
         if not self.config.cameras:
             return list(clouds)
         return [self._attach(cloud, index) for cloud in clouds]
@@ -106,7 +106,7 @@ class Refinement(nn.Module):
         return recolour(self._colour_map(index), rgb, alpha) if self.config.colours else rgb
 
     def penalty(self, index: int) -> Tensor:
-        """Scalar sum of a camera's squared corrections, each divided by its standard deviation before squaring."""
+        """Scalar sum of (correction / standard deviation)^2 over all corrections of a camera."""
         place, config = self.places[index], self.config
         total = torch.zeros(())
         if len(self.poses):
