@@ -64,7 +64,7 @@ class Trainer:
             run: the run folder.
             lpips: the network of the perceptual loss; with None, SSIM replaces the perceptual loss.
             console: shows progress.
-            budget: the config with max_steps and max_seconds. Both may be larger when a run is resumed.
+            budget: the run's config with the limits max_steps and max_seconds. A resumed run may have larger limits.
         """
         if budget.max_steps is None and budget.max_seconds is None:
             raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a limit")
@@ -143,7 +143,7 @@ class Trainer:
             )
 
     def _validate(self, log: MetricsLog) -> None:
-        """Log the mean PSNR in the mattes' bounding boxes of held-out views at the middle frame.
+        """Log the mean PSNR of the held-out views at the middle frame, inside each matte's bounding box.
 
         Training views are used if no view is held out.
         """

@@ -3,7 +3,7 @@ with other libraries the functions do nothing.
 
 Images differ in size, so freed memory does not always fit the next allocation, and the heap's address space grows for
 hours. Of this address space, only pages that were written since the last trim occupy memory. Data that stays alive for
-many steps would fragment the heap. It is stored outside the heap, in separate pages.
+many steps would fragment the heap. Such data is stored outside the heap, in separate pages.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def retain_freed_memory() -> None:
 
 
 def array_outside_heap(array: NDArray[Any]) -> NDArray[Any]:
-    """A writable copy outside the heap. Its pages are returned to the system when the last view of the copy is
-    deleted."""
+    """Copy an array to writable memory outside the heap. The memory is returned to the system when the last view of the
+    copy is deleted."""
     pages = mmap.mmap(-1, max(array.nbytes, 1))
     copy = np.frombuffer(pages, array.dtype, count=array.size).reshape(array.shape)
     copy[...] = array
@@ -57,7 +57,7 @@ def array_outside_heap(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def tensor_outside_heap(value: Tensor) -> Tensor:
-    """A copy of a CPU tensor; the copy is outside the heap."""
+    """Copy a CPU tensor to memory outside the heap."""
     return torch.from_numpy(array_outside_heap(value.numpy()))
 
 
@@ -65,8 +65,8 @@ class HeapTrimmer:
     """Returns free pages of the heap to the system when the resident size is too large."""
 
     def __init__(self, resident: int = RESIDENT_BYTES, min_growth: int = MIN_GROWTH_BYTES) -> None:
-        """Set the target to ``resident`` bytes. The resident size grows by at least ``min_growth`` bytes between two
-        trims."""
+        """Set the target to ``resident`` bytes. After a trim, the next trim follows only when the resident size has
+        grown by more than ``min_growth`` bytes."""
         self._malloc_trim = _libc_function("malloc_trim")
         self._resident = resident
         self._min_growth = min_growth

@@ -64,8 +64,8 @@ def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
 
 
 def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool) -> SourceViews:
-    """The same views with the surface depth of the points added. The views are returned unchanged if ``occlusion`` is
-    false."""
+    """The views ``sources`` with the surface depth of ``points`` in each view. The views are returned unchanged if
+    ``occlusion`` is false."""
     if not occlusion:
         return sources
     depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]

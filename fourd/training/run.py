@@ -89,7 +89,8 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds. It is the vertex of the angles by which nearest cameras are chosen."""
+        """(3,) centre of the bounds. Nearest cameras are those at the smallest angles to the viewer, measured at this
+        point."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
@@ -116,7 +117,7 @@ class Run:
         return Refinement(refine, self.capture.cameras, self.training, self.focus)
 
     def contraction(self) -> Contraction:
-        """The contraction of space for the background."""
+        """The contraction, which maps unbounded space into the volume of the background's K-Planes."""
         x, y, z = (float(value) for value in self.focus)
         return Contraction((x, y, z), self.config.scene.reach)
 
@@ -144,7 +145,7 @@ class Run:
         return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
 
     def frame_store(self, saved: Path | None) -> FrameStore:
-        """The store of the points of all frames.
+        """The store that contains every frame's points.
 
         Points are read from the checkpoint folder ``saved``. If that is None, initial points are used.
         """

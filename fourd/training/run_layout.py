@@ -8,7 +8,7 @@ from __future__ import annotations
 
 CONFIG_NAME = "config.yaml"
 HULL = "hull"
-"""Folder of the initial points of each frame, FRAME.ply, and of bounds.json."""
+"""Folder with bounds.json and, for each frame, the initial points in FRAME.ply."""
 BACKGROUND = "background"
 """Folder of the initial points of a full scene's background, and of plates that were computed by the run."""
 POINTS = "points.ply"
@@ -19,4 +19,4 @@ START = "start"
 CHECKPOINTS = "checkpoints"
 SCRATCH = "scratch"
 PREPARATION = (HULL, BACKGROUND, CALIBRATION)
-"""Folders that are written before ``config.yaml`` makes a folder a run."""
+"""Folders that are written before training. They may exist before ``config.yaml``, which marks the folder as a run."""

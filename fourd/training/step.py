@@ -98,7 +98,7 @@ class Stepper:
         return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
 
     def update_cameras(self) -> None:
-        """Set the cameras of views and plates to the cameras with the current corrections."""
+        """Apply the current camera corrections to the cameras of views and plates."""
         if self.refinement is not None:
             self.scene.set_rig(self.refinement.rig())
 
@@ -144,7 +144,7 @@ class Stepper:
 
 
 def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[Camera, Tensor]]:
-    """Pairs of camera and matte of the step's target and source views."""
+    """(camera, matte) for the step's target view and for each of its source views."""
     views = [(camera, matte)]
     if points.sources is not None:
         views += list(zip(points.sources.cameras, points.sources.mattes, strict=True))

@@ -19,8 +19,8 @@ from fourd.training.memory import array_outside_heap
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
-"""The sides of crops are multiples of this. Convolutions are then set up for few sizes, and freed memory fits the next
-crop."""
+"""The sides of crops are multiples of this. Crops then have few different sizes. Convolutions are set up only once for
+each size, and the next crop fits into freed memory."""
 EMPTY_CROP_PX = 16
 """Side of the crop for an empty matte."""
 

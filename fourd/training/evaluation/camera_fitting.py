@@ -1,10 +1,11 @@
-"""Alignment of held-out cameras to a fixed scene by their own images, to evaluate scenes with refined cameras.
+"""Alignment of held-out cameras to a trained scene, based on the cameras' own images. It serves to evaluate scenes with
+refined cameras.
 
 A scene that is trained with refined cameras is aligned with these cameras. A held-out camera is not refined, so it is
 misaligned with the scene. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore optimises each test camera against the
 frozen scene before computing metrics. This module uses direct image alignment with the rendered depth (Lucas and Kanade
-1981), from blurred to sharp images. Image gradients are the mean of both images' gradients (Benhimane and Malis, IROS
-2004).
+1981), from blurred to sharp images. Image gradients are the mean of the rendered image's and the true image's gradients
+(Benhimane and Malis, IROS 2004).
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ MAX_STEPS = 12
 INITIAL_DAMPING = 1e-3
 MAX_FRAMES = 3
 CONVERGED = 3e-5
-"""Optimization at a blur level ends when the step is smaller than this, in radians and shares of the distance."""
+"""Optimization at a blur level ends when all components of the step are smaller than this. Rotations are in radians,
+translations are shares of the camera's distance from the scene's centre."""
 MIN_ALPHA = 0.02
 COLOUR_REGULARISATION = 1e-3
 """Weight, for each pixel, of the squared difference between colour map and identity in the least-squares fit."""
@@ -106,7 +108,8 @@ class _Alignment:
     def optimize(self, camera: Camera, blur_px: float) -> Camera:
         """Optimise the camera with Levenberg-Marquardt on images blurred by ``blur_px``.
 
-        The colours of the points are evaluated only once, for the initial camera, because the camera moves little.
+        The points' colours are evaluated only once, for the initial ``camera``, because it moves little during the
+        optimization.
         """
         for frame in self.selected:
             self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)

@@ -45,8 +45,8 @@ class ModelRenderer:
         Args:
             scene: the scene, with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) point in world units, the vertex of the angles between cameras by which nearest cameras are
-                chosen.
+            focus: (3,) point in world units. The nearest cameras are those at the smallest angles to the viewer,
+                measured at this point.
         """
         self.scene = scene
         self.training = training

@@ -17,9 +17,9 @@ from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""Number of composited points at a pixel: more than overlap on a floor at a grazing angle. With too few layers, the
-transmittance after the last layer is not 0. The gradient would then enlarge the discs, so that even more of them
-overlap."""
+"""Maximum number of points that are composited at each pixel. Fewer points than this overlap on a floor viewed at a
+grazing angle. With too few layers, the transmittance after the last layer is not 0. The gradient would then enlarge the
+discs, so that even more of them overlap."""
 MAX_LATERAL_OFFSET = 0.15
 """Maximum distance of a viewpoint from the line between two cameras, as a share of the line's length."""
 RNG_STREAM = 4
@@ -49,8 +49,8 @@ class BackgroundOpacityTerm:
 
 
 def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int, rng: np.random.Generator) -> Camera:
-    """``camera`` moved to a random point near the line to a random other camera, and cropped to at most ``side_px`` x
-    ``side_px`` pixels."""
+    """Move ``camera`` to a random point near the line between it and a random other camera, and crop it to at most
+    ``side_px`` x ``side_px`` pixels."""
     line = others[int(rng.integers(len(others)))].centre - camera.centre
     offset = rng.normal(size=3)
     offset *= MAX_LATERAL_OFFSET * np.linalg.norm(line) * rng.random() / np.linalg.norm(offset)

@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from fourd.errors import UserError
 
-# Output channels of VGG-16's convolutions. There is a pooling layer between two groups.
+# Output channels of VGG-16's convolutions. A pooling layer follows each group except the last.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 # Mean and standard deviation of ImageNet for inputs in [-1, 1], with which the heads were trained.
 SHIFT = (-0.030, -0.088, -0.188)

@@ -12,7 +12,7 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True, eq=False)
 class RefinementTerm:
-    """Sum of the target camera's squared corrections, each divided by its standard deviation before squaring."""
+    """Sum of (correction / standard deviation)^2 over all corrections of the target camera."""
 
     weight: float
     refinement: Refinement

@@ -20,7 +20,7 @@ HISTORY = {
     "age": "age",
     "initial_count": "first",
 }
-"""Names of the gradient history's attributes, which are also their names in files."""
+"""Maps each attribute of the gradient history to the name of its tensor in files."""
 
 
 @dataclass
@@ -37,7 +37,7 @@ class FramePoints:
         gradient_sum: (N,) sum of gradient magnitudes; see ``accumulate_gradient_magnitudes``.
         visible_steps: (N,) number of steps in which the point had a gradient.
         created_at: (N,) the value of ``age`` when the point was created.
-        is_permanent: (N,) bool, whether densification keeps the point although it has no gradient.
+        is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of steps in which the cloud was trained.
         initial_count: scalar, number of points before training.
     """
@@ -69,7 +69,7 @@ class FramePoints:
             spacing: (N,) distances to neighbouring points.
             radius: radius of all points, in spacings.
             explicit_sh: whether SH coefficients are optimised. They are initially zero.
-            rgb: (N, 3) initial colours of the points of a background; None for other points.
+            rgb: (N, 3) initial colours of background points; None for foreground points.
         """
         count = xyz.shape[0]
         parameters = {"xyz": xyz.clone()}
@@ -123,7 +123,8 @@ class FramePoints:
 
     @classmethod
     def from_tensors(cls, named: Mapping[str, Tensor]) -> FramePoints:
-        """Create points from the output of :meth:`tensors`. If there is no gradient history, it is empty."""
+        """Create points from the output of :meth:`tensors`. If ``named`` contains no gradient history, the history
+        starts empty."""
         history = _empty_history(named["steps"].shape[0])
         history.update({name: named[stored] for name, stored in HISTORY.items() if stored in named})
         return cls(
@@ -136,7 +137,7 @@ class FramePoints:
         )
 
     def copy_outside_heap(self) -> FramePoints:
-        """A copy outside the heap, for points that stay in memory for many steps."""
+        """Copy all tensors to memory outside the heap, for points that stay in memory for many steps."""
         return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
 
     @property

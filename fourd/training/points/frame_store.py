@@ -15,8 +15,8 @@ from fourd.training.points.scratch import Scratch
 
 
 class FrameStore:
-    """Points of all frames. The least recently used frames are stored in files, so that memory does not grow with the
-    number of frames."""
+    """Points of all frames. Only the most recently used frames are kept in memory. The points of other frames are
+    stored in files, so that memory does not grow with the number of frames."""
 
     def __init__(
         self, scratch: Scratch, frames: int, make: Callable[[int], FramePoints], memory_mb: int, saved: Path | None
@@ -24,7 +24,7 @@ class FrameStore:
         """Open a store.
 
         Args:
-            scratch: folder for the points that are removed from memory between checkpoints.
+            scratch: folder to which points are written when they are evicted from memory.
             frames: number of frames.
             make: function from a frame's index to its initial points.
             memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed it.

@@ -1,5 +1,5 @@
-"""Scratch folders. Every command that uses a run has its own, so that train, eval, render, export and view can run at
-the same time."""
+"""Scratch folders. Each command that uses a run has its own scratch folder, so that train, eval, render, export and
+view can use the run at the same time."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
             stream = path.open("xb")
         except FileNotFoundError:
             continue  # another process has removed the empty parent
-        # Before the file was locked, another process may have removed it as the lock of a dead process.
+        # Between creating and locking the file, another process may have removed it as the lock of a dead process.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()

@@ -16,7 +16,7 @@ surface."""
 
 
 def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = None) -> NDArray[np.float32]:
-    """(M,) spacing at the points ``rows`` (M,) of the points (N, 3), or at all points if ``rows`` is None.
+    """(M,) spacing at the points ``xyz[rows]``, or at all points ``xyz`` (N, 3) if ``rows`` is None.
 
     The spacing is estimated as if the points were spread evenly over a surface.
     """

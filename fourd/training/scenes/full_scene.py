@@ -162,8 +162,8 @@ class FullScene:
 def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> tuple[int, int, int, int]:
     """(left, top, width, height) of a square window in the image. Its sides are clipped to the size of the image.
 
-    ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. The window is then moved inside
-    the image. Corners of the image are therefore rendered as often as its middle.
+    ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
+    the image is then shifted into the image. Corners of the image are therefore rendered as often as its middle.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

@@ -54,7 +54,7 @@ class OptimizedPoints:
     Attributes:
         cloud: the whole cloud.
         rows: (M,) indices of the visible points.
-        parameters: name -> optimised tensor of the visible points, a leaf whose gradient is computed.
+        parameters: name -> optimised tensor of the visible points, an autograd leaf that receives the gradient.
         evaluated: geometry and features of the visible points.
         colour: (M, 3) RGB of the visible points.
         sources: the source views from which colours are blended; None without image-based colour.
@@ -77,11 +77,11 @@ class TrainingScene(Protocol):
 
     @property
     def models(self) -> Mapping[str, PointModel]:
-        """All models by the prefix of their tensors in checkpoints. The foreground's model is first."""
+        """All models, the foreground's first. The keys are the prefixes of the models' tensor names in checkpoints."""
 
     @property
     def static_clouds(self) -> Mapping[str, FramePoints]:
-        """Clouds of points that all frames share, by the name of their file in checkpoints."""
+        """Point clouds that all frames share. The keys are the names of the clouds' files in checkpoints."""
 
     @property
     def views(self) -> ViewStore:
