@@ -66,7 +66,7 @@ def main(arguments: Arguments) -> float:
 
 
 def front_camera(size: int) -> Camera:
-    """Return a camera 3 units from the origin that covers the square [-1, 1] x [-1, 1] at the origin."""
+    """Return a camera at (0, -3, 0) whose image covers x and z from -1 to 1 in the plane y = 0."""
     focal_px = 1.5 * size
     K = np.array([[focal_px, 0, size / 2], [0, focal_px, size / 2], [0, 0, 1]])
     return look_at(np.array([0.0, -3, 0]), np.zeros(3), np.array([0.0, 0, 1]), K, width=size, height=size)

@@ -63,7 +63,7 @@ def _marks(arguments: Arguments) -> list[float]:
 
 
 def _curve(arguments: Arguments, name: str) -> list[tuple[float, float]]:
-    """Return training seconds and held-out PSNR in the matte's box, one pair for every validation of an ablation."""
+    """Return one pair for every validation of an ablation: training seconds, and held-out PSNR in the matte's box."""
     folder = arguments.work / name
     base = TrainConfig()
     config = replace(

@@ -86,7 +86,7 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Return the number of instructions of one repeat, without the setup."""
+    """Return the number of instructions of one repeat of the workload, without its setup."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 
@@ -102,7 +102,7 @@ def count_process(command: list[str]) -> int:
 
 
 def run_quietly(command: list[str]) -> str:
-    """Run a command and return its output. Raises RuntimeError with its error output if it fails."""
+    """Run a command and return its output. If the command fails, raises RuntimeError with the error output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")

@@ -15,7 +15,7 @@ nvidia-smi --query-gpu=name,driver_version,memory.total --format=csv,noheader
 nvcc --version | grep release
 rm -rf "$site"
 mkdir -p "$site"
-# Building only for this GPU's architecture takes a third of the time.
+# A build for this GPU's architecture takes a third of the time of a build for all architectures.
 SKBUILD_CMAKE_ARGS="-DCMAKE_CUDA_ARCHITECTURES=${ARCHITECTURES:-native};-DFOURD_CUDA=ON" SKBUILD_BUILD_DIR=build/gpu/cmake \
   "$python" -m pip install --quiet --no-index --no-deps --no-build-isolation --no-compile --target "$site" .
 

@@ -123,7 +123,7 @@ def plot(series: list[Series], path: Path) -> None:
 
 
 def table(series: Series) -> str:
-    """Return a Markdown table with one row per position, and the exponents of growth in the last row."""
+    """Return a Markdown table with one row per position, and the slopes from :meth:`Series.slope` in the last row."""
     lines = [f"| {series.axis} | " + " | ".join(KINDS) + " |", "|---" * (len(KINDS) + 1) + "|"]
     for index, position in enumerate(series.positions):
         lines.append(
