@@ -1,8 +1,8 @@
 # The library fourd_kernels and the functions that add to it:
 #   fourd_kernel(NAME ...)               a kernel
 #   fourd_add_module(NAME ...)           the Python module of all kernels added before
-#   fourd_add_cuda_module(NAME ...)      the same for their CUDA sources
-#   fourd_add_emulated_module(NAME ...)  the same for their CUDA sources compiled for the CPU
+#   fourd_add_cuda_module(NAME ...)      the Python module of their CUDA sources, for the GPU
+#   fourd_add_emulated_module(NAME ...)  the Python module of their CUDA sources, compiled for the CPU
 #   fourd_emulate(TARGET)                compiles the CUDA sources for the CPU into a program
 include_guard(GLOBAL)
 get_filename_component(FOURD_CSRC ${CMAKE_CURRENT_LIST_DIR} DIRECTORY)
@@ -115,7 +115,7 @@ function(fourd_add_emulated_module target)
   fourd_emulate(${target})
 endfunction()
 
-# The same for the GPU; the project has enabled the language CUDA.
+# The same for the CUDA sources compiled for the GPU. The project must have enabled the language CUDA.
 function(fourd_add_cuda_module target)
   get_property(sources GLOBAL PROPERTY FOURD_CUDA_SOURCES)
   add_library(${target}_kernels STATIC ${sources} ${FOURD_CSRC}/device/mapped_counter.cu)
@@ -132,7 +132,7 @@ function(fourd_add_cuda_module target)
     target_compile_options(${target}_kernels PRIVATE -Werror=all-warnings)
   endif()
   fourd_generate_bindings(CUDA_BINDING fourd::cuda bindings)
-  # Each module has its own nanobind domain, because both register types of the same names.
+  # Each module has its own nanobind domain, because the modules register types of the same names.
   nanobind_add_module(${target} NB_STATIC NOMINSIZE NB_DOMAIN ${target} ${ARGN} ${bindings})
   target_link_libraries(${target} PRIVATE ${target}_kernels fourd_kernels)
   target_compile_options(${target} PRIVATE ${FOURD_WARNINGS})
