@@ -31,7 +31,7 @@ CENTRED_HYPOTHESES = ("unchanged", "scaled", "stretched", "letterboxed", "filled
 
 @dataclass(frozen=True, eq=False)
 class ResolvedCalibration:
-    """Cameras that fit their images.
+    """Cameras whose sizes and principal points were adapted to their images.
 
     Attributes:
         cameras: one per camera of the calibration, with distortion and the size of the camera's images.

@@ -66,7 +66,9 @@ class SizeChoice:
 
 
 def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera]:
-    """Cameras for images of ``width`` x ``height`` pixels made from the images of ``camera``, one per hypothesis.
+    """Cameras of images resized to ``width`` x ``height`` pixels, one per hypothesis of how they were resized.
+
+    ``camera`` is the camera before resizing.
 
     If the sizes are equal, the only hypothesis is ``unchanged``. Otherwise the names are:
     - ``stretched``: each axis is scaled by its own factor; the name is ``scaled`` if both factors are equal to within

@@ -54,7 +54,7 @@ class ImportSettings:
 def write_capture(
     imported: Imported, indices: Mapping[str, VideoIndex], out: Path, settings: ImportSettings, track: Track
 ) -> list[str]:
-    """Write ``imported`` into the folder ``out``. A second call with the same source completes an interrupted one.
+    """Write ``imported`` into the folder ``out``. A call with the same source completes an interrupted call.
 
     The calibration files contain only the cameras with a calibration.
 

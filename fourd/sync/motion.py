@@ -56,8 +56,9 @@ class Offsets:
         confidence: confidence of each camera's offset in [0, 1]. Values above 0.3 are good; below 0.1 the offset is
             unreliable. For a pair of cameras, p1 is the peak of the correlation, p2 is the highest correlation more
             than 3 frames away from the peak, and c = 4 / sqrt(frames) is the noise level. The pair's confidence is
-            the smaller of (p1 - c) / (1 - c) and 2 (p1 - p2). It is 0 if the pair's lag differs from the solution by
-            more than one frame. A camera's confidence is the mean over the better half of its pairs.
+            the smaller of (p1 - c) / (1 - c) and 2 (p1 - p2). It is 0 if the pair's lag differs by more than one frame
+            from the difference of the two cameras' offsets. A camera's confidence is the mean over the better half of
+            its pairs.
     """
 
     frames: tuple[int, ...]

@@ -61,8 +61,8 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``. With times, the entries in one folder form a camera. If the entries of a folder
-    differ in pose or intrinsics, the entries with equal pose and intrinsics form a camera instead.
+    """Read the cameras of ``source``. With times, the entries in one folder form a camera. If entries of the same
+    folder differ in pose or intrinsics, entries with equal pose and intrinsics form a camera instead.
 
     Raises:
         UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leaves the

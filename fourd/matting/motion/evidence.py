@@ -20,7 +20,7 @@ Picture = NDArray[np.uint8]
 MAX_LOG_ODDS = np.float32(8.0)
 """Log-odds are clamped to this magnitude."""
 UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
-"""Weight of evidence against the subject where the background is unknown."""
+"""Factor on negative log-odds, which are evidence against the subject, where the background is unknown."""
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)

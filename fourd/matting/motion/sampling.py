@@ -18,7 +18,7 @@ Picture = NDArray[np.uint8]
 
 MAX_FRAMES = 24
 MAX_PIXELS = 32 << 20
-"""Maximum number of sampled pixels of all cameras and frames: 100 MB of images and 200 MB of derived data."""
+"""Maximum number of sampled pixels of all cameras and frames. Images need 100 MB, derived data 200 MB."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4
