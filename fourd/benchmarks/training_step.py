@@ -26,8 +26,8 @@ CAMERAS = 6
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
     """Yield four training steps with their names.
 
-    Two use the default config, and two use whole images and every point. Of each two, one trains the image CNN and one
-    keeps it frozen.
+    Two use the default config, and two use whole images and every point. In each pair, one step trains the image CNN
+    and the other keeps it frozen.
 
     The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """

@@ -1,1 +1,1 @@
-"""The command line: one file a command; parse, call, print."""
+"""The command line. Each command is one file, which parses the options, calls the library and prints the result."""

@@ -13,7 +13,10 @@ Array = NDArray[np.float64]
 
 
 def estimate_up(cameras: Sequence[Camera]) -> Array:
-    """Normalised mean (3,) of the cameras' -y axes; the -y axis of the first camera if the axes cancel out."""
+    """Normalised mean (3,) of the cameras' -y axes, which point up in the images.
+
+    If the axes cancel out, it is the -y axis of the first camera.
+    """
     mean = np.mean([-camera.rotation[1] for camera in cameras], axis=0)
     if np.linalg.norm(mean) < 1e-3:
         mean = -cameras[0].rotation[1]

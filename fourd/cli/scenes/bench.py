@@ -32,7 +32,7 @@ class Arguments:
     markdown: Annotated[Path | None, option("FILE", "none")] = None
     """Write the table to this file as Markdown."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Finish in less than a minute: fewer repetitions, no whole training steps, no other
+    """Finish in less than a minute: fewer repetitions, no whole training steps, no timings of other
     implementations."""
 
 
