@@ -43,7 +43,7 @@ def make_scene(
         train: the training config.
         mattes: settings of the mattes, used if the capture has no masks.
         context: console and number of processes.
-        points_from: folder with the user's own FRAME.ply files in place of carving.
+        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. None: the default locations, see
             :func:`~fourd.training.losses.lpips.load_lpips`.
 
@@ -76,7 +76,7 @@ def create_run(
         capture: the capture's folder, with masks or mattes.
         folder: the run's folder: new, empty, or left by an interrupted call.
         train: the training config.
-        points_from: folder with the user's own FRAME.ply files in place of carving.
+        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
         context: console and number of processes. None: no output and one process.
 
     Raises:

@@ -23,7 +23,7 @@ class LossConfig:
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement by the residual field, in units of the point spacing."""
+    """Weight of the mean squared displacement by the residual field. Displacements are measured in point spacings."""
     shadow: float = 1e-2
     """Weight of the mean of (f - 1)^2 over the background's shadow factors f."""
     closed: float = 2e-2
@@ -45,7 +45,7 @@ class RateConfig:
     mlps: float = 1e-3
     """Learning rate of the MLPs and the image encoder."""
     xyz: float = 2e-3
-    """Learning rate of point positions, as a share of the scene's size."""
+    """Learning rate of point positions, as a share of the longest side of the scene's bounds."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
@@ -156,8 +156,8 @@ class RefineConfig:
     colour_spread: float = 0.1
     """Assumed standard deviation of the entries of the colour correction."""
     band: float = 0.03
-    """Maximum distance of a matched feature from its epipolar line under the given cameras, as a share of the longer
-    image side."""
+    """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The line is
+    computed with the given cameras, before adjustment."""
     weight: float = 1e-5
     """Loss weight of the sum of (correction / standard deviation)^2."""
     pose_rate: float = 1e-4

@@ -41,7 +41,7 @@ from fourd.training.step import Stepper
 LOG_INTERVAL = 10
 """Number of steps between two records of metrics."""
 PSNR_SMOOTHING = 0.97
-"""Decay, for each step, of the exponential moving average of the PSNR."""
+"""Factor by which the exponential moving average of the PSNR weights its previous value in each step."""
 MAX_VALIDATION_VIEWS = 4
 
 

@@ -26,8 +26,8 @@ class MetricsLog:
 
         Args:
             folder: the run's folder; created if missing.
-            resume_step: number of completed steps. Records of later steps are removed, and so are truncated lines of a
-                killed run. TensorBoard hides the same steps.
+            resume_step: number of completed steps. Records of later steps are removed, and so are incomplete lines that
+                a killed run left. TensorBoard hides its events of later steps.
 
         Raises:
             UserError: the folder is not writable.

@@ -58,7 +58,7 @@ class ViewStore:
 
     Attributes:
         capture: the selected views and frames.
-        rig: the current cameras. The attribute may be replaced.
+        rig: the current cameras. Assigning another rig changes the cameras of all views.
     """
 
     def __init__(self, capture: Capture, crop: bool, memory_mb: int) -> None:
@@ -129,8 +129,8 @@ class ViewStore:
 
 
 def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of the matte's bounding box with a margin. For an empty matte, it is a corner of the
-    image."""
+    """(left, top, width, height) of the matte's bounding box with a margin. For an empty matte, the window is the top
+    left corner of the image."""
     height, width = matte.shape
     left, top, box_width, box_height = cv2.boundingRect(matte)
     if box_width == 0:

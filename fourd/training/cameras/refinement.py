@@ -38,9 +38,9 @@ class Refinement(nn.Module):
     """Corrections of each training camera. All are initially zero.
 
     A pose correction is a rotation vector in radians, and a translation in camera coordinates as a share of the
-    camera's distance from the scene's centre. A focal correction is the logarithm of a factor. A colour correction is
-    an affine map. Each camera has its own parameters, so that a step leaves the optimizer state of other cameras
-    unchanged.
+    camera's distance from the scene's centre. A focal correction is the logarithm of the factor on the focal length. A
+    colour correction is the difference between an affine colour map and the identity. Each camera has its own
+    parameters, so that a step leaves the optimizer state of other cameras unchanged.
     """
 
     def __init__(

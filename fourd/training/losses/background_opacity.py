@@ -61,7 +61,7 @@ def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int
 
 
 def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
-    """Mean of (1 - alpha)^2 over the image of a background, differentiable in the background's model alone.
+    """Mean of (1 - alpha)^2 over an image of the background. Only the background's model gets a gradient.
 
     Positions get no gradient, because the plates determine them.
     """

@@ -11,7 +11,8 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class ResidualTerm:
-    """Mean square of the components of the learnt displacement, in units of the point spacing."""
+    """Mean of the squared components of the learnt displacement, where displacements are in units of the point
+    spacing."""
 
     weight: float
     spacing: float

@@ -163,7 +163,8 @@ def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> t
     """(left, top, width, height) of a square window in the image. Its sides are clipped to the size of the image.
 
     ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
-    the image is then shifted into the image. Corners of the image are therefore rendered as often as its middle.
+    the image is then shifted into the image. Windows at the corners of the image are therefore frequent. If windows
+    were placed uniformly inside the image, almost none would contain a corner.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

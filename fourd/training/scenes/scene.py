@@ -37,7 +37,7 @@ class Target:
         known: (H, W) in [0, 1], 1 where ``rgb`` is known: the matte of an object, all of an image, or the part of a
             plate in which the background is visible.
         fills_picture: whether the scene fills the image. If true, unknown pixels are excluded from the loss. Otherwise
-            they have the step's background colour.
+            unknown pixels get the step's background colour.
     """
 
     camera: Camera
