@@ -89,7 +89,7 @@ def test_set_values_are_validated_together() -> None:
         (["--points", "5", "--set", "points=6"], "--points, --set points: expected one of them, got both"),
         (["--points", "0"], "--points: expected at least 1, got 0"),
         (["--points", "many"], "--points: expected INT, got 'many'"),
-        (["--scale", "9"], "--scale: expected more than 0, got 9.0"),
+        (["--scale", "9"], "--scale: expected more than 0 and at most 4, got 9.0"),
         (["--scene", "ful"], "--scene: expected one of 'full', 'object', got 'ful'"),
         (["--background-points", "0"], "--background-points: expected at least 1, got 0"),
         (["--frames", "5"], "--frames: expected A:B or A:B:S"),
