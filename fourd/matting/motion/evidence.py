@@ -24,8 +24,8 @@ UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)
-"""Score above which a voxel belongs to the other views' hull. It is below 0 because the evidence of these views is
-incomplete."""
+"""Score above which a voxel belongs to the other views' hull. It is below 0 because the score is nearly the lowest
+log-odds of all views, and a single view often gives slightly negative log-odds on the subject."""
 HULL_RANGE = np.float32(4.0)
 """Difference between HULL_THRESHOLD and the score at which the hull's evidence saturates."""
 CONFIDENT_LOG_ODDS = np.float32(4.0)
