@@ -17,7 +17,7 @@ class PlanesConfig:
     """4D K-Planes (Fridovich-Keil et al. 2023): feature planes over pairs of the coordinates x, y, z and t."""
 
     levels: int = 4
-    """Number of resolutions, from 1 to 8."""
+    """Number of levels, from 1 to 8. Each level has its own grid resolution."""
     features: int = 8
     """Channels of each plane."""
     base_resolution: int = 64
@@ -25,9 +25,9 @@ class PlanesConfig:
     multiplier: int = 2
     """Factor by which the resolution increases from one level to the next finer level."""
     reduction: Literal["concat", "sum", "product"] = "concat"
-    """How the features of a level's planes are combined: concat as in 4K4D, product as in K-Planes, or sum."""
+    """How the features of the planes of one level are combined: concat as in 4K4D, product as in K-Planes, or sum."""
     time: bool = True
-    """Use the planes xt, yt and zt. Without them, a point's feature does not depend on time."""
+    """Use the planes xt, yt and zt. Without these planes, a point's feature does not depend on time."""
 
     def __post_init__(self) -> None:
         require(1 <= self.levels <= 8, f"levels: expected 1 to 8, got {self.levels}")
@@ -50,9 +50,9 @@ class ModelConfig:
     """Source of SH coefficients: mlp predicts them from the point feature; explicit optimises 48 coefficients for each
     point of each frame."""
     sh_range: float = 0.25
-    """Maximum absolute value of the SH part when it is added to the image-based colour."""
+    """Maximum absolute value of the colour from SH when this colour is added to the image-based colour."""
     continuous: bool = False
-    """Let blend weights depend on the viewing direction (as in ENeRF). Such a model cannot be exported."""
+    """Let blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be exported."""
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
     image_features: int = 8
@@ -67,9 +67,10 @@ class ModelConfig:
     radius_start: float = 1.3
     """Radius of every point before training, in multiples of the mean distance between neighbouring points."""
     residual: bool = False
-    """Displace points by a learnt field (a smaller K-Planes). Export bakes the displacement into the positions."""
+    """Displace points by a learnt field (a smaller K-Planes). Export adds the displacement to the point
+    positions."""
     residual_range: float = 0.1
-    """Maximum displacement, as a share of the longest side of the bounds."""
+    """Maximum displacement of a point by the field, as a share of the longest side of the bounds."""
 
     def __post_init__(self) -> None:
         low, high = self.radius_range

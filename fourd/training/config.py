@@ -23,7 +23,8 @@ class LossConfig:
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement by the residual field. Displacements are measured in point spacings."""
+    """Weight of the mean squared displacement by the residual field. The unit of
+    the displacement is the point spacing."""
     shadow: float = 1e-2
     """Weight of the mean of (f - 1)^2 over the background's shadow factors f."""
     closed: float = 2e-2
@@ -38,10 +39,10 @@ class LossConfig:
 
 @dataclass(frozen=True)
 class RateConfig:
-    """Learning rates of Adam. All have a linear warm-up and decay exponentially over the step or time budget."""
+    """Learning rates of Adam. All rates have a linear warm-up and an exponential decay over the step or time budget."""
 
     planes: float = 5e-3
-    """K-Planes."""
+    """Learning rate of the K-Planes features."""
     mlps: float = 1e-3
     """Learning rate of the MLPs and the image encoder."""
     xyz: float = 2e-3
@@ -49,9 +50,9 @@ class RateConfig:
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
-    """Factor on all learning rates at the end of the budget."""
+    """Factor that multiplies all learning rates at the end of the step or time budget."""
     warm_up: int = 20
-    """Number of steps of the linear warm-up."""
+    """Number of steps of the linear warm-up of the learning rates."""
 
     def __post_init__(self) -> None:
         for name in ("planes", "mlps", "xyz", "sh"):
@@ -72,33 +73,33 @@ class BackgroundConfig:
     """Source of the points: ngp takes them from a radiance field that is fitted to the plates and to depths from
     stereo; sfm takes them from stereo alone."""
     seeds: Path | None = None
-    """PLY file with background points in world units. These points are used instead of points from the plates."""
+    """PLY file with background points in world units. With this file, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
-    """Settings of ngp seeding."""
+    """Settings of the radiance field that seeding ngp uses."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
     """Render foreground and background together. If false, steps on frames train the foreground alone, on black, and
     steps on plates train the background."""
     share: float = 0.35
-    """Share of the training steps that render a clean plate instead of a frame."""
+    """Share of the training steps that compare the background with a clean plate instead of using a frame."""
     window_px: int = 256
-    """Side in pixels of the square window that is rendered in a step on a clean plate."""
+    """Side length in pixels of the square image window that is rendered in a step on a clean plate."""
     margin_px: int = 64
     """Maximum margin in pixels around the matte's bounding box in steps that render a frame."""
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a share of the point spacing."""
     least_layers: int = 12
     """Minimum of the number K of points that are composited at each pixel of a full scene. Each step samples K between
-    this and `layers` of the training config. If K is too small, the farthest points of a floor viewed at a grazing
-    angle are not composited. The gradient then enlarges the discs, even more points are left out, and the image
-    blurs."""
+    this minimum and `layers` of the training config. If K is too small, the farthest points of a floor viewed at a
+    grazing angle are not composited. The gradient then enlarges the discs, and even more points are left out. The
+    image becomes blurred."""
     encoder_every: int = 8
-    """Update the background's image encoder only in steps that render a plate and whose number is a multiple of
-    this."""
+    """The background's image encoder is updated only in steps on a clean plate. The step number must also be a multiple
+    of this value."""
     shadow: bool = False
-    """Learn the shadows and reflected light of the foreground on the background in each frame. Needs image-based
-    colour."""
+    """Learn the shadows and reflected light of the foreground on the background in each frame. This option
+    needs a model with image-based colour."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
@@ -117,10 +118,11 @@ class DensifyConfig:
     on: bool = True
     """Split and remove points while training."""
     frame_every: int = 40
-    """Number of training steps on a frame between two densifications of the frame's points. Points that are at least
-    this many steps old and never got a gradient are removed."""
+    """Number of training steps on a frame between two densifications of the frame's points. Each
+    densification removes the points that are at least `frame_every` steps old and have never received a gradient."""
     background_every: int = 250
-    """Steps between two densifications of the background. Points that are occluded in every plate are removed."""
+    """Number of steps between two densifications of the background. Each densification also removes the points that are
+    occluded in every plate."""
     share: float = 0.1
     """Maximum share of the points that are split in one densification."""
     growth: float = 1.25
@@ -138,12 +140,12 @@ class DensifyConfig:
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """Corrections of the training cameras' calibration. They are off by default."""
+    """Corrections of the training cameras' calibration. All corrections are off by default."""
 
     poses: bool = False
     """Refine camera poses by bundle adjustment before carving, and then by gradient descent while training."""
     focal: bool = False
-    """Refine focal lengths in the same two stages."""
+    """Refine focal lengths by bundle adjustment before carving, and then by gradient descent while training."""
     colours: bool = False
     """Learn an affine correction of each camera's colours. The mean correction over all cameras is the identity."""
     rotation_deg: float = 0.5
@@ -156,8 +158,8 @@ class RefineConfig:
     colour_spread: float = 0.1
     """Assumed standard deviation of the entries of the colour correction."""
     band: float = 0.03
-    """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The line is
-    computed with the given cameras, before adjustment."""
+    """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The epipolar
+    line is computed with the given cameras, before bundle adjustment."""
     weight: float = 1e-5
     """Loss weight of the sum of (correction / standard deviation)^2."""
     pose_rate: float = 1e-4
@@ -202,34 +204,35 @@ class TrainConfig:
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
-    """Minimum of K. Each step samples K between this and `layers`. With a small K, the model learns surfaces that are
-    opaque in few layers, because an exported scene composites fewer layers than training. Full scenes use
-    background.least_layers instead."""
+    """Minimum of the number K of points that are composited at each pixel. Each step samples K between this minimum and
+    `layers`. Steps with a small K make surfaces opaque within few layers. Exported scenes need this, because they have
+    fewer layers than training. Full scenes use background.least_layers instead."""
     crop: Literal["mask", "full"] = "mask"
     """Part of an image to train on: mask is the matte's bounding box with a margin; full is the whole image."""
     random_background: bool = True
-    """Composite prediction and ground truth on a random colour in each step. On black, holes in dark surfaces would
-    cause no loss."""
+    """Composite prediction and ground truth on a random colour in each step. On a black
+    background, holes in dark surfaces would cause no loss."""
     encoder_every: int = 2
     """Number of steps between two updates of the image encoder. Its backward pass is expensive, and its weights change
     slowly."""
     hidden_weight: float = 3e-2
-    """Points whose largest compositing weight in the view is below this are skipped in a step. With 0, all points are
-    used."""
+    """A step skips each point whose largest compositing weight in the target view is below this threshold. With 0, all
+    points are used."""
     keep_in_hull: bool = True
-    """Move a point back if a step moves it out of the silhouette in the target view or in a source view. This prevents
-    stray points."""
+    """Move a point back if a step moves it out of the silhouette in the target view or in a source view. This option
+    prevents stray points."""
     neighbour_pool: int = 5
-    """Size of the pool from which a step's source views are sampled. The pool contains the views nearest to the target
-    view. A larger pool includes wider baselines, such as those between a novel view and its source views."""
+    """Number of views in the pool from which each step samples its source views. The pool contains the views nearest to
+    the target view. A larger pool includes wider baselines, such as those between a novel view and its source views."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
-    """Names of the cameras to use; null for all."""
+    """Names of the cameras to use. With null, all cameras are used."""
     test_views: tuple[str, ...] = ()
-    """Names of held-out cameras. They are neither trained on nor used as source views."""
+    """Names of held-out cameras. Held-out cameras are used neither for training nor as source views."""
     frames: str | None = None
-    """Frames to use, written A:B or A:B:S (step S), where B is excluded; null for all."""
+    """Frames to use, written A:B, or A:B:S to use every S-th frame. Frame B is excluded. With null, all frames are
+    used."""
     max_steps: int | None = None
     """Stop after this many steps."""
     max_seconds: float | None = None
@@ -237,14 +240,14 @@ class TrainConfig:
     seed: int = 0
     """Seed of all random numbers of the run."""
     checkpoint_seconds: float = 120.0
-    """Seconds between checkpoints. Ignored if checkpoint_steps is set."""
+    """Seconds between checkpoints. This key is ignored if checkpoint_steps is set."""
     checkpoint_steps: int | None = None
-    """Steps between checkpoints."""
+    """Number of steps between checkpoints. With null, checkpoint_seconds is used."""
     validation_seconds: float = 60.0
     """Seconds between validations. Validations use held-out views, or training views if no view is held out."""
     memory_mb: int = 96
-    """Size of the cache of decoded images in MiB. The cache of points has half this size. Data that does not fit is
-    read when needed."""
+    """Size of the cache of decoded images in MiB. The cache of points has half this size. Images and
+    points outside the caches are read again when they are needed."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")

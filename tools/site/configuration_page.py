@@ -20,16 +20,16 @@ PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 HEAD = """# Configuration
 
 `fourd train` and `fourd make` take config keys from a YAML file with `--config FILE.yaml`, and from the command line
-with `--set KEY=VALUE`, which can be repeated. Nested keys are separated by dots, and values are YAML:
+with `--set KEY=VALUE`, which can be repeated. KEY is a path with dots, such as `model.planes.levels`. VALUE is YAML:
 
 ```
 fourd train CAPTURE -o run/ --max-steps 5000 --set rates.planes=1e-3 --set model.planes.levels=3
 ```
 
-The file overrides the defaults below. `--set` and the flags of single keys, such as `--points`, override the file. It
-is an error to give a key both with `--set` and with its flag. An unknown key is also an error, and so is a value of the
-wrong type. The message for an unknown key names the most similar key. `configs/` has the paper's settings and ablation
-presets. A file can look like this:
+The YAML file overrides the defaults that this page lists. Both `--set` and the flags of single keys, such as
+`--points`, override the YAML file. A key that is given both with `--set` and with its flag is an error. An unknown key
+or a value of the wrong type is also an error. The message for an unknown key names the most similar key. The folder
+`configs/` has the settings of the 4K4D paper and presets for ablations. Here is an example of a config file:
 
 ```yaml
 # 48 free SH coefficients per point, on smaller images
@@ -47,7 +47,8 @@ def page() -> str:
     lines = [HEAD]
     for path, config in _sections("", TrainConfig()):
         notes = _notes(type(config))
-        lines += [f"## {path or 'Training'}", "", _first_line(config), "", "| key | default | |", "|---|---|---|"]
+        lines += [f"## {path or 'Training'}", "", _first_line(config), ""]
+        lines += ["| key | default | meaning |", "|---|---|---|"]
         for item in dataclasses.fields(config):
             value = getattr(config, item.name)
             if not dataclasses.is_dataclass(value):

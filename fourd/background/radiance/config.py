@@ -18,7 +18,7 @@ class RadianceConfig:
     log2_entries: int = 19
     """Base-2 logarithm of the maximum number of hash table entries per level, 4 to 24."""
     coarsest: int = 16
-    """Number of grid cells per side at the coarsest level; the grid covers the contracted space."""
+    """Number of grid cells per side at the coarsest level. The grid covers the contracted space."""
     finest: int = 2048
     """Number of grid cells per side at the finest level."""
     hidden: int = 32
@@ -32,7 +32,7 @@ class RadianceConfig:
     samples: int = 32
     """Number of samples per ray."""
     rate: float = 1e-2
-    """Initial learning rate; it decays exponentially to a tenth of this value."""
+    """Initial learning rate. The learning rate decays exponentially to a tenth of this value."""
     measured: float = 1.0
     """Weight of the depth loss at pixels with a depth measured by stereo."""
     continued: float = 0.2
