@@ -1,4 +1,4 @@
-"""The static background of a full scene: its model, its points, and the clean plates, which are its source views."""
+"""The static background of a full scene: the background's model, points and clean plates."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 SIZE_STEP_PX = 32
-"""The sides of padded plates are multiples of this number of pixels."""
+"""Multiple, in pixels, to which the sides of padded plates are rounded up."""
 CACHED_STEPS = 100
-"""Number of steps for which a plate's depth and features are reused. Both change slowly."""
+"""Number of steps for which the depth and features of a plate are reused. The depth and the features change slowly."""
 MAX_DEPTH_BEHIND = 9.0
-"""Tolerance of the occlusion test, in spacings. A point is occluded in a plate if it lies farther than this behind the
-plate's occlusion depth."""
+"""Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if its distance
+behind the plate's occlusion depth exceeds this tolerance."""
 MIN_RADIUS = 0.6
-"""Smallest radius of background points, in spacings."""
+"""Smallest radius of a background point, as a multiple of the point's spacing."""
 
 
 def create_background(
@@ -65,7 +65,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # Plane samples that no plate observes get no gradient. Random initial values would remain there as noise.
+        # Samples of the K-Planes that no plate observes get no gradient. Random initial values of these samples would
+        # remain as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -76,7 +77,7 @@ def create_background(
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """(N,) bool, whether each of the points (N, 3) lies outside every camera's image.
 
-    No training step renders such points, so densification must not remove them as unobserved.
+    Training never renders points outside all images, so densification must not remove these points as unobserved.
     """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
@@ -96,14 +97,14 @@ class _CachedPlate:
 
 @dataclass(eq=False)
 class StaticBackground:
-    """The background's points, which all frames share, and the background's model. The source views of these points are
-    the clean plates.
+    """The background's points, which all frames share, and the background's model. The clean plates are the source
+    views of the background's points.
 
     Attributes:
         model: point model without time planes, in contracted space.
         points: the background's points.
         plates: camera index in the capture -> clean plate, for training cameras only.
-        rig: the current cameras; None to use the plates' own cameras.
+        rig: the current cameras; if None, each plate's own camera is used.
     """
 
     model: PointModel
@@ -114,8 +115,7 @@ class StaticBackground:
     _cache: dict[int, _CachedPlate] = field(default_factory=dict)
 
     def count_step(self) -> None:
-        """Count a step that changed the points or the model. Cached depths and features expire after CACHED_STEPS such
-        steps."""
+        """Count one training step. Cached depths and features of a plate expire after CACHED_STEPS training steps."""
         self._step += 1
 
     def camera(self, index: int) -> Camera:
@@ -123,10 +123,10 @@ class StaticBackground:
         return self.plates[index].camera if self.rig is None else self.rig.cameras[index]
 
     def clear_cache(self) -> None:
-        """Drop cached depths and features.
+        """Drop the cached depths and features of all plates.
 
-        A resumed run starts with an empty cache. The cache is therefore also cleared at each checkpoint, so that a
-        resumed run and an uninterrupted run give the same result.
+        A resumed run starts with an empty cache. Each checkpoint also clears the cache, so that a resumed run and an
+        uninterrupted run give the same result.
         """
         self._cache.clear()
 
@@ -146,13 +146,14 @@ class StaticBackground:
     def sources(
         self, cameras: Sequence[int], *, train_encoder: bool = False, points: SizedPoints | None = None
     ) -> SourceViews:
-        """The plates of some cameras as source views, with cached occlusion depths and features.
+        """The plates of the given cameras as source views, with cached occlusion depths and image features.
 
         Args:
             cameras: indices of the cameras.
-            train_encoder: whether to omit the cached features, so that the image encoder runs and gets a gradient.
-            points: points whose occlusion depths are computed for this call, together with the plates' features; None
-                uses cached depths and features.
+            train_encoder: whether the image encoder runs and gets a gradient. If true, the returned views have no
+                cached features.
+            points: points whose occlusion depths are computed for this call, together with the plates' features; if
+                None, cached depths and features are used.
         """
         images, mattes, padded = self._padded_plates(cameras)
         if points is not None:
@@ -170,9 +171,9 @@ class StaticBackground:
         )
 
     def _padded_plates(self, cameras: Sequence[int]) -> tuple[Tensor, Tensor, tuple[Camera, ...]]:
-        """Images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates ``cameras``.
+        """Images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates with the indices ``cameras``.
 
-        All are padded to the size of the largest plate, so that cached depths and features can be stacked.
+        All plates are padded to the size of the largest plate, so that cached depths and features can be stacked.
         """
         plates = [self.plates[index] for index in cameras]
         height = max(_round_up(plate.camera.height) for plate in self.plates.values())

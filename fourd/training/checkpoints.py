@@ -1,5 +1,5 @@
-"""Checkpoints as safetensors files. They are written atomically and verified when read. Loading one executes no
-code."""
+"""Checkpoints as safetensors files. Checkpoints are written atomically and verified when read. Loading a checkpoint
+executes no code."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
     Args:
         folder: the folder of checkpoints; created if missing.
-        step: number of optimizer steps, 0 or more; names the file.
+        step: number of completed optimizer steps, 0 or more. The file's name contains this number.
         tensors: name -> dense tensor, stored bit for bit.
         state: JSON data, stored in the file's header. Floats are stored exactly.
 
@@ -43,9 +43,9 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         The file's path.
 
     Raises:
-        UserError: the folder is not writable, for instance because the disk is full. In that case older checkpoints are
-            unchanged, and no part of the new one remains.
-        ValueError: ``state`` is not JSON data, for example because it contains NaN.
+        UserError: the folder is not writable, for instance because the disk is full. If writing fails, older
+            checkpoints are unchanged, and no part of the new checkpoint remains.
+        ValueError: the argument ``state`` is not JSON data, for example because it contains NaN.
     """
     plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
     header = {
@@ -65,11 +65,11 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
 
 def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
-    """The newest intact checkpoint in ``folder``. Each candidate is verified by loading it.
+    """The newest intact checkpoint in ``folder``. The function loads each candidate checkpoint to verify it.
 
     Returns:
-        (path, note). path is None if there is no intact checkpoint or no folder. note is one line about damaged newer
-        files that were skipped, or an empty string.
+        (path, note). path is None if the folder is missing or contains no intact checkpoint. note is one line about
+        newer, damaged files that were skipped, or an empty string.
     """
     damaged: list[str] = []
     found = None
@@ -118,8 +118,8 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
 def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, source: Path | str) -> None:
     """Load the tensors whose names start with ``prefix`` into ``module``.
 
-    If names, shapes or dtypes differ, raises UserError that names ``source`` and the first differences, and loads
-    nothing.
+    Raises UserError and loads nothing if names, shapes or dtypes differ. The error message names ``source`` and the
+    first differences.
     """
     given = _strip_prefix(prefix, tensors)
     wanted = module.state_dict()
@@ -157,9 +157,10 @@ def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, T
 def unpack_optimizer(
     optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor], prefix: str, source: Path | str = "checkpoint"
 ) -> None:
-    """Restore an optimizer's state bit for bit from tensors of :func:`pack_optimizer`. Settings are unchanged.
+    """Restore an optimizer's state bit for bit from tensors of :func:`pack_optimizer`. The optimizer's settings are
+    unchanged.
 
-    Raises UserError that names ``source`` if the tensors belong to other parameters.
+    Raises UserError if the tensors belong to other parameters. The error message names ``source``.
     """
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
@@ -176,12 +177,13 @@ def unpack_optimizer(
 
 
 def pack_torch_rng(generator: torch.Generator | None = None) -> Tensor:
-    """The state of a torch CPU generator as a uint8 tensor; None selects the default generator."""
+    """The state of a torch CPU generator as a uint8 tensor. If ``generator`` is None, the default generator is used."""
     return torch.get_rng_state() if generator is None else generator.get_state()
 
 
 def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) -> None:
-    """Restore the state of a torch CPU generator from :func:`pack_torch_rng`; None selects the default generator."""
+    """Restore the state of a torch CPU generator from :func:`pack_torch_rng`. If ``generator`` is None, the default
+    generator is used."""
     if generator is None:
         torch.set_rng_state(state.clone())
     else:
@@ -189,7 +191,7 @@ def unpack_torch_rng(state: Tensor, generator: torch.Generator | None = None) ->
 
 
 def pack_numpy_rng(generator: np.random.Generator) -> dict[str, Any]:
-    """The state of a NumPy generator as JSON data. Its 128-bit integers are exact."""
+    """The state of a NumPy generator as JSON data. The 128-bit integers of the state are stored exactly."""
     return json.loads(json.dumps(generator.bit_generator.state, default=_array_as_list))
 
 
@@ -222,10 +224,9 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _drop_old(folder: Path, step: int) -> None:
-    """Keep only the two newest of the checkpoints up to ``step``. Of the checkpoints after ``step``, delete the damaged
-    ones.
+    """Delete all checkpoints up to ``step`` except the two newest. Also delete damaged checkpoints of later steps.
 
-    Later checkpoints exist if the run was resumed from an earlier step.
+    Checkpoints of later steps exist if the run was resumed from an earlier step.
     """
     files = _files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:
@@ -248,7 +249,8 @@ def _cannot_write(folder: Path, error: Exception) -> UserError:
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """CRC-32 of the tensors' names and bytes. safetensors itself detects truncated files, but not altered ones."""
+    """CRC-32 of the tensors' names and bytes. The checksum detects altered files. safetensors itself detects only
+    truncated files."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)

@@ -12,21 +12,21 @@ from fourd.model.config import ModelConfig, PlanesConfig, require
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of the loss terms (4K4D, eq. 8). Weight 0 switches a term off."""
+    """Weights of the loss terms (4K4D, eq. 8). A loss term with weight 0 is switched off."""
 
     image: Literal["mse", "huber"] = "mse"
     """Loss function of colour differences."""
     perceptual: float = 1e-3
-    """Weight of LPIPS (VGG-16). The term needs the network weights to be installed."""
+    """Weight of LPIPS (VGG-16). LPIPS is used only if its network weights are installed."""
     stand_in: float = 1e-2
-    """Weight of 1 - SSIM, which replaces LPIPS if the network weights are missing."""
+    """Weight of 1 - SSIM, which replaces LPIPS if the network weights of LPIPS are missing."""
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement by the residual field. The unit of
-    the displacement is the point spacing."""
+    """Weight of the mean squared displacement by the residual field. The unit of the displacement is the
+    point spacing."""
     shadow: float = 1e-2
-    """Weight of the mean of (f - 1)^2 over the background's shadow factors f."""
+    """Weight of the mean of (f - 1)^2 over the shadow factors f of the background points."""
     closed: float = 2e-2
     """Weight of the mean squared transmittance of the background, rendered from viewpoints between the training
     cameras."""
@@ -42,7 +42,7 @@ class RateConfig:
     """Learning rates of Adam. All rates have a linear warm-up and an exponential decay over the step or time budget."""
 
     planes: float = 5e-3
-    """Learning rate of the K-Planes features."""
+    """Learning rate of the K-Planes."""
     mlps: float = 1e-3
     """Learning rate of the MLPs and the image encoder."""
     xyz: float = 2e-3
@@ -67,11 +67,11 @@ class BackgroundConfig:
     """The static background of a full scene."""
 
     points: int = 200_000
-    """Maximum number of background points, not counting the coarse shell of points in directions that no plate
-    shows."""
+    """Maximum number of background points. The coarse shell of points in directions that no plate shows is not
+    counted."""
     seeding: Literal["ngp", "sfm"] = "ngp"
-    """Source of the points: ngp takes them from a radiance field that is fitted to the plates and to depths from
-    stereo; sfm takes them from stereo alone."""
+    """Source of the background points: ngp takes the points from a radiance field that is fitted to the plates and to
+    stereo depths; sfm takes the points from stereo alone."""
     seeds: Path | None = None
     """PLY file with background points in world units. With this file, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
@@ -156,14 +156,15 @@ class RefineConfig:
     focal_spread: float = 0.002
     """Assumed standard deviation of the focal length's error, as a share of the focal length."""
     colour_spread: float = 0.1
-    """Assumed standard deviation of the entries of the colour correction."""
+    """Assumed standard deviation of each entry of a camera's colour correction."""
     band: float = 0.03
     """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The epipolar
     line is computed with the given cameras, before bundle adjustment."""
     weight: float = 1e-5
-    """Loss weight of the sum of (correction / standard deviation)^2."""
+    """Loss weight of the sum of (correction / standard deviation)^2 over the corrections of a camera."""
     pose_rate: float = 1e-4
-    """Learning rate of poses: rotation in radians, translation as a share of the distance from the scene's centre."""
+    """Learning rate of pose corrections. Rotations are in radians, and translations are shares of the camera's distance
+    from the scene's centre."""
     focal_rate: float = 5e-5
     """Learning rate of the logarithm of the focal length."""
     colour_rate: float = 5e-3
@@ -204,26 +205,28 @@ class TrainConfig:
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
-    """Minimum of the number K of points that are composited at each pixel. Each step samples K between this minimum and
-    `layers`. Steps with a small K make surfaces opaque within few layers. Exported scenes need this, because they have
-    fewer layers than training. Full scenes use background.least_layers instead."""
+    """Minimum number K of points that are composited at each pixel while training. Each step samples K between this
+    minimum and `layers`. An exported scene composites fewer layers than training, so its surfaces must be opaque in few
+    layers. Training with a small K produces surfaces that are opaque in few layers. Full scenes use
+    `background.least_layers` instead of this key."""
     crop: Literal["mask", "full"] = "mask"
     """Part of an image to train on: mask is the matte's bounding box with a margin; full is the whole image."""
     random_background: bool = True
-    """Composite prediction and ground truth on a random colour in each step. On a black
-    background, holes in dark surfaces would cause no loss."""
+    """Composite prediction and ground truth on a random colour in each step. On a black background, holes in dark
+    surfaces would cause no loss."""
     encoder_every: int = 2
-    """Number of steps between two updates of the image encoder. Its backward pass is expensive, and its weights change
-    slowly."""
+    """Number of steps between two updates of the image encoder. The encoder's backward pass is expensive, and the
+    encoder's weights change slowly."""
     hidden_weight: float = 3e-2
-    """A step skips each point whose largest compositing weight in the target view is below this threshold. With 0, all
-    points are used."""
+    """A step skips each point whose largest compositing weight in the target view is below this threshold. With
+    threshold 0, all points are used."""
     keep_in_hull: bool = True
-    """Move a point back if a step moves it out of the silhouette in the target view or in a source view. This option
-    prevents stray points."""
+    """Move a point back if a step moves the point out of the silhouette in the target view or in a source view. This
+    option prevents stray points."""
     neighbour_pool: int = 5
     """Number of views in the pool from which each step samples its source views. The pool contains the views nearest to
-    the target view. A larger pool includes wider baselines, such as those between a novel view and its source views."""
+    the target view. A larger pool includes wider baselines, which also occur between a novel view and its source
+    views."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
@@ -246,7 +249,7 @@ class TrainConfig:
     validation_seconds: float = 60.0
     """Seconds between validations. Validations use held-out views, or training views if no view is held out."""
     memory_mb: int = 96
-    """Size of the cache of decoded images in MiB. The cache of points has half this size. Images and
+    """Size of the cache of decoded images in MiB. The cache of points has half the size of the image cache. Images and
     points outside the caches are read again when they are needed."""
 
     def __post_init__(self) -> None:

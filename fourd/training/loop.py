@@ -41,7 +41,7 @@ from fourd.training.step import Stepper
 LOG_INTERVAL = 10
 """Number of steps between two records of metrics."""
 PSNR_SMOOTHING = 0.97
-"""Factor by which the exponential moving average of the PSNR weights its previous value in each step."""
+"""Weight of the previous value in the exponential moving average of the PSNR."""
 MAX_VALIDATION_VIEWS = 4
 
 
@@ -63,8 +63,9 @@ class Trainer:
         Args:
             run: the run folder.
             lpips: the network of the perceptual loss; with None, SSIM replaces the perceptual loss.
-            console: shows progress.
-            budget: the run's config with the limits max_steps and max_seconds. A resumed run may have larger limits.
+            console: console that shows the progress of training.
+            budget: the run's config with the limits max_steps and max_seconds. A resumed run may have larger limits
+                than before.
         """
         if budget.max_steps is None and budget.max_seconds is None:
             raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a limit")

@@ -1,9 +1,9 @@
-"""Control of the C library's heap: fast reuse of freed memory within a bounded resident size. Only glibc is supported;
-with other libraries the functions do nothing.
+"""Control of the C library's heap: fast reuse of freed memory within a bounded resident size. Only glibc is supported.
+With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
 
-Images differ in size, so freed memory does not always fit the next allocation, and the heap's address space grows for
-hours. Of this address space, only pages that were written since the last trim occupy memory. Data that stays alive for
-many steps would fragment the heap. Such data is stored outside the heap, in separate pages.
+Images differ in size, so freed memory does not always fit the next allocation. As a result, the heap's address space
+grows for hours. A page of the heap occupies memory only if the page was written since the last trim. Data that is kept
+for many steps would fragment the heap, so it is stored outside the heap, in separate pages.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 RESIDENT_BYTES = 1000 * 2**20
-"""Target for the process's resident size. The target can be exceeded, because memory in use cannot be returned to the
-system."""
+"""Target for the resident size of the process, in bytes. The target can be exceeded, because memory in use cannot be
+returned to the system."""
 
 FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
-"""Target for a full scene, whose steps use more memory. With the smaller target, the heap would be trimmed at every
-step."""
+"""Target for the resident size when training a full scene, in bytes. A step on a full scene uses more memory than a
+step on an object. With the target for objects, the heap would be trimmed at every step."""
 
 MIN_GROWTH_BYTES = 128 * 2**20
-"""Minimum growth of the resident size between two trims. With more frequent trims, page faults would dominate every
-step's time."""
+"""Minimum growth of the resident size between two trims of the heap, in bytes. With more frequent trims, page faults
+would dominate the time of every step."""
 
 _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 
@@ -38,8 +38,8 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 def retain_freed_memory() -> None:
     """Keep freed memory in the process until a :class:`HeapTrimmer` returns it to the system.
 
-    By default, the C library returns the memory of a large array as soon as it is freed. Each step would then spend
-    time in page faults.
+    By default, the C library returns the memory of a large array to the system as soon as the array is freed. The next
+    allocation of this memory would cost time in page faults at each step.
     """
     mallopt = _libc_function("mallopt")
     if mallopt is not None:
@@ -65,15 +65,16 @@ class HeapTrimmer:
     """Returns free pages of the heap to the system when the resident size is too large."""
 
     def __init__(self, resident: int = RESIDENT_BYTES, min_growth: int = MIN_GROWTH_BYTES) -> None:
-        """Set the target to ``resident`` bytes. After a trim, the next trim follows only when the resident size has
-        grown by more than ``min_growth`` bytes."""
+        """Set the target for the resident size to ``resident`` bytes. After a trim, the next trim follows only when the
+        resident size has grown by more than ``min_growth`` bytes."""
         self._malloc_trim = _libc_function("malloc_trim")
         self._resident = resident
         self._min_growth = min_growth
         self._floor = resident_bytes() if self._malloc_trim is not None else 0
 
     def after_step(self) -> None:
-        """Trim if the resident size is too large. Called between steps, when most of the heap is free."""
+        """Trim the heap if the resident size is too large. The training loop calls this method between steps, when most
+        of the heap is free."""
         if self._malloc_trim is None:
             return
         now = resident_bytes()
@@ -82,7 +83,8 @@ class HeapTrimmer:
             self.trim()
 
     def trim(self) -> None:
-        """Trim unconditionally, before rare work that needs much memory."""
+        """Trim the heap unconditionally. The training loop calls this method before checkpoints and validations, which
+        need much memory."""
         if self._malloc_trim is not None:
             self._malloc_trim(ctypes.c_size_t(0))
             self._floor = resident_bytes()

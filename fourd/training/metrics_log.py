@@ -26,13 +26,13 @@ class MetricsLog:
 
         Args:
             folder: the run's folder; created if missing.
-            resume_step: number of completed steps. Records of later steps are removed, and so are incomplete lines that
-                a killed run left. TensorBoard hides its events of later steps.
+            resume_step: number of completed steps. Records of later steps and incomplete lines of a killed run are
+                removed. TensorBoard hides the events of later steps.
 
         Raises:
             UserError: the folder is not writable.
         """
-        # Imported here because the import takes a second.
+        # The import takes a second, so it is delayed until a log is opened.
         from torch.utils.tensorboard import SummaryWriter
 
         self._folder = folder
@@ -103,7 +103,7 @@ def _truncate(path: Path, last_step: int) -> None:
 
 
 def _step_of(line: bytes) -> float:
-    """The step of a record; infinity for a line that is not a record."""
+    """The step of a record, or infinity for a line that is not a record."""
     try:
         record = json.loads(line)
     except ValueError:

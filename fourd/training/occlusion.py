@@ -48,9 +48,9 @@ def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
 def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
     """Depth (H, W) behind which points count as occluded: the surface depth, dilated by the size of a point.
 
-    Points are rendered as discs that face the camera. On a floor at a grazing angle, each disc covers the discs behind
-    it. With the undilated depth, half of the floor's visible points would count as occluded. Hence each pixel gets the
-    farthest depth within the median disc radius.
+    Points are rendered as discs that face the camera. On a floor viewed at a grazing angle, each disc covers the discs
+    behind it. Without dilation of the depth, half of the visible points of the floor would count as occluded. The
+    dilation assigns to each pixel the farthest depth within the median disc radius.
     """
     pixels, depth = camera.project(points.xyz.double().numpy())
     inside = camera.is_in_image(pixels, depth) & (depth > NEAR)
@@ -64,8 +64,8 @@ def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
 
 
 def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool) -> SourceViews:
-    """The views ``sources`` with the surface depth of ``points`` in each view. The views are returned unchanged if
-    ``occlusion`` is false."""
+    """Add the surface depth of ``points`` to each of the views ``sources``. If ``occlusion`` is false, the views are
+    returned unchanged."""
     if not occlusion:
         return sources
     depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]

@@ -16,8 +16,8 @@ from fourd.training.points.frame_points import FramePoints
 NEAR = 0.01
 """Depth of the near plane in world units."""
 COUNT_STEP = 1024
-"""The number of visible points is rounded up to a multiple of this. Tensors then have few different sizes and fit into
-memory that was freed by earlier steps."""
+"""Multiple to which the number of visible points is rounded up. With rounding, tensors have few different sizes and fit
+into memory that was freed by earlier steps."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,8 @@ def composite(
 ) -> PointRender:
     """Render all clouds together, so that they occlude each other.
 
-    Features of the result are (H, W, 4): RGB, and the contribution of the first cloud to alpha.
+    The result has features (H, W, 4): the first three channels are the colour, and the last channel is the contribution
+    of the first cloud to alpha.
     """
     ones, zeros = torch.ones_like, torch.zeros_like
     is_first = [ones(cloud.radius) if k == 0 else zeros(cloud.radius) for k, cloud in enumerate(clouds)]
@@ -86,7 +87,7 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
 def select_heaviest(weight: Tensor, min_weight: float) -> Tensor:
     """Ascending indices of the weights (N,) above ``min_weight``.
 
-    Indices of the next largest weights are added until their number is a multiple of COUNT_STEP.
+    Indices of the next largest weights are added until the number of indices is a multiple of COUNT_STEP.
     """
     count = int((weight > min_weight).sum())
     rounded = min(weight.shape[0], -(-count // COUNT_STEP) * COUNT_STEP)

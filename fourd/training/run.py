@@ -89,8 +89,8 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds. Nearest cameras are those at the smallest angles to the viewer, measured at this
-        point."""
+        """(3,) centre of the bounds, in world units. The nearest cameras have the smallest angles to the viewing
+        camera, measured at the centre of the bounds."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
@@ -110,7 +110,7 @@ class Run:
         )
 
     def new_refinement(self) -> Refinement | None:
-        """Corrections of the training cameras, initially the identity; None if the config enables no correction."""
+        """Untrained corrections of the training cameras, or None if the config enables no correction."""
         refine = self.config.train.refine
         if not (refine.cameras or refine.colours):
             return None
@@ -122,9 +122,10 @@ class Run:
         return Contraction((x, y, z), self.config.scene.reach)
 
     def background(self, saved: Path | None) -> StaticBackground | None:
-        """The background of a full scene; None for an object.
+        """The background of a full scene, or None for an object.
 
-        Its points are read from the checkpoint folder ``saved``. If that is None, initial points are used.
+        The background's points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are
+        used.
         """
         if self.config.train.scene != "full":
             return None
@@ -147,14 +148,14 @@ class Run:
     def frame_store(self, saved: Path | None) -> FrameStore:
         """The store that contains every frame's points.
 
-        Points are read from the checkpoint folder ``saved``. If that is None, initial points are used.
+        The points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are used.
         """
         scratch = Scratch(self.folder / SCRATCH)
         budget_mb = self.config.train.memory_mb // 2
         return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved)
 
     def initial_points(self, frame: int) -> FramePoints:
-        """Initial points of a frame in Morton order. There are at most ``config.train.points``."""
+        """The initial points of a frame in Morton order, at most ``config.train.points`` of them."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
         xyz = read_ply(self.folder / HULL / f"{number:06d}.ply").xyz[: train.points]
@@ -219,8 +220,8 @@ def load_run(folder: Path) -> TrainedRun:
 def read_run_plates(
     capture: Capture, training: Sequence[int], folder: Path, log: Log = lambda line: None
 ) -> tuple[PlateView, ...]:
-    """The clean plates of the training views. The run's own plates are used if ``folder`` has any, otherwise the
-    capture's plates."""
+    """The clean plates of the training views. If the run folder ``folder`` contains plates, they replace the plates of
+    the capture."""
     made = folder / BACKGROUND / PLATES
     return read_plates(capture, training, log, made=made if made.exists() else None)
 

@@ -36,7 +36,7 @@ class StepSample:
 class StepSampler:
     """Determines the sample of each step from the seed and the step's number alone.
 
-    No state is stored between steps. A resumed run therefore has the same samples as an uninterrupted run.
+    The sampler stores no state between steps, so a resumed run has the same samples as an uninterrupted run.
     """
 
     def __init__(
@@ -83,7 +83,8 @@ def source_pool(
 
 
 def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
-    """Share in [0, 1] of the budget that is spent: the larger of the spent shares of steps and time."""
+    """Spent share of the training budget, in [0, 1]. If both steps and time are limited, the larger spent share is
+    returned."""
     shares = [0.0]
     if config.max_steps is not None:
         shares.append(step / config.max_steps)

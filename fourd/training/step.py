@@ -69,14 +69,14 @@ class Stepper:
         """Perform one training step.
 
         Args:
-            points: points of the sample's frame. They are changed in place.
+            points: points of the sample's frame, which are changed in place.
             time: time of the frame, in [0, 1].
             sample: the frame and views to render.
             rate_factor: factor on all learning rates, from the schedule.
-            number: number of the step, used by schedules and in errors.
+            number: number of the step, which is used by schedules and in error messages.
 
         Raises:
-            UserError: a loss term is not finite. In that case models and points are unchanged.
+            UserError: a loss term is not finite. Models and points are unchanged if this error is raised.
         """
         target = self.scene.target(sample)
         evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)
@@ -105,8 +105,8 @@ class Stepper:
     def _render(
         self, evaluated: Sequence[OptimizedPoints], target: Target, time: float, sample: StepSample, number: int
     ) -> tuple[Tensor, RenderedStep]:
-        """Render the points. Returns colours (H, W, 3) without the background colour, and the record for the loss
-        terms."""
+        """Render the points. Return the rendered colours (H, W, 3) without the background colour, and the record on
+        which the loss terms are evaluated."""
         clouds = [each.renderable for each in evaluated]
         if self.refinement is not None:
             clouds = self.refinement.attach_camera_gradient(clouds, sample.target)

@@ -19,10 +19,10 @@ from fourd.training.memory import array_outside_heap
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
-"""The sides of crops are multiples of this. Crops then have few different sizes. Convolutions are set up only once for
-each size, and the next crop fits into freed memory."""
+"""Multiple, in pixels, to which the sides of crops are rounded up. With rounding, crops have few different sizes.
+Convolutions are set up only once for each crop size, and a new crop fits into the memory of a freed crop."""
 EMPTY_CROP_PX = 16
-"""Side of the crop for an empty matte."""
+"""Side of the crop for an empty matte, in pixels."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class View:
         return self.rgb.nbytes + self.matte.nbytes
 
     def premultiplied(self) -> tuple[Tensor, Tensor]:
-        """Return RGB (H, W, 3) multiplied by the matte, and the matte (H, W). Both are float32 in [0, 1]."""
+        """Return RGB (H, W, 3) multiplied by the matte, and the matte (H, W), as float32 tensors in [0, 1]."""
         matte = torch.from_numpy(self.matte).float() / 255
         return torch.from_numpy(self.rgb).float() / 255 * matte[..., None], matte
 
 
 class ViewStore:
-    """Views of a capture. They are decoded on demand and kept in a cache of at most ``memory_mb`` MiB.
+    """Views of a capture. Views are decoded on demand and kept in a cache of at most ``memory_mb`` MiB.
 
     Attributes:
         capture: the selected views and frames.
@@ -80,7 +80,7 @@ class ViewStore:
         return self._with_current_camera(self._cache[key], camera)
 
     def widened(self, camera: int, frame: int, margin_px: int) -> View:
-        """A view extended by up to ``margin_px`` pixels on each side; not cached.
+        """A view extended by up to ``margin_px`` pixels on each side. The extended view is not cached.
 
         The margin is rounded down to a multiple of half of SIZE_STEP_PX and clipped to the image.
         """
@@ -116,8 +116,8 @@ class ViewStore:
         return replace(view, camera=whole.crop(view.left, view.top, width, height))
 
     def _decode(self, camera: int, frame: int, window: tuple[int, int, int, int] | None) -> View:
-        """Decode the part ``window`` (left, top, width, height) of an image. With None, the part is the store's
-        crop."""
+        """Decode the part ``window`` (left, top, width, height) of an image. If ``window`` is None, the part is the
+        matte's crop, or the whole image if the store does not crop."""
         rgb, matte = self.capture.image(camera, frame), self.capture.mask(camera, frame)
         whole = self.capture.cameras[camera]
         if window is None:
@@ -141,8 +141,8 @@ def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def _widen(start: int, length: int, size: int) -> tuple[int, int]:
-    """Start and length of a range extended by a margin. The length is a multiple of SIZE_STEP_PX, but at most
-    ``size``."""
+    """Start and length of a pixel range that is extended by the crop margin. The extended length is a multiple of
+    SIZE_STEP_PX, but at most ``size``."""
     wanted = min(size, _round_up(length + 2 * CROP_MARGIN_PX))
     return max(0, min(size - wanted, start - (wanted - length) // 2)), wanted
 

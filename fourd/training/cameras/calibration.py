@@ -1,8 +1,8 @@
 """Files of a run's own calibration.
 
 ``RUN/calibration/start/`` contains the cameras with which training starts. ``RUN/calibration/`` contains the newest
-cameras. Both folders have intri.yml and extri.yml with every camera of the capture, and colours.json if colours are
-corrected.
+cameras. Each folder has intri.yml and extri.yml with all cameras of the capture. If colours are corrected, each folder
+also has colours.json.
 """
 
 from __future__ import annotations
@@ -48,13 +48,14 @@ def with_start_cameras(capture: Capture, folder: Path) -> Capture:
 
 
 def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -> None:
-    """Write the calibration with the corrected cameras of ``rig``. Cameras that are not selected are written unchanged.
+    """Write the calibration with the corrected cameras of ``rig``. Cameras that the run does not use are written
+    unchanged.
 
     Args:
         folder: the run's folder.
         capture: the selected views, in the rig's order.
         rig: the corrected cameras and colours.
-        below: subfolder of ``calibration/`` to write to; empty for ``calibration/`` itself.
+        below: name of the subfolder of ``calibration/`` to write to. An empty name selects ``calibration/`` itself.
     """
     target = folder / CALIBRATION / below
     corrected = {
@@ -78,8 +79,8 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
-    """``lens`` with the pose and focal length of ``camera``. The distortion coefficients are scaled, so that
-    undistorted images stay the same."""
+    """``lens`` with the pose and focal length of ``camera``. The distortion coefficients are scaled with the focal
+    length, so that undistorted images stay the same."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)
@@ -87,11 +88,11 @@ def _lens(lens: Camera, camera: Camera) -> Camera:
 
 
 def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[np.float64]:
-    """OpenCV's distortion coefficients for a focal length that is scaled by ``zoom``. Distortion displaces each pixel
-    by the same amount as before the scaling.
+    """OpenCV's distortion coefficients for a focal length that is scaled by ``zoom``. The returned coefficients
+    displace each pixel by the same amount as the given coefficients at the original focal length.
 
-    The coefficients of sensor tilt are not scaled. For lenses with sensor tilt, the result is therefore exact only if
-    ``zoom`` is 1.
+    The coefficients of sensor tilt are not scaled, so for lenses with sensor tilt the result is exact only if ``zoom``
+    is 1.
     """
     powers = np.array([*POWERS, 0, 0])[: len(distortion)]
     return distortion * zoom**powers

@@ -1,8 +1,9 @@
 """Corrections of the cameras that are learnt while training.
 
-The renderers compute no gradient with respect to cameras. They use the corrected cameras as constants. The gradient
-reaches a correction through the points instead: they pass through a function of the correction that leaves their values
-unchanged. Its derivative is the motion of the points relative to the corrected camera.
+The renderers treat the corrected cameras as constants and compute no gradient with respect to cameras. Instead, the
+gradient reaches a camera correction through the point positions. The positions pass through a function of the camera
+correction that does not change their values. The derivative of this function is the motion of the points relative to
+the corrected camera.
 """
 
 from __future__ import annotations
@@ -35,22 +36,22 @@ class _GivenPose:
 
 
 class Refinement(nn.Module):
-    """Corrections of each training camera. All are initially zero.
+    """Pose, focal and colour corrections of each training camera. All corrections are initially zero.
 
-    A pose correction is a rotation vector in radians, and a translation in camera coordinates as a share of the
-    camera's distance from the scene's centre. A focal correction is the logarithm of the factor on the focal length. A
-    colour correction is the difference between an affine colour map and the identity. Each camera has its own
-    parameters, so that a step leaves the optimizer state of other cameras unchanged.
+    A pose correction consists of a rotation vector in radians and a translation in camera coordinates. The translation
+    is a share of the camera's distance from the scene's centre. A focal correction is the logarithm of the factor that
+    scales the focal length. A colour correction is the difference between an affine colour map and the identity. Each
+    camera has its own parameters, so that a step on one camera leaves the optimizer state of other cameras unchanged.
     """
 
     def __init__(
         self, config: RefineConfig, given: Sequence[Camera], training: Sequence[int], focus: NDArray[np.float64]
     ) -> None:
-        """Create corrections that are the identity.
+        """Create corrections that leave every camera unchanged.
 
         Args:
-            config: selects what is corrected.
-            given: all cameras of the capture.
+            config: the corrected quantities, their standard deviations and their learning rates.
+            given: all cameras of the capture, before correction.
             training: indices of the cameras that are corrected.
             focus: (3,) the scene's centre in world units.
         """
@@ -95,8 +96,8 @@ class Refinement(nn.Module):
         return Rig(tuple(cameras), colours)
 
     def attach_camera_gradient(self, clouds: Sequence[RenderablePoints], index: int) -> list[RenderablePoints]:
-        """Return the same points, connected to the correction of camera ``index``, which renders them. The points'
-        gradient then also reaches this correction."""
+        """Make the points differentiable functions of the correction of camera ``index``, without changing their
+        values. The gradient of a rendered image then also reaches the camera's correction."""
         if not self.config.cameras:
             return list(clouds)
         return [self._attach(cloud, index) for cloud in clouds]
@@ -148,8 +149,8 @@ class Refinement(nn.Module):
         return replace(cloud, xyz=xyz + (in_camera - in_camera.detach()) @ rotation.detach(), radius=radius)
 
     def _colour_map(self, index: int) -> Tensor:
-        """A camera's affine colour map (3, 4). The mean over the cameras is kept at the identity, because a common
-        colour change belongs to the scene."""
+        """A camera's affine colour map (3, 4). The mean colour map of all training cameras is kept at the identity,
+        because a colour change that is common to all cameras belongs to the scene."""
         mean = torch.stack([tint.detach() for tint in self.tints]).mean(dim=0)
         return IDENTITY + self.tints[self.places[index]] - mean
 

@@ -16,8 +16,8 @@ class Rig:
 
     Attributes:
         cameras: pinhole cameras, in the capture's order.
-        colours: (V, 3, 4) affine map (M, offset) from the scene's colours to each camera's colours, ``M rgb + offset``;
-            the last column is the offset. None if all cameras have the same colours.
+        colours: (V, 3, 4) affine map ``M rgb + offset`` from the scene's colours to each camera's colours. The last
+            column is the offset. If ``colours`` is None, all cameras have the same colours.
     """
 
     cameras: tuple[Camera, ...]
@@ -37,6 +37,6 @@ class Rig:
 
 
 def recolour(colours: Tensor, rgb: Tensor, alpha: Tensor) -> Tensor:
-    """``M rgb + alpha offset`` for colours (H, W, 3) premultiplied by ``alpha`` (H, W). ``colours`` (3, 4) is [M,
-    offset]."""
+    """Apply an affine colour map to colours ``rgb`` (H, W, 3) that are premultiplied by ``alpha`` (H, W). The map
+    ``colours`` (3, 4) is [M, offset], and the result is ``M rgb + alpha offset``."""
     return rgb @ colours[:, :3].T + alpha[..., None] * colours[:, 3]

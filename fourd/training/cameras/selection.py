@@ -15,12 +15,13 @@ if TYPE_CHECKING:
     from fourd.training.config import TrainConfig
 
 DECODED_MB = 32
-"""Size of the cache of decoded whole images in MiB. Training has a separate cache of crops."""
+"""Size of the cache of decoded whole images, in MiB. Training uses a separate cache for cropped images."""
 
 
 @dataclass(frozen=True)
 class DataSelection:
-    """The part of a capture that is used. Fields have the same meaning as in :class:`TrainConfig`."""
+    """The part of a capture that a run uses: views, frames and image scale. Fields have the same meaning as in
+    :class:`TrainConfig`."""
 
     views: tuple[str, ...] | None = None
     test_views: tuple[str, ...] = ()
@@ -38,7 +39,7 @@ class RunViews:
     """An open capture and the roles of its cameras.
 
     Attributes:
-        capture: the selected views and frames, training and test.
+        capture: the capture, reduced to the selected frames and to the training and held-out views.
         training: indices of the training cameras in ``capture.cameras``.
         test: indices of the held-out cameras in ``capture.cameras``.
     """
@@ -58,9 +59,9 @@ def open_run_views(path: Path, selection: DataSelection, run: Path | None = None
 
     Args:
         path: the capture's folder.
-        selection: views, frames and scale.
-        run: folder of a run whose adjusted start cameras replace the capture's cameras; None keeps the capture's
-            cameras.
+        selection: the views, frames and image scale to use.
+        run: folder of a run whose adjusted start cameras replace the capture's cameras; if None, the capture's cameras
+            are used.
 
     Raises:
         UserError: a view or frame is unknown, there are fewer than two training views, or start cameras are missing.

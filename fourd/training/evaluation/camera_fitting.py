@@ -1,11 +1,11 @@
-"""Alignment of held-out cameras to a trained scene, based on the cameras' own images. It serves to evaluate scenes with
-refined cameras.
+"""Alignment of held-out cameras to a trained scene, based on the cameras' own images. The alignment is needed to
+evaluate scenes that were trained with refined cameras.
 
-A scene that is trained with refined cameras is aligned with these cameras. A held-out camera is not refined, so it is
-misaligned with the scene. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore optimises each test camera against the
-frozen scene before computing metrics. This module uses direct image alignment with the rendered depth (Lucas and Kanade
-1981), from blurred to sharp images. Image gradients are the mean of the rendered image's and the true image's gradients
-(Benhimane and Malis, IROS 2004).
+A scene that is trained with refined cameras is aligned with the refined cameras. A held-out camera is not refined in
+training, so it is misaligned with the scene. BARF (Lin et al., ICCV 2021, sec. 4.2) optimises each test camera against
+the frozen scene before computing metrics. This module uses direct image alignment with the rendered depth (Lucas and
+Kanade 1981), from blurred to sharp images. The alignment uses the mean of the gradients of the rendered and the true
+image (Benhimane and Malis, IROS 2004).
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ MAX_STEPS = 12
 INITIAL_DAMPING = 1e-3
 MAX_FRAMES = 3
 CONVERGED = 3e-5
-"""Optimization at a blur level ends when all components of the step are smaller than this. Rotations are in radians,
-translations are shares of the camera's distance from the scene's centre."""
+"""Optimization at a blur level ends when all components of the step are smaller than this threshold. The step's
+rotation is in radians, and its translation is a share of the camera's distance from the scene's centre."""
 MIN_ALPHA = 0.02
 COLOUR_REGULARISATION = 1e-3
-"""Weight, for each pixel, of the squared difference between colour map and identity in the least-squares fit."""
+"""Regularisation weight per pixel in the least-squares fit of the colour map. The regularisation penalises the squared
+difference between the colour map and the identity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,8 @@ class FittedView:
 
     Attributes:
         camera: the aligned camera of the whole image.
-        colours: (3, 4) affine map from the scene's colours to the camera's colours; None if it was not fitted.
+        colours: (3, 4) affine map from the scene's colours to the camera's colours; if None, the colours were not
+            fitted.
         degrees: angle of the rotation between the given and the aligned camera.
         distance: distance between the given and the aligned camera centre, in world units.
     """
@@ -69,7 +71,7 @@ def fit_test_camera(
     Args:
         renderer: the trained scene.
         frames: the points of the trained scene's frames.
-        index: index of the camera. All its frames share the pose.
+        index: index of the camera. All frames of the camera share one pose.
         layers: maximum number K of points that are composited at each pixel.
         colours: whether to fit the camera's colours as well.
     """
@@ -85,8 +87,8 @@ def fit_test_camera(
 
 @dataclass(frozen=True, eq=False)
 class _NormalEquations:
-    """The mean squared error, J^T J (6, 6), -J^T r (6,) and the fitted colours at one pose, with Jacobian J and
-    residual r."""
+    """The normal equations at one pose: mean squared error, J^T J (6, 6), -J^T r (6,) and fitted colour map. J is the
+    Jacobian of the image, and r is the residual."""
 
     error: float
     matrix: Array
@@ -108,8 +110,8 @@ class _Alignment:
     def optimize(self, camera: Camera, blur_px: float) -> Camera:
         """Optimise the camera with Levenberg-Marquardt on images blurred by ``blur_px``.
 
-        The points' colours are evaluated only once, for the initial ``camera``, because it moves little during the
-        optimization.
+        The points' colours are evaluated only once, for the initial ``camera``, because the camera moves little during
+        the optimization.
         """
         for frame in self.selected:
             self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)
@@ -160,8 +162,8 @@ class _Alignment:
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """A rendered and a true image (H, W, 3), both blurred, with rendered alpha and depth (H, W). Depth is 0 where there
-    is no surface."""
+    """A blurred rendered image and a blurred true image (H, W, 3), with the rendered alpha and depth (H, W). Depth is 0
+    where there is no surface."""
 
     rgb: Floats
     alpha: Floats
@@ -183,7 +185,7 @@ def _jacobian(shown: Floats, pair: _Pair, distance: float) -> Floats:
     by_x = np.stack([-x * y, 1 + x * x, -y, distance / z * one, zero, -distance / z * x])
     by_y = np.stack([-1 - y * y, x * y, x, zero, distance / z * one, -distance / z * y])
     flow_x, flow_y = k[0, 0] * by_x + k[0, 1] * by_y, k[1, 1] * by_y
-    # Brightness constancy: after a flow (u, v), the image changes by -(u dI/dx + v dI/dy).
+    # Brightness constancy: after an optical flow (u, v), the image I changes by -(u dI/dx + v dI/dy).
     slope_x, slope_y = ((_slope(shown, axis) + _slope(pair.truth, axis)) / 2 for axis in (1, 0))
     change = -(slope_x * flow_x[..., None] + slope_y * flow_y[..., None])
     return np.where((pair.depth > 0)[..., None], change, 0).astype(np.float32)

@@ -11,12 +11,12 @@ from fourd.ops.similarity.reference import check_image_pair, structural_similari
 
 
 def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tensor | ArrayLike | None = None) -> Tensor:
-    """Peak signal-to-noise ratio in dB for images with peak value 1. It is infinite for equal images.
+    """Peak signal-to-noise ratio in dB for images with peak value 1. The ratio is infinite for equal images.
 
     Args:
-        prediction: (..., C), torch or NumPy, floating point.
+        prediction: floating-point image (..., C), torch or NumPy.
         target: the same shape.
-        mask: (...) bool or nonnegative weights of the pixels; None for equal weights.
+        mask: (...) bool or nonnegative weights of the pixels; if None, all pixels have equal weights.
 
     Returns:
         A scalar tensor, differentiable in ``prediction``.
@@ -45,11 +45,11 @@ def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
 
     Args:
-        prediction: (..., H, W, C), torch or NumPy, floating point. H and W are at least 11 pixels.
+        prediction: floating-point image (..., H, W, C), torch or NumPy, where H and W are at least 11 pixels.
         target: the same shape.
 
     Returns:
-        A scalar tensor, differentiable in both images; 1 for equal images.
+        A scalar tensor that is differentiable in both images and is 1 for equal images.
 
     Raises:
         ValueError: the shapes differ, or the images are integers or smaller than the window.
@@ -63,10 +63,11 @@ def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tu
     Args:
         mask: (H, W) matte, uint8 (255 on the object) or bool. Pixels above 127 belong to the object, so that faint
             noise of a soft matte does not enlarge the box.
-        margin: number of pixels, 0 or more.
+        margin: margin around the object in pixels, 0 or more.
 
     Returns:
-        (top, bottom, left, right), where bottom and right are exclusive; None if no pixel belongs to the object.
+        (top, bottom, left, right) in pixels, where bottom and right are exclusive, or None if no pixel belongs to the
+        object.
     """
     if mask.ndim != 2 or mask.dtype not in (np.uint8, np.bool_):
         raise ValueError(f"mask: expected uint8 or bool (H, W), got {mask.dtype} {mask.shape}")

@@ -1,5 +1,5 @@
-"""Rendering of a trained scene from any camera, without gradients. Used for validation, evaluation and ``fourd
-render``."""
+"""Rendering of a trained scene from any camera, without gradients. Validation, evaluation and ``fourd render`` use this
+renderer."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ class RenderedView:
 
 
 class ModelRenderer:
-    """Renders frames of a scene. Source views are the training cameras nearest to the viewer."""
+    """Renders frames of a scene. The source views are the images of the training cameras nearest to the viewing
+    camera."""
 
     def __init__(self, scene: TrainingScene, training: list[int], focus: NDArray[np.float64]) -> None:
         """Create a renderer.
@@ -45,8 +46,8 @@ class ModelRenderer:
         Args:
             scene: the scene, with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) point in world units. The nearest cameras are those at the smallest angles to the viewer,
-                measured at this point.
+            focus: (3,) point in world units at which the angles between cameras are measured. The nearest cameras have
+                the smallest angles to the viewing camera.
         """
         self.scene = scene
         self.training = training
@@ -58,7 +59,7 @@ class ModelRenderer:
 
     @property
     def background(self) -> StaticBackground | None:
-        """The background of a full scene; None for an object."""
+        """The background of a full scene, or None for an object."""
         return self.scene.background
 
     def render(

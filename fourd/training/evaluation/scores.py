@@ -14,13 +14,13 @@ from fourd.training.losses.lpips import LPIPS
 
 BOX_MARGIN_PX = 8
 MIN_SIDE_PX = 11
-"""Smallest side of images for which SSIM and LPIPS are computed: the SSIM window is 11 pixels wide."""
+"""Smallest image side, in pixels, for which SSIM and LPIPS are computed. The SSIM window is 11 pixels wide."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """Scores of an image. ``psnr`` is in dB. ``ssim`` and ``lpips`` are None for small images. ``lpips`` is also None
-    without network weights."""
+    """Scores of an image. ``psnr`` is in dB. ``ssim`` and ``lpips`` are None if the image is smaller than the SSIM
+    window. ``lpips`` is also None if the network weights of LPIPS are missing."""
 
     psnr: float
     ssim: float | None
@@ -59,8 +59,8 @@ class Evaluation:
 def score_view(
     prediction: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], lpips: LPIPS | None
 ) -> tuple[Scores, Scores | None]:
-    """Scores of an image (H, W, 3) in [0, 1]: for the whole image, and for the matte's bounding box. The second is None
-    for an empty matte."""
+    """Scores of an image (H, W, 3) in [0, 1]: for the whole image, and for the matte's bounding box. The scores of the
+    bounding box are None if the matte is empty."""
     predicted, expected = torch.from_numpy(prediction), torch.from_numpy(truth)
     box = mask_box(matte, margin=BOX_MARGIN_PX)
     if box is None:

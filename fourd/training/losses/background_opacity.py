@@ -17,20 +17,20 @@ from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""Maximum number of points that are composited at each pixel. Fewer points than this overlap on a floor viewed at a
-grazing angle. With too few layers, the transmittance after the last layer is not 0. The gradient would then enlarge the
-discs, so that even more of them overlap."""
+"""Maximum number of points that are composited at each pixel. Even on a floor viewed at a grazing angle, fewer points
+than this maximum overlap. With too few layers, the transmittance after the last layer is not 0, and the gradient would
+enlarge the discs. Larger discs overlap even more."""
 MAX_LATERAL_OFFSET = 0.15
 """Maximum distance of a viewpoint from the line between two cameras, as a share of the line's length."""
 RNG_STREAM = 4
-"""RNG stream number of this loss: ``default_rng([seed, RNG_STREAM, step])``. No other random sampling of a run uses
-it."""
+"""Number of the random stream of this loss: ``default_rng([seed, RNG_STREAM, step])``. No other random sampling of a
+run uses this stream number."""
 
 
 @dataclass(frozen=True, eq=False)
 class BackgroundOpacityTerm:
-    """Mean squared transmittance of the background from an interpolated viewpoint. Applies to steps whose target is a
-    plate."""
+    """Mean squared transmittance of the background from an interpolated viewpoint. The term applies to steps whose
+    target is a plate."""
 
     weight: float
     background: StaticBackground
@@ -49,8 +49,8 @@ class BackgroundOpacityTerm:
 
 
 def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int, rng: np.random.Generator) -> Camera:
-    """Move ``camera`` to a random point near the line between it and a random other camera, and crop it to at most
-    ``side_px`` x ``side_px`` pixels."""
+    """Move ``camera`` to a random point near the line to another camera, which is chosen at random. The moved camera is
+    cropped to at most ``side_px`` x ``side_px`` pixels."""
     line = others[int(rng.integers(len(others)))].centre - camera.centre
     offset = rng.normal(size=3)
     offset *= MAX_LATERAL_OFFSET * np.linalg.norm(line) * rng.random() / np.linalg.norm(offset)
@@ -63,7 +63,7 @@ def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int
 def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
     """Mean of (1 - alpha)^2 over an image of the background. Only the background's model gets a gradient.
 
-    Positions get no gradient, because the plates determine them.
+    Point positions get no gradient, because the plates determine the positions.
     """
     points = background.points
     rows = visible_points([points], viewer, LAYERS, hidden_weight)[0]

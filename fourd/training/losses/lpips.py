@@ -23,16 +23,17 @@ from fourd.errors import UserError
 
 # Output channels of VGG-16's convolutions. A pooling layer follows each group except the last.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# Mean and standard deviation of ImageNet for inputs in [-1, 1], with which the heads were trained.
+# Mean and standard deviation of ImageNet images with values in [-1, 1]. The heads were trained with inputs normalised
+# by these numbers.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-# Images smaller than 16 pixels vanish after four poolings.
+# An image with a side below 16 pixels has size 0 after four pooling layers.
 MIN_SIDE_PX = 16
 SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"
 FIX = "pass VGG-16 weights with --lpips-weights"
 
-# Weight names in files of torchvision, or in a whole network saved with the lpips package.
+# Names of weights in torchvision's files, or in a whole network that was saved with the lpips package.
 _FEATURE_KEY = re.compile(r"(?:features|net\.slice[1-5])\.(\d+)\.(weight|bias)")
 _HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
 
@@ -47,7 +48,7 @@ class LPIPS(nn.Module):
     scale: Tensor
 
     def __init__(self, weights: Mapping[str, Tensor]) -> None:
-        """Create the network. Names and shapes of ``weights`` are those of :func:`expected_shapes`."""
+        """Create the network. ``weights`` must have the names and shapes that :func:`expected_shapes` returns."""
         super().__init__()
         stages: list[nn.Module] = []
         inputs = 3
@@ -74,12 +75,12 @@ class LPIPS(nn.Module):
         """The distance between two images, or between the pairs of two batches.
 
         Args:
-            prediction: (H, W, 3) or (B, 3, H, W), floating point in [0, 1]. Sides below 16 pixels are extended to 16 by
-                repeating the border, because the published network is undefined for them.
+            prediction: (H, W, 3) or (B, 3, H, W), floating point in [0, 1]. Sides below 16 pixels are extended to 16
+                pixels by repeating the border, because the published network is undefined for smaller images.
             target: the same shape.
 
         Returns:
-            A scalar for images (H, W, 3), or (B,) for batches.
+            The distance, a scalar for two images (H, W, 3), or (B,) for two batches.
 
         Raises:
             ValueError: the shapes differ, or are neither (H, W, 3) nor (B, 3, H, W).
@@ -108,20 +109,20 @@ class LPIPS(nn.Module):
 
 
 def load_lpips(path: Path | None) -> LPIPS | None:
-    """LPIPS with weights from files. No file is downloaded, and no code in a file is executed.
+    """Load the LPIPS network with weights from files. No file is downloaded, and no code in a file is executed.
 
     Args:
         path: a file (.pth, .pt or .safetensors), or a folder with such files named ``vgg16*``, ``vgg.*`` or
             ``*lpips*``. The files contain VGG-16 under torchvision's names (``features.0.weight``), the heads under the
             names of the lpips package (``lin0.model.1.weight``), or both. Missing parts are read from the default
-            locations: VGG-16 from torch.hub's ``checkpoints/vgg16-397923af.pth``, the heads from the installed package
-            lpips or torchmetrics. With None, only the default locations are used.
+            locations: torch.hub's ``checkpoints/vgg16-397923af.pth`` for VGG-16, and the installed package lpips or
+            torchmetrics for the heads. If ``path`` is None, only the default locations are used.
 
     Returns:
         The network on the CPU, or None if ``path`` is None and a part is missing.
 
     Raises:
-        UserError: ``path`` does not exist, a file cannot be read, or names or shapes of weights are wrong.
+        UserError: the path does not exist, a file cannot be read, or a weight has a wrong name or shape.
     """
     files = [] if path is None else _files_of(path)
     weights: dict[str, Tensor] = {}
@@ -144,8 +145,8 @@ def load_lpips(path: Path | None) -> LPIPS | None:
 
 
 def expected_shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of all weights: ``features.N.weight`` and ``features.N.bias`` with torchvision's layer numbers,
-    and ``linN``."""
+    """Names and shapes of all weights. The convolutions have the names ``features.N.weight`` and ``features.N.bias``
+    with torchvision's layer numbers N. The heads have the names ``linN``."""
     shapes: dict[str, tuple[int, ...]] = {}
     inputs = 3
     widths = [width for group in GROUPS for width in group]
@@ -158,8 +159,8 @@ def expected_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def _feature_numbers() -> list[int]:
-    """torchvision's layer numbers of the convolutions. A ReLU follows each convolution, and a pooling follows each
-    group."""
+    """torchvision's layer numbers of the convolutions. A ReLU follows each convolution, and a pooling layer follows
+    each group of convolutions."""
     numbers, number = [], 0
     for group in GROUPS:
         numbers += [number + 2 * index for index in range(len(group))]
@@ -187,15 +188,15 @@ def _default_vgg_files() -> list[Path]:
 
 
 def _default_head_files() -> list[Path]:
-    """Paths of the heads in installed packages. The packages are not imported."""
+    """Paths of the LPIPS heads in the installed packages lpips and torchmetrics. The packages are not imported."""
     inside = {"lpips": "weights/v0.1/vgg.pth", "torchmetrics": "functional/image/lpips_models/vgg.pth"}
     specs = [(importlib.util.find_spec(package), rest) for package, rest in inside.items()]
     return [Path(spec.origin).parent / rest for spec, rest in specs if spec is not None and spec.origin]
 
 
 def _read(file: Path) -> dict[str, Tensor]:
-    """The weights of LPIPS in a file, as float32, under the names of :func:`expected_shapes`. Raises UserError if a
-    shape is wrong."""
+    """Read the LPIPS weights in a file as float32 tensors with the names of :func:`expected_shapes`. Raises UserError
+    if a shape is wrong."""
     shapes = expected_shapes()
     found: dict[str, Tensor] = {}
     for key, value in _load(file).items():
@@ -207,7 +208,7 @@ def _read(file: Path) -> dict[str, Tensor]:
             raise UserError(f"{file}: expected layers of VGG-16, got the unknown layer '{key}'; {FIX}")
         if shape != shapes[name]:
             raise UserError(f"{file}: '{key}': expected shape {shapes[name]}, got {shape}; {FIX}")
-        # A copy lets the file's other tensors, 470 MB of VGG-16's classifier, be freed.
+        # With a copy, the file's other tensors can be freed, such as 470 MB of VGG-16's classifier.
         found[name] = value.detach().to(torch.float32, copy=True)
     if not found:
         raise UserError(

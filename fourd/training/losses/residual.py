@@ -1,4 +1,4 @@
-"""Residual term: penalises large displacements."""
+"""Residual term: penalises large displacements of points by the residual field."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class ResidualTerm:
-    """Mean of the squared components of the learnt displacement, where displacements are in units of the point
-    spacing."""
+    """Mean of the squared components of the learnt displacements, which are measured in units of the point spacing."""
 
     weight: float
     spacing: float

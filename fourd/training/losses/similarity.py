@@ -1,4 +1,4 @@
-"""Similarity term: 1 - SSIM. It replaces LPIPS if the LPIPS weights are missing."""
+"""Similarity term: 1 - SSIM. The similarity term replaces LPIPS if the LPIPS weights are missing."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WINDOW_PX = 11
 
 @dataclass(frozen=True)
 class SimilarityTerm:
-    """1 - SSIM. Applies to images that are at least as large as the SSIM window."""
+    """1 - SSIM. The term applies to images that are at least as large as the SSIM window."""
 
     weight: float
     name: str = "ssim"

@@ -1,4 +1,4 @@
-"""The interface of a loss term, and the record of a rendered step on which terms are evaluated."""
+"""The interface of a loss term, and the record of a rendered step, on which loss terms are evaluated."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from fourd.training.schedule import StepSample
 
 @dataclass(frozen=True)
 class RenderedStep:
-    """The rendered image of a step, and the ground truth with which it is compared. Images are float32 in [0, 1].
+    """The rendered image of a training step, and the ground-truth image with which the rendered image is compared.
+    Images are float32 in [0, 1].
 
     Attributes:
         number: the number of the step.
         time: time of the frame, in [0, 1].
         sample: the frame and views of the step.
         prediction: (H, W, 3) rendered image on the step's background colour.
-        truth: (H, W, 3) true image on the same background colour.
+        truth: (H, W, 3) true image on the step's background colour.
         coverage: (H, W) rendered alpha of the foreground, or of the background if the target is a plate.
-        matte: (H, W) true alpha of the foreground; None if the target is a plate.
-        displacement: (M, 3) learnt displacement of the visible points in world units; None without a residual field.
+        matte: (H, W) true alpha of the foreground, or None if the target is a plate.
+        displacement: (M, 3) learnt displacement of the visible points in world units, or None without a residual field.
     """
 
     number: int
@@ -51,9 +52,10 @@ class LossTerm(Protocol):
         """Whether the step contains the data that the term needs."""
 
     def value(self, step: RenderedStep) -> Tensor:
-        """The value before weighting, a differentiable scalar."""
+        """The term's value before weighting, a differentiable scalar tensor."""
 
 
 def weighted_values(terms: Iterable[LossTerm], step: RenderedStep) -> dict[str, Tensor]:
-    """Name -> weighted value of each term that applies to a step. The loss is the sum of the values."""
+    """Map the name of each loss term that applies to the step to its weighted value. The training loss is the sum of
+    the weighted values."""
     return {term.name: term.weight * term.value(step) for term in terms if term.applies_to(step)}

@@ -20,14 +20,14 @@ from fourd.training.losses.term import LossTerm
 def common_terms(
     config: TrainConfig, spacing: float, lpips: LPIPS | None, refinement: Refinement | None
 ) -> tuple[LossTerm, ...]:
-    """Loss terms that are used in every scene. New terms go last, because the order of the terms determines the order
-    in which gradients are summed.
+    """Loss terms that are used in every scene. New terms must be added at the end, because the order of the terms
+    determines the order in which gradients are summed.
 
     Args:
         config: training config of the run.
         spacing: mean distance between neighbouring foreground points in world units.
         lpips: network of the perceptual term; with None, SSIM replaces the perceptual term.
-        refinement: camera corrections; None if they are not learnt.
+        refinement: camera corrections, or None if no corrections are learnt.
     """
     weights = config.loss
     terms: list[LossTerm] = [ImageTerm(weights.image)]
@@ -40,7 +40,7 @@ def common_terms(
 
 
 def full_scene_terms(config: TrainConfig, background: StaticBackground) -> tuple[LossTerm, ...]:
-    """Additional loss terms of a full scene. They follow the common terms."""
+    """Additional loss terms of a full scene, which follow the common terms in the sum."""
     terms: list[LossTerm] = []
     if config.background.joint and background.model.shadow is not None:
         terms.append(ShadowTerm(config.loss.shadow, background, background.model.shadow))

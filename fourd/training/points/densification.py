@@ -15,8 +15,8 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 NEIGHBOURS = 3
-"""Number of a parent's nearest neighbours from which its partner is chosen. The new point lies midway between parent
-and partner, and therefore close to the surface."""
+"""Number of nearest neighbours of a parent point from which the parent's partner is chosen. The new point lies midway
+between parent and partner, and therefore close to the surface."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
     """Add the magnitudes of a step's gradient to the gradient history of the points ``rows`` (M,). ``gradient`` (M, 3)
     is the gradient with respect to positions.
 
-    The magnitude is the gradient's norm times the point's spacing. To first order, it is the largest change of the loss
-    if the point moves by one spacing. It has no unit, so that magnitudes of near and far points can be compared. (Kerbl
-    et al. 2023, sec. 5.2, use the view-space gradient for this purpose.)
+    The magnitude is the norm of a point's gradient times the point's spacing. To first order, the magnitude is the
+    largest change of the loss if the point moves by one spacing. The magnitude has no unit, so that near and far points
+    can be compared. Kerbl et al. (2023, sec. 5.2) split points with large view-space gradients instead.
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude
@@ -49,14 +49,14 @@ def unobserved_points(points: FramePoints, patience: int) -> Tensor:
 def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed: list[int]) -> Densification:
     """Split the points with the largest mean gradient magnitudes and remove unobserved points, in place.
 
-    At most ``config.share`` of the points are split, and the count stays below ``config.growth`` times the initial
-    count. A new point gets the mean parameters of its parent and partner, initial optimizer state and an empty gradient
-    history.
+    ``config.share`` limits the share of points that are split. ``config.growth`` limits the number of points, relative
+    to the initial number. A new point gets the mean parameters of its parent and partner, initial optimizer state and
+    an empty gradient history.
 
     Args:
         points: the cloud.
         config: limits of densification.
-        unobserved: (N,) bool, the points to remove. Permanent points are kept.
+        unobserved: (N,) bool, the points to remove. Permanent points are kept even if they are unobserved.
         seed: seed of the random choice among neighbours.
     """
     count = points.xyz.shape[0]
@@ -85,8 +85,8 @@ def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
 
 
 def _choose_partners(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Pair each parent with one of its NEIGHBOURS nearest kept points, chosen at random. If two parents choose each
-    other, the pair is included once."""
+    """Pair each parent with a random one of the NEIGHBOURS kept points that are nearest to the parent. If two parents
+    choose each other, the pair is included once."""
     _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEIGHBOURS + 2)))
     drawn = np.asarray(near)[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
     pairs = torch.stack([parents, kept[torch.from_numpy(drawn)]], 1)

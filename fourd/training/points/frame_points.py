@@ -20,7 +20,7 @@ HISTORY = {
     "age": "age",
     "initial_count": "first",
 }
-"""Maps each attribute of the gradient history to the name of its tensor in files."""
+"""Attribute of the gradient history -> name of the attribute's tensor in files."""
 
 
 @dataclass
@@ -28,15 +28,15 @@ class FramePoints:
     """N points. Tensors are float32 unless another dtype is given.
 
     Attributes:
-        spacing: (N,) distance to neighbouring points in world units. Radii are multiples of it.
+        spacing: (N,) distance to neighbouring points in world units. Radii are multiples of the spacing.
         radius: (N,) radii in world units from the last evaluation, used by occlusion tests.
         density: (N,) densities in (0, 1) from the last evaluation, used by occlusion tests.
-        parameters: name -> optimised tensor: "xyz" (N, 3) in world units; "sh" (N, 48) if SH is explicit; "rgb" (N, 3)
-            for a background.
+        parameters: name -> optimised tensor. The positions are "xyz" (N, 3) in world units. Points with explicit SH
+            have the coefficients "sh" (N, 48). Background points have the colours "rgb" (N, 3).
         optimizer: Adam's state for the parameters.
         gradient_sum: (N,) sum of gradient magnitudes; see ``accumulate_gradient_magnitudes``.
         visible_steps: (N,) number of steps in which the point had a gradient.
-        created_at: (N,) the value of ``age`` when the point was created.
+        created_at: (N,) the cloud's ``age`` when the point was created.
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of steps in which the cloud was trained.
         initial_count: scalar, number of points before training.
@@ -67,9 +67,9 @@ class FramePoints:
         Args:
             xyz: (N, 3) positions.
             spacing: (N,) distances to neighbouring points.
-            radius: radius of all points, in spacings.
-            explicit_sh: whether SH coefficients are optimised. They are initially zero.
-            rgb: (N, 3) initial colours of background points; None for foreground points.
+            radius: radius of each point, as a multiple of the point's spacing.
+            explicit_sh: whether each point has its own optimised SH coefficients, which are initially zero.
+            rgb: (N, 3) initial colours of background points, or None for foreground points.
         """
         count = xyz.shape[0]
         parameters = {"xyz": xyz.clone()}
@@ -113,7 +113,7 @@ class FramePoints:
         self.is_permanent = torch.cat([self.is_permanent[kept], self.is_permanent[first]])
 
     def tensors(self) -> dict[str, Tensor]:
-        """All tensors, by their names in files."""
+        """All tensors of the points, with their names in files as keys."""
         named = {name: getattr(self, name) for name in ("spacing", "radius", "density")}
         named["steps"] = self.optimizer.steps
         named.update({stored: getattr(self, name) for name, stored in HISTORY.items()})

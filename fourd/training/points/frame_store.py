@@ -26,9 +26,9 @@ class FrameStore:
         Args:
             scratch: folder to which points are written when they are evicted from memory.
             frames: number of frames.
-            make: function from a frame's index to its initial points.
-            memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed it.
-            saved: folder written by :meth:`save` from which points are read; None for initial points.
+            make: function that returns a frame's initial points, given the frame's index.
+            memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed this size.
+            saved: folder written by :meth:`save` from which points are read; if None, initial points are used.
         """
         self._scratch = scratch
         self._make = make
@@ -43,7 +43,8 @@ class FrameStore:
         return len(self._cache)
 
     def get(self, frame: int) -> FramePoints:
-        """The points of a frame. In-place changes are kept if they are made before the next call of this method."""
+        """The points of a frame. In-place changes of the points are kept if they are made before the next call of this
+        method."""
         if frame not in self._cache:
             self._cache[frame] = self._load(frame).copy_outside_heap()
         return self._cache[frame]
@@ -70,12 +71,12 @@ class FrameStore:
         if file is None:
             return self._make(frame)
         named = load_file(file)
-        if "spacing" not in named:  # file written by an older version
+        if "spacing" not in named:  # the file was written by an older version of fourd
             named["spacing"] = self._make(frame).spacing
         return FramePoints.from_tensors(named)
 
     def _newest_file(self, frame: int) -> Path | None:
-        """The file with the frame's points; None if the frame was never written."""
+        """The newest file with the frame's points, or None if the frame was never written."""
         folder = self._scratch.folder if frame in self._spilled else self._saved
         return None if folder is None else folder / _file_name(frame)
 

@@ -39,7 +39,8 @@ class Scratch:
 
 
 def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
-    """A new folder name and its locked lock file in ``parent``. ``parent`` is created if necessary."""
+    """Choose a new folder name, and create and lock its lock file in ``parent``. The folder ``parent`` is created if
+    necessary."""
     while True:
         name = f"{os.getpid()}-{secrets.token_hex(4)}"
         path = parent / f"{name}{LOCK_SUFFIX}"
@@ -48,7 +49,8 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
             stream = path.open("xb")
         except FileNotFoundError:
             continue  # another process has removed the empty parent
-        # Between creating and locking the file, another process may have removed it as the lock of a dead process.
+        # Another process may have removed the new lock file before it was locked, because the lock files of dead
+        # processes are not locked.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()
@@ -66,7 +68,7 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
 
 
 def _remove_leftovers(parent: Path) -> None:
-    """Remove the scratch folders of dead processes. Their lock files are not locked."""
+    """Remove the scratch folders of dead processes. The lock file of a dead process is not locked."""
     for path in parent.glob(f"*{LOCK_SUFFIX}"):
         with contextlib.suppress(OSError), path.open("rb+") as stream:
             if _try_lock(stream):

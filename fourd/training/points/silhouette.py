@@ -16,14 +16,15 @@ from fourd.training.points.frame_points import FramePoints
 def revert_moves_out_of_silhouettes(
     points: FramePoints, rows: Tensor, before: Tensor, views: Sequence[tuple[Camera, Tensor]]
 ) -> None:
-    """Revert the moves of those points that left the silhouette in a view.
+    """Move each point that left the silhouette in a view back to its position before the move.
 
-    A point that was already outside the silhouette is not reverted. A view does not constrain points outside its image.
+    A point that was already outside the silhouette before the move is not moved back. A view does not constrain points
+    outside its image.
 
     Args:
         points: the cloud. Positions are changed in place.
         rows: (M,) indices of the points that moved.
-        before: (M, 3) positions of these points before the move.
+        before: (M, 3) positions of the moved points before the move.
         views: pinhole cameras with their mattes (H, W) in [0, 1].
     """
     moved = points.xyz[rows]

@@ -1,4 +1,4 @@
-"""Distances between neighbouring points. Radii of points are multiples of them."""
+"""Point spacing: the distance between neighbouring points. The radius of a point is a multiple of its spacing."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 NEIGHBOURS = 4
 DEFAULT_SPACING = 0.01
-"""Spacing, in world units, of clouds that have too few points to measure it."""
+"""Spacing, in world units, that is assumed for clouds with too few points for a measurement."""
 MAX_SAMPLES = 4096
 MEAN_NEIGHBOUR_DISTANCE = 1.2
 """Mean distance to the four nearest neighbours, in units of the spacing, for points that are spread evenly over a

@@ -1,4 +1,4 @@
-"""Creation of a scene of either kind."""
+"""Creation of an object scene or a full scene."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fourd.training.views import ViewStore
 def build_scene(
     config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None
 ) -> TrainingScene:
-    """A full scene if there is a background, otherwise an object."""
+    """Return a full scene if there is a background, and an object scene otherwise."""
     if background is None:
         return ObjectScene(config, model, views)
     return FullScene(config, model, views, background)

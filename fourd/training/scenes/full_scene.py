@@ -28,8 +28,8 @@ from fourd.training.schedule import StepSample
 from fourd.training.views import View, ViewStore
 
 RNG_STREAM = 3
-"""RNG stream number of densification: ``default_rng([seed, RNG_STREAM, frame, age])``. No other random sampling of a
-run uses it."""
+"""Number of the random stream of densification: ``default_rng([seed, RNG_STREAM, frame, age])``. No other random
+sampling of a run uses this stream number."""
 BACKGROUND_SEED = 2**31
 """Number used instead of a frame index in the seed of the background's densification. No frame has this index."""
 
@@ -38,7 +38,7 @@ class FullScene:
     """A foreground and a static background; see :class:`fourd.training.scenes.scene.TrainingScene`.
 
     A step renders either a frame or a clean plate. If ``config.background.joint`` is true, a frame is rendered with the
-    background. Otherwise a step on a frame trains the foreground alone.
+    background. If ``joint`` is false, a step on a frame trains the foreground alone.
     """
 
     resident_bytes = FULL_RESIDENT_BYTES
@@ -121,7 +121,8 @@ class FullScene:
     def evaluate_background(
         self, camera: Camera, sources: list[int], shadow_time: float | None = None
     ) -> RenderablePoints:
-        """All points of the background, with the shadows at ``shadow_time``, or without shadows if it is None."""
+        """All points of the background, with the shadows at time ``shadow_time``. If ``shadow_time`` is None, the
+        points have no shadows."""
         model, points = self.background.model, self.background.points
         with torch.no_grad():
             plates = None if model.config.appearance == "sh" else self.background.sources(sources)
@@ -160,11 +161,12 @@ class FullScene:
 
 
 def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of a square window in the image. Its sides are clipped to the size of the image.
+    """(left, top, width, height) of a square window in the image. The window's sides are clipped to the size of the
+    image.
 
     ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
-    the image is then shifted into the image. Windows at the corners of the image are therefore frequent. If windows
-    were placed uniformly inside the image, almost none would contain a corner.
+    the image is shifted into the image. Because of the shift, windows at the corners of the image are frequent. If
+    windows were placed uniformly inside the image, almost none would contain a corner.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

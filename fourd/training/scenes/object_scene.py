@@ -1,4 +1,4 @@
-"""Scenes of an object, which is the content of the mattes, on black."""
+"""Scenes of an object on black. The object is the foreground that the mattes show."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from fourd.training.views import View, ViewStore
 
 
 class ObjectScene:
-    """The foreground alone; see :class:`fourd.training.scenes.scene.TrainingScene`."""
+    """A scene that contains only the foreground; see :class:`fourd.training.scenes.scene.TrainingScene`."""
 
     background: StaticBackground | None = None
     resident_bytes = RESIDENT_BYTES

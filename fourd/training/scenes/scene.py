@@ -1,5 +1,5 @@
-"""The interface of a scene. It covers everything in training and rendering that differs between objects and full
-scenes."""
+"""The interface of a scene. The interface covers everything in training and rendering that differs between objects and
+full scenes."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ class Target:
     Attributes:
         camera: camera of the rendered part of the image.
         rgb: (H, W, 3) colours in [0, 1], premultiplied by ``known``.
-        matte: (H, W) alpha of the foreground; None if the target is a plate.
-        known: (H, W) in [0, 1], 1 where ``rgb`` is known: the matte of an object, all of an image, or the part of a
-            plate in which the background is visible.
-        fills_picture: whether the scene fills the image. If true, unknown pixels are excluded from the loss. Otherwise
-            unknown pixels get the step's background colour.
+        matte: (H, W) alpha of the foreground, or None if the target is a plate.
+        known: (H, W) mask in [0, 1] that is 1 where ``rgb`` is known. For an object, the mask is the matte. For a frame
+            with background, the mask is 1 everywhere. For a plate, the mask is 1 where the plate shows the background.
+        fills_picture: whether the scene fills the image. In a scene that fills the image, unknown pixels are excluded
+            from the loss. In other scenes, unknown pixels get the step's background colour.
     """
 
     camera: Camera
@@ -57,7 +57,7 @@ class OptimizedPoints:
         parameters: name -> optimised tensor of the visible points, an autograd leaf that receives the gradient.
         evaluated: geometry and features of the visible points.
         colour: (M, 3) RGB of the visible points.
-        sources: the source views from which colours are blended; None without image-based colour.
+        sources: the source views from which colours are blended, or None without image-based colour.
     """
 
     cloud: FramePoints
@@ -77,7 +77,8 @@ class TrainingScene(Protocol):
 
     @property
     def models(self) -> Mapping[str, PointModel]:
-        """All models, the foreground's first. The keys are the prefixes of the models' tensor names in checkpoints."""
+        """All models, with the model of the foreground first. The keys are the prefixes of the models' tensor names in
+        checkpoints."""
 
     @property
     def static_clouds(self) -> Mapping[str, FramePoints]:
@@ -89,7 +90,7 @@ class TrainingScene(Protocol):
 
     @property
     def background(self) -> StaticBackground | None:
-        """The static background; None for an object."""
+        """The static background, or None for an object."""
 
     @property
     def resident_bytes(self) -> int:
@@ -99,7 +100,7 @@ class TrainingScene(Protocol):
         """Terms of the training loss."""
 
     def set_rig(self, rig: Rig) -> None:
-        """Replace the cameras of views and plates by those of ``rig``."""
+        """Replace the cameras of views and plates by the cameras of ``rig``."""
 
     def target(self, sample: StepSample) -> Target:
         """The ground-truth image of a step."""
@@ -110,24 +111,24 @@ class TrainingScene(Protocol):
         """The visible points of each cloud that is rendered in a step. The foreground comes first."""
 
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> float | Tensor:
-        """Learning rate of the positions in world units, a number or (M, 1). ``factor`` is the schedule's factor on all
-        rates."""
+        """Learning rate of the point positions in world units, either one number or a tensor (M, 1). ``factor`` is the
+        schedule's factor on all learning rates."""
 
     def finish_step(self) -> None:
-        """Called after each update of the parameters."""
+        """Notify the scene that a training step has updated the parameters."""
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
-        """Split and remove points after a step if densification is due. ``spent`` is the share of the budget that is
-        spent."""
+        """Split and remove points after a step if densification is due. ``spent`` is the spent share of the training
+        budget."""
 
     def clear_caches(self) -> None:
-        """Drop cached data that a resumed run does not have."""
+        """Drop cached data, because a resumed run starts without cached data."""
 
     def evaluate_frame(
         self, points: FramePoints, frame: int, camera: Camera, sources: list[int]
     ) -> list[RenderablePoints]:
-        """All points of frame ``frame`` (an index into the selected frames), foreground first. Colours are blended from
-        the source views of the cameras ``sources``."""
+        """All points of a scene at one frame, with the foreground first. ``frame`` is an index into the selected
+        frames. Colours are blended from the source views of the cameras with indices ``sources``."""
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
         """The true image (H, W, 3) in [0, 1] with which a rendering of the view is compared."""
