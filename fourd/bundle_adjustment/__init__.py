@@ -1,1 +1,1 @@
-"""Bundle adjustment of the given cameras with feature matches between images, before carving."""
+"""Bundle adjustment of given cameras with feature matches between images. It runs before carving."""

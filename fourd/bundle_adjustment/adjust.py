@@ -1,7 +1,7 @@
-"""Adjustment of cameras from images.
+"""Correction of given cameras by bundle adjustment of feature matches.
 
-Features are matched, and bundle adjustment runs three times. Each run uses only matches near their epipolar lines, and
-the maximum distance decreases from run to run.
+After features are matched, bundle adjustment runs three times. Each run uses only matches near their epipolar lines.
+The maximum distance from the epipolar lines decreases from run to run.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ MAX_FRAMES = 2
 MIN_FEATURES = 20
 """Minimum number of features per camera; a camera with fewer features keeps its given calibration."""
 INLIER_SCALES = 4.0
-"""Features with a reprojection error above this multiple of the Cauchy loss's scale are outliers."""
+"""Features are outliers if their reprojection error exceeds this multiple of the scale of the Cauchy loss."""
 FINAL_BAND_PX = 3.0
-"""Maximum distance of a match from its epipolar lines in the last adjustment."""
+"""Maximum distance of a match from its epipolar lines in the last of the three bundle adjustments, in pixels."""
 FINAL_SCALE_PX = 1.0
-"""Scale of the Cauchy loss in the last two adjustments."""
+"""Scale of the Cauchy loss in the last two of the three bundle adjustments, in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,10 @@ class Adjustment:
     Attributes:
         cameras: adjusted cameras in the order of the given cameras.
         features: (V,) number of inlier features of each camera.
-        before_px: median reprojection error of the inliers with the given cameras, in pixels; NaN without inliers.
-        after_px: median reprojection error of the inliers with the adjusted cameras, in pixels; NaN without inliers.
+        before_px: median reprojection error of the inliers with the given cameras, in pixels; NaN if there are no
+            inliers.
+        after_px: median reprojection error of the inliers with the adjusted cameras, in pixels; NaN if there are no
+            inliers.
     """
 
     cameras: tuple[Camera, ...]
@@ -63,7 +65,7 @@ class Adjustment:
 
 
 def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, band: float, track: Track) -> Adjustment:
-    """Adjust the selected cameras of a capture with feature matches from two of its frames.
+    """Adjust the selected cameras of a capture with feature matches from at most two of the capture's frames.
 
     Args:
         capture: undistorted images and an approximate calibration.
@@ -74,7 +76,7 @@ def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, ba
         track: progress callback.
 
     Returns:
-        the cameras in the order of ``cameras``. Cameras with too few matches keep their given calibration.
+        the adjusted cameras in the order of ``cameras``. A camera with too few matches keeps its given calibration.
     """
     given = tuple(capture.cameras[index] for index in cameras)
     frames = []
@@ -86,7 +88,7 @@ def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, ba
 
 
 def adjust_to_matches(given: Sequence[Camera], frames: Sequence[FrameMatches], prior: Prior, band: float) -> Adjustment:
-    """Adjust cameras to feature matches; the arguments are those of :func:`adjust_cameras`."""
+    """Adjust the cameras ``given`` to feature matches; see :func:`adjust_cameras` for ``prior`` and ``band``."""
     wide = band * max(max(camera.width, camera.height) for camera in given)
     cameras, tracks, after = tuple(given), build_tracks(frames, given, wide), float("nan")
     for band_px, scale_px in ((wide, wide / 4), (wide / 2, FINAL_SCALE_PX), (FINAL_BAND_PX, FINAL_SCALE_PX)):
@@ -105,10 +107,10 @@ def _adjust_once(
     band_px: float,
     scale_px: float,
 ) -> tuple[tuple[Camera, ...], Observations, float]:
-    """Run one bundle adjustment from the cameras ``start``.
+    """Run one bundle adjustment that starts at the cameras ``start``.
 
     Returns:
-        the adjusted cameras, the inlier features, and the inliers' median reprojection error in pixels.
+        the adjusted cameras, the inlier features, and the median reprojection error of the inliers in pixels.
     """
     xyz, is_wide = triangulate_points(tracks, start)
     tracks = tracks.of_points(is_wide)
@@ -126,7 +128,7 @@ def _adjust_once(
 
 
 def _frame_features(capture: MaskSource, cameras: Sequence[int], frame: int, track: Track) -> list[Features]:
-    """The features of each camera in one frame."""
+    """Extract the features of each camera in one frame."""
     views = []
     for index in cameras:
         picture = capture.image(index, frame)

@@ -1,8 +1,9 @@
 """Bundle adjustment with a prior on the given calibration.
 
-The solver is Levenberg-Marquardt; the Schur complement eliminates the points (Triggs et al., Bundle Adjustment: A
-Modern Synthesis, 2000, sec. 6.1). The cost is the reprojection error under a Cauchy loss plus a Gaussian prior on each
-camera's correction. The prior fixes the gauge: without a prior, all cameras could rotate, translate and scale together.
+The solver uses the Levenberg-Marquardt algorithm and eliminates the points with the Schur complement (Triggs et al.,
+Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1). The cost is the sum of two terms: the reprojection error under
+a Cauchy loss, and a Gaussian prior on each camera's correction. The prior fixes the gauge. Without a prior, rotating,
+translating or scaling all cameras and points together would not change the cost.
 """
 
 from __future__ import annotations
@@ -21,27 +22,27 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 
 ROTATION, POSITION, LOG_FOCAL = slice(0, 3), slice(3, 6), 6
-"""Indices of a camera's rotation, position and log focal length in its 7-vector of parameters."""
+"""Indices of a camera's rotation, position and logarithmic focal length in the vector of its 7 parameters."""
 PARAMETERS = 7
 """Number of parameters per camera."""
 MAX_STEPS = 40
 MIN_RELATIVE_DECREASE = 1e-5
-"""The solver stops if a step decreases the cost by less than this fraction."""
+"""The solver stops when a step decreases the cost by less than this fraction of the cost."""
 DAMPING = 1e-3
-"""Initial damping of Levenberg-Marquardt."""
+"""Initial damping factor of the Levenberg-Marquardt algorithm."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Standard deviations of the given calibration.
+    """Standard deviations of the given cameras' parameters and of the features.
 
     Attributes:
         rotation: standard deviation of rotations in radians; 0 keeps all rotations fixed.
         position: (V,) standard deviation of each camera's position in world units; 0 keeps all positions fixed.
         focal: standard deviation of the logarithm of the focal length; 0 keeps all focal lengths fixed.
         pixel: standard deviation of a feature's position in pixels. The measured value is a third of a pixel. The
-            default is larger because errors of features on one surface are correlated: with a small value, the features
-            outweigh the prior and bend rings of cameras.
+            default is larger, because errors of features on one surface are correlated. With a small value, the
+            features outweigh the prior, and the adjustment bends rings of cameras.
     """
 
     rotation: float
@@ -59,10 +60,10 @@ class _State:
 def solve(
     given: Sequence[Camera], start: Sequence[Camera], tracks: Observations, xyz: Array, prior: Prior, scale_px: float
 ) -> tuple[tuple[Camera, ...], Array]:
-    """Minimise the robust reprojection error over cameras and points.
+    """Minimise the cost of bundle adjustment over the cameras' parameters and the points' positions.
 
     Args:
-        given: cameras with the given calibration, the mean of the prior.
+        given: cameras with the given calibration; they are the mean of the prior.
         start: initial cameras.
         tracks: observed features.
         xyz: (P, 3) initial world points.
@@ -70,7 +71,7 @@ def solve(
         scale_px: scale of the Cauchy loss in pixels.
 
     Returns:
-        the cameras and the points (P, 3). Cameras without features keep their given calibration.
+        the optimised cameras and points (P, 3). Cameras without features keep their given calibration.
     """
     state = _State(tuple(start), xyz)
     damping, cost = DAMPING, _cost(state, given, tracks, prior, scale_px)
@@ -98,15 +99,15 @@ def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz:
 
 @dataclass(frozen=True, eq=False)
 class _System:
-    """The normal equations, stored as blocks.
+    """The normal equations of V cameras and P points, stored as blocks.
 
     Attributes:
         cameras: (V, 7, 7) diagonal blocks of the cameras.
         points: (P, 3, 3) diagonal blocks of the points.
-        coupling: (M, 7, 3) block that couples the camera and the point of each feature.
+        coupling: (M, 7, 3) blocks, one per feature, that couple the feature's camera and its point.
         rhs_cameras: (V, 7) right-hand side of the cameras' equations.
         rhs_points: (P, 3) right-hand side of the points' equations.
-        tracks: the M features.
+        tracks: the M observed features.
     """
 
     cameras: Array
@@ -118,7 +119,7 @@ class _System:
 
     @classmethod
     def at(cls, state: _State, given: Sequence[Camera], tracks: Observations, prior: Prior, scale_px: float) -> _System:
-        """Linearise the cost at a state and build the normal equations."""
+        """Linearise the cost at ``state`` and build the normal equations."""
         residual, in_camera = _residuals(state, tracks)
         weight = _weights(residual, in_camera, prior, scale_px)
         by_camera, by_point = _jacobians(state, tracks, in_camera)
@@ -167,7 +168,7 @@ def _sparse_blocks(
 
 
 def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
-    """Residuals (M, 2) in pixels, projection minus feature, and the features' points in camera coordinates (M, 3)."""
+    """Residuals (M, 2) in pixels (projection minus feature), and the features' points (M, 3) in camera coordinates."""
     rotation, centre, k = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("rotation", "centre", "intrinsics")
@@ -189,7 +190,8 @@ def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[A
     zero = np.zeros_like(z)
     flat = np.stack([np.stack([1 / z, zero, -x / z**2], -1), np.stack([zero, 1 / z, -y / z**2], -1)], 1)
     by_position = k[:, :2, :2] @ flat
-    # The derivative of exp(w) p with respect to w at w = 0 is -[p]x.
+    # The derivative of exp([w]x) p with respect to the rotation vector w at w = 0 is -[p]x, the cross-product matrix of
+    # -p.
     cross_matrix = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1), np.stack([y, -x, zero], -1)], 1)
     by_log_focal = np.einsum("mij,mj->mi", k[:, :2, :2], in_camera[:, :2] / z[:, None])[..., None]
     return np.concatenate([by_position @ cross_matrix, -by_position, by_log_focal], axis=2), by_position @ rotation
@@ -205,7 +207,7 @@ def _update_camera(camera: Camera, change: Array) -> Camera:
 
 
 def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
-    """Parameter changes (V, 7) from the cameras ``given`` to ``cameras``."""
+    """Parameter changes (V, 7) from the given cameras ``given`` to the cameras ``cameras``."""
     rows = []
     for camera, before in zip(cameras, given, strict=True):
         rotation = cv2.Rodrigues(camera.rotation @ before.rotation.T)[0].ravel()
@@ -217,7 +219,7 @@ def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
 def _prior_precision(prior: Prior, views: int) -> Array:
     """Inverse variances (V, 7) of the prior.
 
-    Fixed parameters get the value 1, because the equations would be singular with 0.
+    The inverse variance of fixed parameters is 1, because 0 would make the normal equations singular.
     """
     deviation = np.ones((views, PARAMETERS))
     deviation[:, ROTATION] = prior.rotation
@@ -228,7 +230,7 @@ def _prior_precision(prior: Prior, views: int) -> Array:
 
 
 def _free(prior: Prior) -> NDArray[np.bool_]:
-    """(7,) bool: whether a camera parameter is optimised."""
+    """(7,) bool: whether each of the 7 camera parameters is optimised."""
     free = np.zeros(PARAMETERS, bool)
     free[ROTATION], free[POSITION], free[LOG_FOCAL] = (
         prior.rotation > 0,
@@ -239,7 +241,7 @@ def _free(prior: Prior) -> NDArray[np.bool_]:
 
 
 def _weights(residual: Array, in_camera: Array, prior: Prior, scale_px: float) -> Array:
-    """Weights (M,) of the squared errors: the Cauchy weight divided by ``Prior.pixel`` squared; 0 behind the camera."""
+    """Weight (M,) of each squared error: the Cauchy weight divided by ``Prior.pixel`` squared; 0 behind the camera."""
     weight = 1 / (1 + np.square(residual).sum(axis=1) / scale_px**2) / prior.pixel**2
     return np.where(in_camera[:, 2] > 1e-6, weight, 0)
 

@@ -1,4 +1,4 @@
-"""Feature tracks across cameras, and the triangulation of these tracks."""
+"""Feature tracks across cameras, and the triangulation of one point from each track."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Observations:
         return Observations(self.camera[rows], (np.cumsum(kept) - 1)[self.point[rows]], self.pixel[rows])
 
     def select(self, rows: NDArray[np.bool_]) -> Observations:
-        """Select features by ``rows`` (M,) bool, drop points with fewer than two features, and renumber the others."""
+        """Select the features in ``rows`` (M,) bool; drop points with fewer than two features and renumber the rest."""
         camera, point, pixel = self.camera[rows], self.point[rows], self.pixel[rows]
         enough = np.bincount(point, minlength=self.points) >= 2
         return Observations(camera, point, pixel).of_points(enough)
@@ -57,7 +57,7 @@ class FrameMatches:
 
     Attributes:
         features: the features of each camera.
-        matches: (M, 2) indices of matching features for each pair of cameras.
+        matches: for each pair of cameras, the indices (M, 2) of M pairs of matching features.
     """
 
     features: tuple[Features, ...]
@@ -65,9 +65,9 @@ class FrameMatches:
 
 
 def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Connect matches to tracks across cameras; matches farther than ``band_px`` from their epipolar lines are ignored.
+    """Connect matches to tracks across cameras; ignore matches farther than ``band_px`` from their epipolar lines.
 
-    If a track has several features in one camera, these features are dropped.
+    If a track has several features in the same camera, all of these features are dropped.
     """
     parts, points = [], 0
     for frame in frames:
@@ -82,7 +82,7 @@ def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band
 
 
 def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Build the tracks of one frame as connected components of the graph of matches."""
+    """Build the tracks of one frame. Tracks are the connected components of the graph of matches."""
     features = frame.features
     counts = [len(each.xy) for each in features]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
@@ -104,7 +104,7 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """For each match (M,), the larger of the two features' distances from each other's epipolar lines, in pixels."""
+    """For each match (M,), the larger of its two features' distances in pixels from their epipolar lines."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix
@@ -114,11 +114,11 @@ def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other
 
 
 def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple[Array, NDArray[np.bool_]]:
-    """Triangulate each track as the point with the least sum of squared distances to the track's rays.
+    """Triangulate each track: find the point with the smallest sum of squared distances to the track's rays.
 
     Returns:
-        world points (P, 3), and (P,) bool, whether the rays of a point span about 2 degrees or more. The positions of
-        points with smaller angles are undefined.
+        world points (P, 3), and (P,) bool: whether the rays of each point span at least about 2 degrees. If the rays of
+        a point span a smaller angle, its position is undefined.
     """
     origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
     rays = _ray_directions(tracks, cameras)
@@ -128,8 +128,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
     sums = np.zeros((tracks.points, 3))
     np.add.at(sums, tracks.point, rays)
-    # The wider the angle between unit vectors, the shorter is their mean. For two vectors, the mean's length is
-    # cos(angle / 2).
+    # The mean of unit vectors is shorter for wider angles between the vectors. For two vectors, the length of the mean
+    # is cos(angle / 2).
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)
@@ -138,7 +138,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
 
 
 def _ray_directions(tracks: Observations, cameras: Sequence[Camera]) -> Array:
-    """Unit vectors (M, 3) along the features' rays in the world."""
+    """Unit vectors (M, 3) along the viewing rays of the features, in world coordinates."""
     R_world_pixel = np.stack([camera.rotation.T @ np.linalg.inv(camera.intrinsics) for camera in cameras])
     pixels = np.column_stack([tracks.pixel, np.ones(len(tracks.pixel))])
     rays = np.einsum("mij,mj->mi", R_world_pixel[tracks.camera], pixels)

@@ -1,4 +1,4 @@
-"""Check of a capture's calibration against its images by epipolar residuals."""
+"""Check of a calibration with the epipolar residuals of feature matches between the capture's images."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_PICTURE_PIXELS = 2.1e6
 MAX_FRAME_PIXELS = 12e6
 """Maximum total number of pixels of one frame's images from all cameras; larger images are reduced.
 
-With this limit, the check of a ring of cameras takes seconds.
+Because of this limit on pixels, the check of a ring of cameras takes only seconds.
 """
 
 
@@ -30,9 +30,9 @@ class Agreement:
     """Result of the check of a calibration.
 
     Attributes:
-        mean_px: mean of the camera pairs' median residuals, in pixels of the full-size images; None if no pair has
-            enough matches.
-        worst: name of the camera with the largest camera residual, and this residual in pixels; None if no pair has
+        mean_px: mean over the camera pairs of their median residuals, in pixels of the full-size images; None if no
+            camera pair has enough matches.
+        worst: name of the camera with the largest residual, and its residual in pixels; None if no camera pair has
             enough matches.
         pairs: number of camera pairs with enough matches.
         matches: total number of matches.
@@ -49,7 +49,7 @@ class Agreement:
 def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     """Compute the epipolar residuals of a capture's calibration.
 
-    The check uses 3 frames for captures of up to 5 cameras, and the middle frame for captures of more cameras.
+    With up to 5 cameras, the check uses 3 frames. With more cameras, it uses only the middle frame.
 
     Args:
         path: the capture's folder.
@@ -81,7 +81,7 @@ def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     ]
     if not warnings and len(medians) > 1 and float(np.median(medians)) > MAX_GOOD_PX:
         warnings.append(
-            f"{file}: the cameras disagree by {mean:.1f} px on average, all by similar amounts; calibrate again, or "
-            "import again, because fourd import checks for resized images and mirrored principal points"
+            f"{file}: all cameras disagree by similar amounts, on average by {mean:.1f} px; calibrate again, or run "
+            "fourd import again to check for resized images and mirrored principal points"
         )
     return Agreement(mean, max(by_camera, key=lambda camera: camera[1]), len(medians), count, tuple(warnings))

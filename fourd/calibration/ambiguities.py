@@ -1,4 +1,4 @@
-"""Resolution of a calibration's ambiguities with the images: how they were resized, and mirrored principal points."""
+"""Detection of calibration errors from the images: images that were resized, and mirrored principal points."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ResolvedCalibration:
 
     Attributes:
         cameras: one per camera of the calibration, with distortion and the size of the camera's images.
-        notes: the choices and the evidence for them, one line per choice.
+        notes: each choice and the evidence for it, one line per choice.
         warnings: suspected errors that were not corrected, one line per error.
     """
 
@@ -59,10 +59,12 @@ def resolve_ambiguities(
         names: the cameras' names.
         cameras: the calibration as given.
         pictures_by_frame: for each of a few frames, the stored images (H, W, 3) of all cameras.
-        resize: how images that differ in size from the calibration were made: a name of
-            :func:`fourd.calibration.image_sizes.size_hypotheses`, or ``auto`` to decide by black borders and matches.
-        centres: ``as-given`` skips the check of principal points, ``auto`` warns if mirrored principal points have
-            clearly smaller residuals, and ``mirrored`` applies them. The check needs 2 to 5 cameras.
+        resize: how images were resized after the calibration: a name from
+            :func:`fourd.calibration.image_sizes.size_hypotheses`. ``auto`` chooses the name that best fits the images'
+            black borders and feature matches.
+        centres: ``as-given`` skips the check of principal points. ``auto`` warns if mirrored principal points have
+            clearly smaller residuals. ``mirrored`` uses the mirrored principal points. The check of principal points
+            needs 2 to 5 cameras.
         track: progress callback.
 
     Raises:
@@ -95,7 +97,7 @@ def resolve_ambiguities(
 
 @dataclass(frozen=True)
 class _SizeResolver:
-    """Finds how images that differ in size from their calibration were made."""
+    """Finds how the images were resized after the calibration."""
 
     names: Sequence[str]
     cameras: Sequence[Camera]
@@ -105,7 +107,7 @@ class _SizeResolver:
     track: Track | None
 
     def resolve(self, resize: str) -> tuple[str, list[str], dict[Pair, Matches] | None]:
-        """Choose a hypothesis; return its name, notes, and the matches (None if they were not computed)."""
+        """Choose a size hypothesis; return its name, notes, and the feature matches (None if not computed)."""
         resized = [i for i, camera in enumerate(self.cameras) if self.sizes[i] != (camera.width, camera.height)]
         if not resized:
             if resize == "auto":
@@ -121,30 +123,32 @@ class _SizeResolver:
         return name, [note], matches
 
     def _check_option(self, asked: str | None, resized: Sequence[int]) -> None:
-        """Check that the hypothesis ``asked``, or any hypothesis if None, explains the sizes of all resized images.
+        """Check that the size hypothesis ``asked`` explains the sizes of all resized images.
+
+        If ``asked`` is None, check that at least one size hypothesis explains these sizes.
 
         Raises:
-            UserError: if it does not.
+            UserError: if no such size hypothesis explains the sizes.
         """
         options = [size_hypotheses(self.cameras[i], *self.sizes[i]) for i in resized]
         common = [name for name in options[0] if all(name in option for option in options)]
         cameras = ", ".join(self.names[i] for i in resized)
         if not common:
             raise UserError(
-                f"{cameras}: expected images that were all resized in the same way, got sizes for which no such way "
-                "exists; export the images at the calibration's size"
+                f"{cameras}: expected images that were all resized by the same method, got sizes that no single method "
+                "explains; export the images at the calibration's size"
             )
         if asked is not None and asked not in common:
             raise UserError(f"--resize: expected one of {', '.join(common)} for {cameras}, got '{asked}'")
 
     def _choose(self, resized: Sequence[int]) -> tuple[str, str, dict[Pair, Matches]]:
-        """Choose the best hypothesis; return its name, the evidence in one line, and the matches."""
+        """Choose the best size hypothesis; return its name, the evidence in one line, and the feature matches."""
         borders = {i: measure_black_borders([pictures[i] for pictures in self.pictures_by_frame]) for i in resized}
         guess = choose_size({}, self.cameras, self.sizes, borders)
         matches = match_cameras(self.pictures_by_frame, guess.cameras, self.track)
         choice = choose_size(matches, self.cameras, self.sizes, borders)
         if not choice.is_clear and self.checks_principal_points:
-            # Mirrored principal points can cause larger residuals than a wrong size hypothesis. The hypotheses are
+            # Mirrored principal points can cause larger residuals than a wrong size hypothesis. The size hypotheses are
             # therefore compared again with corrected principal points.
             mirrors = _choose_mirrors(matches, choice.cameras)
             if mirrors is not None and mirrors.is_clear:
@@ -177,7 +181,7 @@ def _evidence(choice: SizeChoice, widths: Sequence[float]) -> str:
 
 
 def _choose_mirrors(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice | None:
-    """Choose principal points; None if there are too few matches."""
+    """Choose the principal points with the smallest residuals; None if there are too few feature matches."""
     if not compute_residuals(matches, cameras).pairs:
         return None
     return choose_principal_points(matches, cameras)
@@ -204,7 +208,7 @@ def _resolve_principal_points(
     mirrored = _describe_mirrors(names, found)
     numbers = (
         f"residuals of {count} matches: {found.given_px:.1f} px as given, {found.chosen_px:.1f} px mirrored, "
-        f"{found.next_px:.1f} px the next best"
+        f"{found.next_px:.1f} px for the second best choice"
     )
     summary = f"residuals: {found.given_px:.1f} px mean over {count} matches"
     if centres == "mirrored":
@@ -224,7 +228,8 @@ def _resolve_principal_points(
         warning = f"principal points look mirrored: {mirrored} ({numbers}); not changed; apply with --centres mirrored"
     else:
         warning = (
-            f"cameras disagree: {summary}, not explained by mirrored principal points; recalibrate or use --calibrate"
+            f"cameras disagree: {summary}; mirrored principal points do not explain the residuals; recalibrate or use "
+            "--calibrate"
         )
     return ResolvedCalibration(cameras, tuple(notes), (warning,))
 

@@ -20,18 +20,18 @@ Picture = NDArray[np.uint8]
 MIN_FEATURE_MATCHES = 20
 """Minimum number of feature matches of a camera pair.
 
-The limit excludes wrong matches between distant cameras. In one capture, repeated patterns gave 8 wrong matches that
-fit a homography.
+This minimum excludes wrong matches between distant cameras. In one capture, repeated patterns gave 8 wrong matches that
+all fit one homography.
 """
 NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
 GROUND_HEIGHTS_M = (0.0, -0.02, 0.02)
-"""Heights z in metres of the planes on which the ground is matched.
+"""Heights z, in metres, of the horizontal planes on which ground patches are matched.
 
 The planes are tried in this order until there are enough matches.
 """
 GROUND_HALF_SIDE_M = 2.5
 METRIC_DISTANCES_M = (0.5, 50.0)
-"""Plausible range of distances between cameras; outside it, the calibration's unit is assumed not to be metres."""
+"""Plausible distances between two cameras in metres. Outside this range, the unit is assumed not to be metres."""
 MIN_UPRIGHT = 0.5
 """Minimum mean z component of the cameras' up directions in a world with z up."""
 MAX_RASTER_PX = 2000
@@ -42,15 +42,15 @@ def match_cameras(
 ) -> dict[Pair, Matches]:
     """Match pairs of cameras over all given frames.
 
-    Features are matched first; pairs with fewer than 20 feature matches are discarded. With wide baselines, a camera
-    may have feature matches in fewer than two pairs. All pairs of such a camera are also matched on the ground, if
-    the world is in metres with z up. Ground matches are searched at z = 0 within 2.5 m of the point below the
-    cameras' focus. If there are too few, the planes 2 cm below and above are searched too. Each pair keeps the larger
-    of its two sets of matches.
+    Features are matched first. If a camera pair has fewer than 20 feature matches, they are discarded. With wide
+    baselines, a camera may have feature matches in fewer than two pairs. If the world is in metres with z up, all pairs
+    of such a camera are also matched on the ground. Ground patches are searched at z = 0 in a 5 m square centred below
+    the cameras' focus. If this gives too few ground matches, the planes 2 cm below and above are searched too. Each of
+    these pairs keeps the larger set: its feature matches or its ground matches.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.
-        cameras: the calibration; it guides the search but does not determine the result.
+        cameras: the approximate calibration; it guides the search for matches but does not determine their positions.
         track: progress callback.
 
     Returns:
@@ -97,7 +97,7 @@ def _append(matches: dict[Pair, Matches], more: Mapping[Pair, Matches]) -> None:
 
 
 def _ground_patches(cameras: Sequence[Camera]) -> list[PlanePatch]:
-    """Squares on the ground below the cameras' focus; an empty list if the world is not in metres with z up."""
+    """Squares on the ground below the cameras' focus; none if the world is not in metres with z up."""
     distances = [float(np.linalg.norm(a.centre - b.centre)) for a, b in combinations(cameras, 2)]
     up = float(np.mean([-camera.rotation[1, 2] for camera in cameras]))
     focus = find_focus(list(cameras))

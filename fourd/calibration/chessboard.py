@@ -36,10 +36,11 @@ class Board:
 def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
     """Return the camera with its pose relative to a chessboard, in metres.
 
-    The origin is one of the outermost inner corners. The x axis points along the ``columns`` corners, y along the
-    ``rows`` corners, and z from the board towards the camera. The square between the origin and the next corners in x
-    and y is black. If ``columns + rows`` is odd, this defines the same origin in all views. If it is even, the board
-    looks the same after a rotation by 180 degrees, and the origin may be at either of two opposite corners.
+    The origin is at one of the four corners of the grid of inner corners. The x axis points along the ``columns``
+    corners, y along the ``rows`` corners, and z from the board towards the camera. The square that touches the origin
+    on the +x and +y side is black. If ``columns + rows`` is odd, this rule gives the same origin in all views. If
+    ``columns + rows`` is even, the board looks the same after a rotation by 180 degrees. The origin may then be at
+    either of two opposite corners.
 
     Args:
         picture: distorted RGB image (H, W, 3) uint8.
@@ -47,19 +48,19 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
         board: chessboard with at least 3 inner corners along each side.
 
     Raises:
-        UserError: if a number of ``board`` is out of range, or the whole board is not visible.
+        UserError: if an attribute of ``board`` is out of range, or a part of the board is not visible.
     """
     columns, rows, square_m = board.columns, board.rows, board.square_m
     if min(columns, rows) < MIN_CORNERS or not (np.isfinite(square_m) and square_m > 0):
         raise UserError(
-            f"board: expected at least {MIN_CORNERS} x {MIN_CORNERS} inner corners and a side above 0 m, got "
+            f"board: expected at least {MIN_CORNERS} x {MIN_CORNERS} inner corners and squares above 0 m, got "
             f"{columns} x {rows} and {square_m:g} m; count the points where four squares meet"
         )
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
     pixels = _detect_corners(grey, columns, rows)
     j, i = np.meshgrid(np.arange(columns), np.arange(rows))
     xyz = square_m * np.stack([j, i, np.zeros_like(i)], axis=-1).reshape(-1, 3)
-    # In OpenCV's pixel coordinates, the first pixel's centre is at 0; in fourd's it is at 0.5.
+    # The centre of the first pixel has the coordinate 0 in OpenCV and 0.5 in fourd.
     xy = pixels.reshape(-1, 2) + 0.5
     _, rvec, tvec = cv2.solvePnP(xyz, xy, camera.intrinsics, camera.distortion, flags=cv2.SOLVEPNP_IPPE)
     rvec, tvec = cv2.solvePnPRefineLM(xyz, xy, camera.intrinsics, camera.distortion, rvec, tvec)
@@ -68,7 +69,7 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
 
 
 def _detect_corners(grey: Picture, columns: int, rows: int) -> Array:
-    """Detect the inner corners (rows, columns, 2) in OpenCV's pixel coordinates, ordered as board_pose defines."""
+    """Detect the inner corners (rows, columns, 2) in OpenCV's pixel coordinates, in the order of :func:`board_pose`."""
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=flags)
     if not found:
@@ -79,8 +80,9 @@ def _detect_corners(grey: Picture, columns: int, rows: int) -> Array:
     pixels = corners.reshape(rows, columns, 2).astype(np.float64)
     along, across = pixels[0, -1] - pixels[0, 0], pixels[-1, 0] - pixels[0, 0]
     if along[0] * across[1] - along[1] * across[0] > 0:
-        # Seen from +z, the rotation from x to y is counterclockwise. In an image y points down, so the cross product
-        # of the two axes is negative. Here it is positive, so the rows are in the wrong order.
+        # Seen from +z, the board's y axis is counterclockwise from its x axis. Image y points down, so the cross
+        # product of the board's axes must be negative in the image. A positive cross product means that the rows are in
+        # the wrong order.
         pixels = pixels[::-1]
     if _is_first_square_bright(grey, pixels):
         pixels = pixels[::-1, ::-1]

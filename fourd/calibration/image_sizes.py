@@ -1,4 +1,4 @@
-"""Hypotheses of how images were resized after the calibration, and tests of these hypotheses on the images."""
+"""Hypotheses of how images were resized after the calibration, and their comparison with the images."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 BLACK_LEVEL = 40
-"""Brightness (0 to 255) below which 95% of the pixels of a row or column must be for it to count as black border."""
+"""Brightness limit (0 to 255) of black borders: in a border row or column, 95% of the pixels are darker."""
 CONTENT_ROWS = 4
 MAX_BORDER_ERROR_PX = 0.75
 """Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""
 MAX_GOOD_PX = 3.0
 MIN_LEAD = 1.5
-"""Minimum ratio of the second smallest residual to the smallest residual for clear evidence."""
+"""Minimum ratio of the second smallest to the smallest residual of all hypotheses. Smaller ratios are not clear
+evidence."""
 
 
 @dataclass(frozen=True)
 class Borders:
-    """Widths of an image's black borders in pixels, which may be fractions."""
+    """Widths of an image's black borders in pixels; a width may be fractional."""
 
     left: float
     top: float
@@ -48,11 +49,11 @@ class SizeChoice:
         name: the best hypothesis.
         cameras: the cameras of all images under the best hypothesis.
         residuals: epipolar residuals of each hypothesis.
-        means_px: mean of the median residuals of the pairs with a resized camera, for each hypothesis; None if there
-            is no such pair.
-        borders_px: largest difference between measured and predicted borders, for each hypothesis; None if the
-            borders were not measured.
-        is_clear: whether the evidence is sufficient without a decision by the user.
+        means_px: for each hypothesis, the mean over the median residuals of all camera pairs with a resized camera;
+            None if no such pair has enough matches.
+        borders_px: for each hypothesis, the largest difference in pixels between measured and predicted borders; None
+            if the borders were not measured.
+        is_clear: whether the evidence is sufficient, so that the user need not decide.
         why: the evidence in one line.
     """
 
@@ -71,16 +72,16 @@ def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera
     ``camera`` is the camera before resizing.
 
     If the sizes are equal, the only hypothesis is ``unchanged``. Otherwise the names are:
-    - ``stretched``: each axis is scaled by its own factor; the name is ``scaled`` if both factors are equal to within
-      half a pixel;
-    - ``letterboxed``: the image is scaled to fit entirely, with equal black borders on two sides;
-    - ``filled``: the image is scaled to leave no border, and cropped equally on two sides;
+    - ``stretched``: width and height are scaled by different factors; the name is ``scaled`` if one factor gives both
+      sizes to within half a pixel;
+    - ``letterboxed``: the whole image is scaled to fit, with equal black borders on two sides;
+    - ``filled``: the image is scaled until no border remains, then cropped equally on two opposite sides;
     - ``cropped left``, ``cropped right``, ``cropped top`` and ``cropped bottom``: the image is cropped on that side
       and not scaled;
     - ``cropped centre``: the image is cropped equally on opposite sides and not scaled.
 
-    The cropped hypotheses exist only if neither side is longer than before. Distortion coefficients are kept, because
-    they apply to coordinates divided by the focal length.
+    The cropped hypotheses are omitted if the new image is wider or higher than the old one. All hypotheses keep the
+    distortion coefficients, because these apply to coordinates divided by the focal length.
     """
     if (width, height) == (camera.width, camera.height):
         return {"unchanged": camera}
@@ -116,9 +117,9 @@ def _scale_about_centre(camera: Camera, width: int, height: int, scale: float) -
 def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
     """Measure the black borders of one camera's distorted images (H, W, 3) uint8.
 
-    Several frames give a better result than one. If a border ends within a pixel, the covered fraction of the pixel
-    is estimated from the brightness of the next rows. If the scene is dark along a side, the measured border is 0 or
-    too wide.
+    The mean over several frames gives more exact borders than one frame. If a border ends within a pixel, the covered
+    fraction of the pixel is estimated from the brightness of the next rows. If the scene is dark along a side, the
+    measured border is 0 or too wide.
     """
     grey = np.mean([picture.mean(axis=2) for picture in pictures], axis=0)
     sides = (grey.T, grey, grey.T[::-1], grey[::-1])
@@ -127,7 +128,7 @@ def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
 
 
 def _border_width(rows: Array) -> float:
-    """Width in pixels, including a fraction, of the black border before the first row of content."""
+    """Fractional width in pixels of the black border before the first row of content."""
     bright = np.percentile(rows[: len(rows) // 4], 95, axis=1) >= BLACK_LEVEL
     if bright[0] or not bright.any():
         return 0.0
@@ -138,7 +139,8 @@ def _border_width(rows: Array) -> float:
     if content - floor < 1:
         return 0.0
     share = np.clip((level[: first + 2] - floor) / (content - floor), 0, 1)
-    # Only the last black row can be partly covered by content. Brightness before it is ringing of the codec.
+    # Only the last black row can be partly covered by content. Brightness in earlier black rows is a ringing artefact
+    # of the codec.
     share[: max(first - 1, 0)] = 0
     return float((1 - share).sum())
 
@@ -149,15 +151,16 @@ def choose_size(
     sizes: Sequence[tuple[int, int]],
     borders: Mapping[int, Borders] | None = None,
 ) -> SizeChoice:
-    """Find how images were resized, assuming that all resized images were made in the same way.
+    """Find how images were resized, assuming that all of them were resized by the same method.
 
-    The measured black borders exclude hypotheses that predict other borders. Of the remaining hypotheses, the one with
-    the smallest epipolar residual is chosen. The evidence is clear in two cases: borders of at least 2 pixels fit only
-    one hypothesis, or the smallest residual is at most 3 pixels and all other remaining hypotheses have residuals at
-    least 1.5 times as large.
+    A hypothesis is excluded if it predicts other black borders than the measured ones. The function chooses the
+    remaining hypothesis with the smallest epipolar residual. The evidence is clear in two cases. Either an image has a
+    black border of at least 2 pixels, and only one hypothesis fits the borders. Or the smallest residual is at most 3
+    pixels, and the residuals of all other remaining hypotheses are at least 1.5 times as large.
 
     Args:
-        matches: matches of each camera pair in pixels of the distorted images; several frames are concatenated.
+        matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are
+            concatenated.
         cameras: the calibration, one camera per image.
         sizes: (width, height) of each image in pixels.
         borders: measured borders of the resized images by camera index; None if they were not measured.
@@ -169,7 +172,7 @@ def choose_size(
     resized = [index for index, option in enumerate(options) if "unchanged" not in option]
     names = [name for name in options[resized[0]] if all(name in options[i] for i in resized)] if resized else []
     if not names:
-        raise ValueError("sizes: expected images that were all resized in the same way, got none")
+        raise ValueError("sizes: expected images that were all resized by the same method, got none")
     by_name = {name: tuple(option.get(name, cameras[i]) for i, option in enumerate(options)) for name in names}
     residuals = {name: compute_residuals(matches, by_name[name]) for name in names}
     means = {name: _mean_residual(found, resized) for name, found in residuals.items()}

@@ -1,7 +1,7 @@
 """Feature matches between two images, verified by two-view geometry.
 
-Verification does not use camera poses. A homography or a fundamental matrix is fitted to the matches. Its inliers are
-kept if there are more of them than random matches would give.
+Verification does not use camera poses. It fits homographies and a fundamental matrix to the matches. The inliers of a
+model are kept if the model has more inliers than random matches would give.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ UNDISTORT_ITERATIONS = 20
 MAX_FALSE_ALARMS = 1e-4
 """Maximum number of false alarms of an accepted model.
 
-The number of false alarms is the expected number of models with as many inliers if all matches were random.
+The number of false alarms of a model is the expected number of models with as many inliers among random matches.
 """
 
 
@@ -96,8 +96,8 @@ def match_features(first: Features, second: Features, ratio: float = 0.8) -> Mat
 def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px: float = TOLERANCE_PX) -> Matches:
     """Keep the matches that fit a common two-view geometry (see :func:`inlier_mask`).
 
-    Points are undistorted with the cameras' intrinsics and distortion. The cameras' poses are not used. The result is
-    empty if no geometry has significantly more inliers than random matches would give.
+    Points are undistorted with the cameras' intrinsics and distortion. The cameras' poses are not used. No matches are
+    kept if no geometry has significantly more inliers than random matches would give.
     """
     straight = Matches(undistort_points(first, matches.first_px), undistort_points(second, matches.second_px))
     kept = inlier_mask(straight, second.width, second.height, tolerance_px)
@@ -105,18 +105,18 @@ def verify_matches(matches: Matches, first: Camera, second: Camera, tolerance_px
 
 
 def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float = TOLERANCE_PX) -> NDArray[np.bool_]:
-    """Mask (M,) of the undistorted matches that fit a common two-view geometry; all False if no model is accepted.
+    """Mask (M,) of the undistorted matches that fit a common two-view geometry; all False if none is accepted.
 
-    Up to 3 homographies are fitted one after the other, then a fundamental matrix, each with MAGSAC (Barath et al.,
-    CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan
-    and Stival, IJCV 2004).
+    Up to 3 homographies are fitted first, then a fundamental matrix. Each model is fitted with MAGSAC (Barath et al.,
+    CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan and
+    Stival, IJCV 2004).
 
-    For matches on a plane, the fundamental matrix is ambiguous: it can fit all of them and any two other matches. If a
-    homography was accepted, the test of the fundamental matrix therefore ignores the matches on planes. It also does
-    not count two of the other inliers as evidence.
+    Matches on a plane do not determine the fundamental matrix: one matrix can fit all of them and also any two other
+    matches. If a homography was accepted, the test of the fundamental matrix therefore ignores the matches on planes.
+    The test also does not count two of the inliers outside the planes as evidence.
 
     Args:
-        matches: M matches in undistorted pixels.
+        matches: M matches in pixels of the undistorted images.
         width: width of the second image in pixels.
         height: height of the second image in pixels.
         tolerance_px: maximum residual of inliers in pixels.
@@ -154,10 +154,10 @@ def _fit_inliers(matches: Matches, which: NDArray[np.intp], tolerance_px: float,
 
 
 def _beats_chance(count: int, inliers: int, sample_size: int, probability: float) -> bool:
-    """Whether a model with ``inliers`` among ``count`` matches is significant.
+    """Whether random matches are unlikely to give a model with ``inliers`` among ``count`` matches.
 
     The ``sample_size`` matches that define a model always fit it. ``probability`` is the probability that a random
-    match fits it.
+    match fits the model.
     """
     if inliers <= sample_size + 3:
         return False
@@ -175,9 +175,9 @@ def _log_binomial(n: int, k: int) -> float:
 
 
 def undistort_points(camera: Camera, xy_px: Array) -> Array:
-    """Map pixels (N, 2) of the camera's distorted image to pixels of a pinhole camera with the same K.
+    """Map pixels (N, 2) of the camera's distorted image to pixels of a pinhole camera with the same intrinsics.
 
-    The method is fixed-point iteration. It converges for all lenses except fisheye lenses.
+    The method is fixed-point iteration, which converges for all lenses except fisheye lenses.
     """
     if camera.distortion is None or not len(xy_px):
         return xy_px
@@ -188,7 +188,7 @@ def undistort_points(camera: Camera, xy_px: Array) -> Array:
 
 
 def distort_points(camera: Camera, xy_px: Array) -> Array:
-    """Map pixels (N, 2) of a pinhole camera with the same K to pixels of the camera's distorted image."""
+    """Map pixels (N, 2) of a pinhole camera with the same intrinsics to pixels of the camera's distorted image."""
     if camera.distortion is None or not len(xy_px):
         return xy_px
     rays = np.column_stack([xy_px, np.ones(len(xy_px))]) @ np.linalg.inv(camera.intrinsics).T

@@ -31,7 +31,7 @@ def perturb_cameras(
 ) -> dict[str, Camera]:
     """Rotate each camera by ``degrees`` about a random axis, and move it by ``distance`` in a random direction.
 
-    ``distance`` is in world units.
+    The ``distance`` of each move is in world units.
     """
     moved = {}
     for name, camera in cameras.items():

@@ -1,8 +1,8 @@
 """Matches on a plane in the world, for wide baselines where features differ too much between images.
 
-Each image is rectified to the plane with the calibration. Small patches of one image are then searched in the other,
-near the position that the calibration predicts. The calibration determines the appearance of a patch and the centre of
-the search, but not the position found. The matches therefore show the calibration's error.
+The calibration is used to rectify both images to the plane. Small patches of one rectified image are then searched in
+the other rectified image, near the position that the calibration predicts. The calibration affects only the appearance
+of a patch and the centre of its search. The positions of the matches therefore show the calibration's error.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ Picture = NDArray[np.uint8]
 HALF_PATCH = 24
 MIN_CORRELATION = 0.75
 MIN_LEAD = 0.12
-"""Minimum difference between the correlation's peak and the highest correlation more than 8 pixels from the peak."""
+"""Minimum difference between the peak correlation and the highest correlation more than 8 pixels away."""
 MIN_DROP = 0.03
 """Minimum decrease of the correlation 3 pixels from its peak in all directions.
 
-This rejects patches on a straight edge, whose correlation hardly decreases along the edge.
+This minimum rejects patches on a straight edge, because their correlation hardly decreases along the edge.
 """
 MIN_CONTRAST = 6.0
 
@@ -37,7 +37,7 @@ class PlanePatch:
     """A rectangle on a plane in the world, sampled as a raster.
 
     Attributes:
-        corner: (3,) world position of the raster's origin.
+        corner: (3,) world position of the corner at the raster's origin.
         right: (3,) unit vector in the world along the raster's rows.
         down: (3,) unit vector in the world along the raster's columns, perpendicular to ``right``.
         width: width of the rectangle in world units.
@@ -75,12 +75,12 @@ def match_on_plane(
         first: distorted image of the first camera.
         second: distorted image of the second camera.
         cameras: the two cameras, with distortion.
-        patch: rectangle on the plane to which both images are rectified.
-        search_radius: largest displacement that is searched, in raster pixels.
+        patch: rectangle on the plane; both images are rectified to it.
+        search_radius: largest displacement between the two rectified images that is searched, in raster pixels.
 
     Returns:
-        The matches in pixels of the distorted images. They are corners in the first raster for which the normalized
-        cross-correlation with the second raster has one distinct peak.
+        The matches in pixels of the distorted images. Each match starts from a corner in the first rectified image. A
+        corner is matched if its normalized cross-correlation with the second rectified image has one distinct peak.
     """
     (raster, valid), (other, other_valid) = (
         _rectify(picture, camera, patch) for picture, camera in zip((first, second), cameras, strict=True)
@@ -109,8 +109,8 @@ def _rectify(picture: Picture, camera: Camera, patch: PlanePatch) -> tuple[Pictu
     to_ray = np.linalg.inv(camera.intrinsics) @ patch.to_picture(camera) @ half
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
-    # OpenCV inverts its last matrix argument, which may be any homography, and then applies the lens distortion. One
-    # map therefore leads from the raster to the distorted image.
+    # OpenCV inverts the matrix argument and then applies the lens distortion. The matrix may be any homography, so one
+    # call maps raster pixels to pixels of the distorted image.
     map_x, map_y = cv2.initUndistortRectifyMap(
         k, camera.distortion, None, np.linalg.inv(to_ray), patch.size, cv2.CV_32FC1
     )
@@ -131,10 +131,10 @@ def _to_picture_px(camera: Camera, patch: PlanePatch, raster_px: Array) -> Array
 def _search(
     raster: Picture, other: Picture, x: int, y: int, search_radius: int
 ) -> tuple[float, float, float, float] | None:
-    """Search the patch around (x, y) of ``raster`` in ``other``.
+    """Search for the patch around (x, y) of the rectified image ``raster`` in the rectified image ``other``.
 
     Returns:
-        (x, y), then the subpixel position of the match; None if the correlation has no distinct peak.
+        (x, y) and the subpixel position of the match in ``other``; None if the correlation has no distinct peak.
     """
     reach = HALF_PATCH + search_radius
     template = raster[y - HALF_PATCH : y + HALF_PATCH + 1, x - HALF_PATCH : x + HALF_PATCH + 1]
@@ -160,7 +160,7 @@ def _search(
 
 
 def _parabola_peak(values: NDArray[Any]) -> float:
-    """Position of the maximum of the parabola through the values at -1, 0 and 1; the middle value is the largest."""
+    """Position of the maximum of the parabola through three ``values`` at -1, 0 and 1."""
     left, middle, right = (float(value) for value in values)
     curvature = left - 2 * middle + right
     return 0.5 * (left - right) / curvature if curvature < 0 else 0.0

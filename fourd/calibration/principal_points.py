@@ -1,9 +1,9 @@
 """Detection of principal points that are mirrored about the image centre.
 
-Programs that rotate a calibration by 90 degrees can cause this error. The rotation swaps the image's axes and reverses
-one of them. If a program swaps the coordinates without reversing one, focal lengths and poses are correct, but the
-principal point is mirrored along one axis. The error is twice the principal point's distance from the centre, often 10
-pixels or more.
+Programs that rotate a calibration by 90 degrees can mirror the principal point. A rotation by 90 degrees swaps the
+image's axes and reverses one of them. Some programs swap the principal point's coordinates without reversing one. Focal
+lengths and poses are then correct, but the principal point is mirrored along one axis. The error is twice the distance
+of the principal point from the image centre along this axis, often 10 pixels or more.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fourd.cameras import Camera
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MIN_GAIN = 3.0
-"""Minimum ratio of the given calibration's residual to the mirrored calibration's residual for clear evidence."""
+"""Minimum ratio of the given calibration's residual to the residual with mirrored principal points."""
 MIN_LEAD = 1.5
 
 
@@ -30,15 +30,15 @@ class MirrorChoice:
     """The combination of mirrored principal points with the smallest residual.
 
     Attributes:
-        names: for each camera "as given", "mirrored x", "mirrored y" or "mirrored both".
+        names: choice for each camera: "as given", "mirrored x", "mirrored y" or "mirrored both".
         cameras: the cameras with the chosen principal points.
         given: residuals of the given calibration.
         chosen: residuals of the chosen combination.
-        given_px: mean of the camera pairs' median residuals of the given calibration, in pixels.
-        chosen_px: the same mean of the chosen combination.
-        next_px: the same mean of the second best combination.
-        is_clear: whether the evidence is clear. This requires a ``chosen_px`` of at most 3 pixels, and a ``next_px``
-            of at least 1.5 times ``chosen_px``. If a principal point is mirrored, it also requires a ``given_px`` of
+        given_px: mean over the camera pairs of their median residuals with the given calibration, in pixels.
+        chosen_px: mean over the camera pairs of their median residuals with the chosen combination, in pixels.
+        next_px: mean over the camera pairs of their median residuals with the second best combination, in pixels.
+        is_clear: whether the evidence is clear. Clear evidence requires that ``chosen_px`` is at most 3 and that
+            ``next_px`` is at least 1.5 times ``chosen_px``. If a principal point is mirrored, ``given_px`` must also be
             at least 3 times ``chosen_px``.
     """
 
@@ -73,8 +73,8 @@ def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
 def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
     """Choose the combination of mirrored principal points with the smallest epipolar residual.
 
-    The images must have the calibration's size, or be resized without an off-centre crop, so that the image centre is
-    the same.
+    The images must have the calibration's size, or be resized without an off-centre crop. The image centre is then the
+    same as in the calibration.
 
     Args:
         matches: matches of each camera pair, in pixels of the distorted images.
@@ -113,7 +113,7 @@ def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[C
 def _pair_median(
     matches: Mapping[Pair, Matches], cameras: Sequence[Camera], pair: Pair, first: Camera, second: Camera
 ) -> float:
-    """Median residual of a pair if its two cameras are replaced by ``first`` and ``second``."""
+    """Median residual of a camera pair after replacing its two cameras by ``first`` and ``second``."""
     changed = list(cameras)
     changed[pair[0]], changed[pair[1]] = first, second
     return compute_residuals({pair: matches[pair]}, changed).pairs[pair]

@@ -31,7 +31,7 @@ MAX_GOOD_PX = 3.0
 MAX_GOOD_RATIO = 4.0
 MIN_PAIRS = 2
 MIN_BAD_SHARE = 0.75
-"""Minimum share of a bad camera's pairs that must disagree; see :func:`find_bad_cameras`."""
+"""Minimum share of disagreeing pairs that makes a camera bad; see :func:`find_bad_cameras`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,9 +39,10 @@ class Residuals:
     """Distances of matches from their epipolar lines, in pixels.
 
     Attributes:
-        pairs: median distance r_ij of each pair (i, j), i < j, with at least 8 matches.
+        pairs: median distance r_ij of each camera pair (i, j), i < j, with at least 8 matches.
         counts: number of matches of each pair.
-        cameras: residual r_i of each camera, fitted to r_ij^2 = r_i^2 + r_j^2; None for a camera without a pair.
+        cameras: residual r_i of each camera i, fitted to r_ij^2 = r_i^2 + r_j^2; None for a camera without enough
+            matches.
         bad: ascending indices of the cameras that disagree with the others; see :func:`find_bad_cameras`.
     """
 
@@ -58,12 +59,13 @@ def epipolar_residuals(
 
     Args:
         pictures: one RGB image (H, W, 3) per camera, of the camera's size.
-        cameras: cameras of the images, with their distortion; without distortion for undistorted images.
+        cameras: cameras of the images. Cameras of distorted images have distortion; cameras of undistorted images have
+            none.
         max_features: maximum number of features per image.
 
     Returns:
-        The residuals. Wrong matches are removed without using the cameras' poses
-        (:func:`fourd.calibration.matching.inlier_mask`), so that errors of the poses remain in the residuals.
+        The residuals. Wrong matches are removed without the cameras' poses
+        (:func:`fourd.calibration.matching.inlier_mask`). The residuals therefore show errors of the poses.
 
     Raises:
         ValueError: if an image does not have its camera's size.
@@ -98,10 +100,11 @@ def match_pairs(
 
 
 def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
-    """Select the camera pairs (i, j), i < j, to match.
+    """Select the camera pairs (i, j), i < j, whose images are matched.
 
-    Up to 8 cameras give all pairs. With more cameras, each camera is paired with its 6 nearest neighbours. Nearness is
-    measured by the angle between viewing directions, plus a small term for the distance between centres.
+    With up to 8 cameras, all pairs are matched. With more cameras, each camera is paired with its 6 nearest neighbours.
+    The neighbours are those with the smallest angles between viewing directions, plus a small term for the distance
+    between camera centres.
     """
     count = len(cameras)
     if count <= ALL_PAIRS_CAMERAS:
@@ -131,7 +134,7 @@ def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]
 def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array:
     """Signed distances (M,) in pixels of matches from their epipolar lines, averaged over the two images.
 
-    Two cameras with the same centre have no epipolar lines, and all distances are 0.
+    If both cameras have the same centre, there are no epipolar lines, and the function returns 0 for each match.
     """
     rotation = second.rotation @ first.rotation.T
     shift = second.translation - rotation @ first.translation
@@ -152,13 +155,17 @@ def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array
 
 
 def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX) -> tuple[int, ...]:
-    """Find the cameras that disagree with the others while the others agree with each other.
+    """Find the cameras whose pairs have large residuals, although the other cameras agree with each other.
 
-    A pair disagrees if its median residual exceeds both ``max_px`` and 4 times the median of the better half of all
-    pairs. A camera is bad if it meets three conditions. It has at least 2 pairs. At least 3 in 4 of its pairs
-    disagree. At least 2 of its partners in these pairs agree with some other camera.
+    ``pairs`` contains the median residual of each camera pair. A pair disagrees if this residual exceeds two limits:
+    ``max_px``, and 4 times the median over the half of the pairs with the smallest residuals.
 
-    No camera is bad if there are only two cameras, or if all pairs disagree. In both cases the residuals do not show
+    A camera is bad if it meets all of these conditions:
+    - the camera belongs to at least 2 pairs;
+    - at least 75% of the camera's pairs disagree;
+    - in the disagreeing pairs, at least 2 of the camera's partners agree with a third camera.
+
+    No camera is bad if there are only two cameras, or if all pairs disagree, because the residuals then do not show
     which camera is wrong.
 
     Returns:
@@ -182,9 +189,9 @@ def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX
 def _camera_residuals(
     pairs: Mapping[Pair, float], counts: Mapping[Pair, int], cameras: int
 ) -> tuple[float | None, ...]:
-    """Fit r_i >= 0 of each camera to r_ij^2 = r_i^2 + r_j^2.
+    """Fit the residuals r_i >= 0 of the cameras to the residuals r_ij of the pairs: r_ij^2 = r_i^2 + r_j^2.
 
-    Iteratively reweighted least squares minimise the absolute deviations.
+    Iteratively reweighted least squares minimise the absolute deviations of the squared residuals.
     """
     if not pairs:
         return (None,) * cameras

@@ -1,4 +1,4 @@
-"""Scale, origin and axes of calibrated cameras, from a measured distance or from known poses."""
+"""Scale, origin and axes of calibrated cameras, from a measured distance or a chessboard."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Distance:
-    """Measured distance in metres between the centres of two cameras, given by name."""
+    """Measured distance in metres between the centres of two cameras; ``first`` and ``second`` are camera names."""
 
     first: str
     second: str
@@ -27,13 +27,13 @@ class Distance:
 def set_world_frame(
     cameras: Mapping[str, Camera], pictures: Mapping[str, Picture], distance: Distance | None, board: Board | None
 ) -> tuple[dict[str, Camera], list[str]]:
-    """Scale the cameras to a measured distance and align them to a chessboard, if these are given.
+    """Scale the cameras to a measured distance, and align them to a chessboard; both steps are optional.
 
     Args:
         cameras: cameras by name, with the distortion of the images.
-        pictures: one RGB image (H, W, 3) of each camera by name; the images that show the board define the world.
-        distance: measured distance between two cameras; None keeps the scale.
-        board: chessboard in the images; None keeps the world's origin and axes.
+        pictures: one RGB image (H, W, 3) per camera, by name; used only to find the board.
+        distance: measured distance between two cameras; None skips the scaling to this distance.
+        board: chessboard in the images; None skips the alignment to the chessboard.
 
     Returns:
         The transformed cameras by name, and notes for the log, one line each.
@@ -60,7 +60,7 @@ def set_world_frame(
 
 
 def scale_cameras(cameras: Mapping[str, Camera], distance: Distance) -> dict[str, Camera]:
-    """Scale the cameras to metres, so that the two cameras of ``distance`` have the measured distance.
+    """Scale all cameras to metres, so that the two cameras in ``distance`` are as far apart as measured.
 
     Raises:
         UserError: if a name is unknown, both names are the same camera, or the distance is not positive.
@@ -85,9 +85,9 @@ def scale_cameras(cameras: Mapping[str, Camera], distance: Distance) -> dict[str
 def align_cameras(cameras: Mapping[str, Camera], poses: Mapping[str, Camera]) -> dict[str, Camera]:
     """Transform all cameras into the world in which some of them have the given ``poses``.
 
-    One pose determines rotation and translation; the scale is kept. Two or more poses also determine the scale. The
-    rotation is then the mean of the rotations from single poses, and scale and translation are a least-squares fit of
-    the camera centres.
+    One given pose determines the rotation and the translation, but not the scale. Two or more given poses also
+    determine the scale. In this case, each given pose determines one rotation, and the mean of these rotations is used.
+    The scale and the translation are a least-squares fit of the camera centres.
 
     Raises:
         UserError: if no name in ``poses`` is a name in ``cameras``.
@@ -96,7 +96,7 @@ def align_cameras(cameras: Mapping[str, Camera], poses: Mapping[str, Camera]) ->
     if not known:
         raise UserError(
             "board: expected an image of a calibrated camera that shows the board, got none; "
-            "show the board to such a camera"
+            "show the board to a calibrated camera"
         )
     u, _, vt = np.linalg.svd(sum(poses[name].rotation.T @ cameras[name].rotation for name in known))
     R_new_old = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt

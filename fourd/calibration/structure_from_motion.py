@@ -30,8 +30,8 @@ MAX_FEATURES = 4096
 SIFT_PEAK_THRESHOLD = 0.003
 """Minimum peak value of SIFT features; COLMAP's default is 0.0067.
 
-The lower value keeps weak features. In a recorded ring of 20 cameras, neighbouring cameras could not be matched without
-them.
+The lower value keeps weak features. In a recorded ring of 20 cameras, matching neighbouring cameras failed without weak
+features.
 """
 FIX = (
     "give the cameras more overlap (at most 30 degrees between neighbours), add texture to the scene, or provide a "
@@ -68,16 +68,16 @@ def calibrate_from_pictures(
 
     Features are matched between all pairs of cameras, and the cameras are registered incrementally (Schoenberger and
     Frahm, Structure-from-Motion Revisited, CVPR 2016). Results for the same images and seed differ by about 1e-5 of
-    the scene's size, because COLMAP's threads sum in varying order.
+    the scene's size, because COLMAP's threads sum floating-point numbers in a varying order.
 
     Args:
-        pictures: RGB images (H, W, 3) uint8 of each camera by name; all cameras' k-th images show the same frame. One
-            frame is enough. More frames, far apart in time, help if most of the texture is on moving objects.
-        lens_model: SIMPLE_RADIAL (one focal length, k1) or OPENCV (fx, fy, k1, k2, p1, p2). The principal point is
-            fixed at the image centre. OPENCV needs texture near the images' corners.
-        is_lens_shared: whether all cameras have the same intrinsics. This makes the estimate more stable. All images
-            must have the same size.
-        allows_missing: whether to return the registered cameras if others could not be registered.
+        pictures: RGB images (H, W, 3) uint8 of each camera by name; image k of every camera shows the same frame. One
+            frame is enough. If most of the texture is on moving objects, use several frames that are far apart in time.
+        lens_model: COLMAP's camera model: SIMPLE_RADIAL (one focal length, k1) or OPENCV (fx, fy, k1, k2, p1, p2). The
+            principal point is fixed at the image centre. The model OPENCV needs texture near the images' corners.
+        is_lens_shared: whether all cameras have the same intrinsics. Shared intrinsics make the estimate more stable,
+            but require that all images have the same size.
+        allows_missing: whether to return the registered cameras even if other cameras could not be registered.
         seed: seed of RANSAC, at least 0.
 
     Raises:
@@ -111,10 +111,10 @@ def calibrate_from_pictures(
 def _reconstruct(
     folder: Path, frames: list[list[Picture]], lens_model: LensModel, is_lens_shared: bool, seed: int
 ) -> Any | None:
-    """Reconstruct with COLMAP and return the model with the most cameras; ``frames[k]`` has the images of frame k.
+    """Reconstruct with COLMAP and return the model with the most cameras; ``frames[k]`` contains frame k's images.
 
-    Each camera is one COLMAP image that contains the features of all of its frames. Static features found in several
-    frames are merged. Features on moving objects are matched only within their frame.
+    Each camera is one COLMAP image that contains the features of all its frames. A static feature that is found in
+    several frames is stored once. Features are matched only between images of the same frame.
     """
     pycolmap.set_random_seed(seed)
     keypoints: list[Array] = [np.zeros((0, 2))] * len(frames[0])
@@ -135,7 +135,7 @@ def _reconstruct(
 
 
 def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, is_lens_shared: bool) -> Path:
-    """Extract and match the features of one frame, and return the path of COLMAP's database.
+    """Extract and match the features of one frame; return the path of the COLMAP database with the matches.
 
     The image files' names are numbers, because camera names may contain characters that are invalid in file names.
     """
@@ -145,7 +145,8 @@ def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, i
         if not cv2.imwrite(str(images / f"{index:06d}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
             raise OSError(f"{images}: a temporary image could not be written")
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # In a ring of 20 cameras neighbours are 18 degrees apart; matching over such baselines needs affine invariance.
+    # In a ring of 20 cameras, neighbours are 18 degrees apart. Matching over this angle needs affine-invariant
+    # features.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.domain_size_pooling = True
     extraction.sift.peak_threshold = SIFT_PEAK_THRESHOLD
@@ -160,7 +161,7 @@ def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, i
 
 
 def _merge_frame(database: Path, keypoints: list[Array], matches: PairMatches) -> None:
-    """Add the features and matches in one frame's database to ``keypoints`` and ``matches``."""
+    """Add the features and matches of one frame's COLMAP database to ``keypoints`` and ``matches``."""
     with closing(pycolmap.Database.open(database)) as store:
         images = sorted(store.read_all_images(), key=lambda image: image.name)
         indices = []
@@ -176,10 +177,10 @@ def _merge_frame(database: Path, keypoints: list[Array], matches: PairMatches) -
 
 
 def _merge_keypoints(known: Array, xy: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Add the keypoints ``xy`` (M, 2) to ``known``; a keypoint within 0.75 pixels of a known one is merged with it.
+    """Add the keypoints ``xy`` (M, 2) to ``known``; merge each one that is within 0.75 pixels of a known keypoint.
 
     Returns:
-        All keypoints (N, 2), and the index (M,) in this array of each keypoint of ``xy``.
+        all keypoints (N, 2), and for each keypoint of ``xy`` its index (M,) in all keypoints.
     """
     if not len(known):
         return np.asarray(xy, np.float64), np.arange(len(xy))
@@ -190,7 +191,7 @@ def _merge_keypoints(known: Array, xy: Array) -> tuple[Array, NDArray[np.intp]]:
 
 
 def _write_merged(database: Path, keypoints: list[Array], matches: PairMatches) -> None:
-    """Replace the features and matches in a database with the merged ones of all frames."""
+    """Replace the features and matches in a COLMAP database by the merged features and matches of all frames."""
     with closing(pycolmap.Database.open(database)) as store:
         images = sorted(store.read_all_images(), key=lambda image: image.name)
         for clear in (store.clear_keypoints, store.clear_descriptors, store.clear_matches):
@@ -203,17 +204,17 @@ def _write_merged(database: Path, keypoints: list[Array], matches: PairMatches) 
 
 
 def _mapping_options(seed: int) -> Any:
-    """COLMAP's mapping options, adapted to a few cameras with wide baselines."""
+    """COLMAP's mapping options for a few cameras with wide baselines."""
     options = pycolmap.IncrementalPipelineOptions()
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
-    # One thread makes the result repeatable up to rounding.
+    # With one thread, the result is repeatable up to rounding.
     options.num_threads = options.mapper.num_threads = 1
     options.min_model_size = MIN_CAMERAS
     options.extract_colors = False
     options.mapper.init_min_num_inliers = 40
     options.mapper.init_min_tri_angle = 8.0
     options.mapper.abs_pose_min_num_inliers = 15
-    # With one image per camera, most points are visible in only two cameras.
+    # By default, COLMAP ignores points that only two images show. With one image per camera, these are most points.
     options.triangulation.ignore_two_view_tracks = False
     return options
 
@@ -224,7 +225,7 @@ def _to_cameras(model: Any, names: list[str]) -> dict[str, Camera]:
         if not image.has_pose:
             continue
         lens, pose = model.camera(image.camera_id), image.cam_from_world()
-        # In COLMAP as in fourd, the centre of the first pixel is at (0.5, 0.5).
+        # The centre of the first pixel is at (0.5, 0.5) in both COLMAP and fourd.
         extra = np.asarray(lens.params)[lens.extra_params_idxs()]
         distortion = np.concatenate([extra, np.zeros(3)])[:4] if len(extra) == 1 else extra
         cameras[names[int(Path(image.name).stem)]] = Camera(

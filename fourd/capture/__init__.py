@@ -1,4 +1,4 @@
-"""Captures, which are multi-view videos on disk: their layout, calibration files, lazy reading and checks."""
+"""Captures (multi-view videos on disk): layout of the folder, calibration files, reading on demand, and checks."""
 
 from fourd.capture.calibration import read_calibration, write_calibration
 from fourd.capture.reader import Capture, open_capture

@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
 MAX_ROTATION_DIFFERENCE = 1e-3
-"""Maximum difference between the elements of Rot_c and those of R_c (Rodrigues vector) as a matrix, if both exist."""
+"""Maximum difference between elements of the rotation matrix Rot_c and of the matrix from the Rodrigues vector R_c."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,11 +29,11 @@ class Calibration:
 
     Attributes:
         intrinsics: (3, 3) matrix K in pixels.
-        rotation: (3, 3) rotation from world to camera.
-        translation: (3,) translation, with x_camera = R x_world + t.
-        distortion: OpenCV distortion coefficients; None if the file has none.
-        width: width of the images in pixels; None if the file has none.
-        height: height of the images in pixels; None if the file has none.
+        rotation: (3, 3) rotation R from world to camera.
+        translation: (3,) translation t in world units, with x_camera = R x_world + t.
+        distortion: OpenCV distortion coefficients; None if intri.yml does not contain them.
+        width: width of the images in pixels; None if intri.yml does not contain it.
+        height: height of the images in pixels; None if intri.yml does not contain it.
     """
 
     intrinsics: Array
@@ -59,7 +59,7 @@ class CalibrationReport:
     Attributes:
         names: names of all cameras in intri.yml, including cameras with invalid values.
         calibrations: the valid calibrations by camera name.
-        errors: all errors found.
+        errors: all errors found in the two files.
     """
 
     names: tuple[str, ...]
@@ -70,7 +70,7 @@ class CalibrationReport:
 def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     """Read the calibrations in ``folder`` by camera name, in the order of ``names`` in intri.yml.
 
-    For each camera c these keys are read:
+    For each camera with the name c, the function reads these keys:
     - ``K_c``: intrinsics (3, 3) in pixels;
     - ``D_c`` or ``dist_c`` (optional): OpenCV distortion coefficients; EasyMocap's tools write ``dist_c``;
     - ``H_c`` and ``W_c`` (optional): height and width in pixels;
@@ -78,8 +78,8 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
     - ``T_c`` (3,): translation T, with ``x_camera = R x_world + T``.
 
     Raises:
-        UserError: if a file is missing or is not an OpenCV FileStorage, a value is missing, has another shape or is
-            not finite, or a rotation matrix is not orthonormal; the message contains the file and the key.
+        UserError: if a file is missing or is not an OpenCV FileStorage, a value is missing, has a wrong shape or is not
+            finite, or a rotation matrix is not orthonormal. The message contains the file and the key.
     """
     report = check_calibration(folder)
     if report.errors:
@@ -107,7 +107,7 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
         for name in others:
             if name not in names:
                 message = (
-                    f"expected camera '{name}', which is in {EXTRINSICS_NAME}, got no such name; add the camera "
+                    f"expected camera '{name}', which is in {EXTRINSICS_NAME}, got no such camera; add the camera "
                     f"or remove it from {EXTRINSICS_NAME}"
                 )
                 errors.append(UserError(f"{intri.path}: {message}"))
@@ -173,7 +173,7 @@ def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
 
 
 def _read_rotation(name: str, extri: _Storage) -> Array:
-    """Read the rotation from Rot_c, or from R_c if Rot_c is missing; if both exist, they must be equal."""
+    """Read the rotation from the key Rot_c, or else from R_c; if both exist, their rotations must be equal."""
     if not extri.has(f"R_{name}"):
         return extri.matrix(f"Rot_{name}", (3, 3))
     vector = extri.matrix(f"R_{name}", None)
@@ -188,13 +188,13 @@ def _read_rotation(name: str, extri: _Storage) -> Array:
     if is_rotation and error > MAX_ROTATION_DIFFERENCE:
         raise UserError(
             f"{extri.path}: camera '{name}': expected R_{name} and Rot_{name} to be the same rotation, "
-            f"got matrices that differ by {error:.3g}; remove the wrong one"
+            f"got matrices that differ by {error:.3g}; remove the wrong matrix"
         )
     return rotation
 
 
 class _Storage:
-    """An OpenCV FileStorage that is open for reading; its errors contain the file and the key."""
+    """An OpenCV FileStorage that is open for reading. Its error messages contain the file and the key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -205,7 +205,7 @@ class _Storage:
             )
         try:
             self._storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-            # OpenCV opens a file that is truncated within its first key as a string without nodes.
+            # If a file is truncated within its first key, OpenCV opens it as a string without nodes.
             opened = self._storage.isOpened() and (self._storage.root().isMap() or self._storage.root().empty())
         except (cv2.error, SystemError):
             opened = False
@@ -240,7 +240,7 @@ class _Storage:
         return names
 
     def matrix(self, key: str, shape: tuple[int, ...] | None) -> Array:
-        """Read a finite matrix of the given shape; for shape None, read any matrix and flatten it."""
+        """Read a finite matrix of the given shape; if the shape is None, read any matrix and flatten it."""
         node = self._storage.getNode(key)
         if node.empty():
             raise UserError(f"{self.path}: {key}: expected a matrix, got no such key; add it or remove the camera")

@@ -16,7 +16,7 @@ Picture = NDArray[np.uint8]
 
 
 class CameraFrames(Protocol):
-    """Decodes the selected frames of one camera; frames are identified by their index in the selection."""
+    """Decodes the selected frames of one camera; the argument ``frame`` is an index into this selection."""
 
     def read(self, frame: int) -> Picture:
         """Decode a frame without undistorting or resizing it.
@@ -26,12 +26,12 @@ class CameraFrames(Protocol):
         """
 
     def describe(self, frame: int) -> str:
-        """Description of the frame for error messages: its file, and for videos its frame number."""
+        """Description of the frame for error messages: the file, and in a video also the frame number."""
 
 
 @dataclass(frozen=True)
 class PictureFrames:
-    """Frames of image files, one file per frame."""
+    """Selected frames that are stored as image files, one file per frame."""
 
     paths: Sequence[Path]
     decode: Callable[[Path], Picture]
@@ -45,7 +45,7 @@ class PictureFrames:
 
 @dataclass(frozen=True)
 class VideoFrames:
-    """Selected frames of a video; ``numbers[i]`` is the number in the video of the selected frame i."""
+    """Selected frames of a video; ``numbers[i]`` is the video's frame number of the selected frame i."""
 
     reader: VideoReader
     numbers: Sequence[int]

@@ -1,4 +1,4 @@
-"""Check of a capture that reports all errors; opening a capture stops at the first error."""
+"""Check of a capture that reports all errors. In contrast, opening a capture stops at the first error."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from fourd.progress import Track, untracked
 Value = TypeVar("Value")
 
 SAMPLED_MATTES = 5
-"""Number of mattes per camera that a check decodes; a deep check decodes all."""
+"""Number of mattes per camera that a check decodes. A deep check decodes all mattes."""
 MIN_COVERAGE = 1e-4
 MAX_COVERAGE = 0.98
 MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
-"""Maximum distance between a camera's optical axis and the cameras' common focus, relative to the focus' camera depth.
+"""Maximum distance between a camera's optical axis and the common focus, divided by the depth of the focus.
 
 A larger distance causes a warning that the camera faces away from the focus.
 """
@@ -49,14 +49,16 @@ class Report:
 
     Attributes:
         problems: errors that make the capture unusable, one line per error with its fix.
-        warnings: valid content that is probably a mistake, one line each.
+        warnings: content that is valid but probably a mistake, one line per mistake.
         cameras: names of the cameras that have both a calibration and images.
         frames: number of frames.
         sizes: (width, height) of each camera's images in pixels, by name.
         has_masks: whether there are mattes.
         distorted: number of cameras with lens distortion.
-        ring_radius: mean distance between the cameras and their common focus in world units; 0 if unknown.
-        coverage: mean share of the image that the decoded mattes cover; None if there are no mattes.
+        ring_radius: mean distance between the cameras and their common focus in world units; 0 if there is no common
+            focus.
+        coverage: mean share of an image that is covered by its matte, over the decoded mattes; None if no matte was
+            decoded.
         nbytes: total size of all images, videos and mattes in bytes.
     """
 
@@ -73,12 +75,12 @@ class Report:
 
 
 def check_capture(path: Path | str, *, deep: bool = False, track: Track = untracked) -> Report:
-    """Check the files of a capture and report all errors; errors of the capture are not raised.
+    """Check the files of a capture. Errors in the files are returned in the report and not raised.
 
     Args:
         path: the capture's folder.
-        deep: whether to decode all images and mattes. Otherwise only some mattes are decoded; of all other files,
-            only names and sizes are checked.
+        deep: whether to decode all images and mattes. Otherwise, the check decodes only some mattes, and checks only
+            the names and sizes of all other files.
         track: progress callback.
     """
     path = Path(path)
@@ -150,7 +152,7 @@ class _Check:
         )
 
     def _try(self, function: Callable[..., Value], *arguments: object) -> Value | None:
-        """Return the function's result; if it raises a UserError, record the error and return None."""
+        """Call ``function`` and return its result; if it raises a UserError, record the error and return None."""
         try:
             return function(*arguments)
         except UserError as error:
@@ -158,7 +160,7 @@ class _Check:
             return None
 
     def _masks_folder(self) -> Path:
-        """Folder of the user's mattes if there are any, otherwise of the generated mattes."""
+        """Folder of the user's mattes, or folder of the generated mattes if the user has no mattes."""
         has_own = bool(camera_folders(self.path / "masks")) or not (self.path / MATTES).is_dir()
         return self.path / ("masks" if has_own else MATTES)
 
@@ -187,7 +189,7 @@ class _Check:
         return [name for name in found if name in calibrated or not calibrated]
 
     def _video_frames(self, names: Sequence[str], calibrations: dict[str, Calibration]) -> list[str]:
-        """Names of the frames that all videos have."""
+        """Names of the frames that exist in all videos."""
         videos: dict[str, Video] = {}
         for name in names:
             videos |= self._try(list_videos, self.path, [name]) or {}
@@ -200,7 +202,8 @@ class _Check:
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:
         """Check that a camera's folder has all frames.
 
-        ``found`` maps frame names to file names; it is None if listing the folder failed, which is already reported.
+        ``found`` maps frame names to file names. It is None if the folder could not be listed; this error is already
+        reported.
         """
         if found is None:
             return
@@ -273,7 +276,7 @@ class _Check:
         """Warn of cameras at the same position, and of cameras that face away from the common focus.
 
         Returns:
-            The mean distance between the cameras and the focus in world units; 0 if there is no focus.
+            The mean distance between the cameras and their common focus in world units; 0 if there is no common focus.
         """
         if len(cameras) < 2:
             return 0.0

@@ -1,4 +1,4 @@
-"""Decoding of image files; a damaged file raises an error and does not give a partial image."""
+"""Decoding of image files. A damaged file raises an error; it is never decoded to a partial image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from PIL import Image, UnidentifiedImageError
 from fourd.errors import UserError
 
 PICTURE_FORMATS = ("JPEG", "PNG")
-"""Formats that Pillow may detect; some other formats, such as EPS, would start external programs."""
+"""Image formats that Pillow may decode. To decode some other formats, such as EPS, it starts external programs."""
 
 
 def decode_rgb(path: Path) -> NDArray[np.uint8]:
@@ -25,22 +25,23 @@ def decode_rgb(path: Path) -> NDArray[np.uint8]:
 
 
 def decode_rgb_bytes(content: bytes, name: str) -> NDArray[np.uint8]:
-    """Decode the bytes of an image file like :func:`decode_rgb`; ``name`` identifies the file in errors."""
+    """Decode the bytes of an image file like :func:`decode_rgb`; ``name`` is the file's name in error messages."""
     return np.asarray(_open(io.BytesIO(content), name, "RGB"))
 
 
 def decode_matte(path: Path) -> NDArray[np.uint8]:
     """Decode a matte (H, W) uint8 from an image file's grey values.
 
-    Of 16-bit values, the upper 8 bits are used. The errors are those of :func:`decode_rgb`.
+    If the values have 16 bits, only the upper 8 bits are used. The function raises the same errors as
+    :func:`decode_rgb`.
     """
     return np.asarray(_open(path, path, "L"))
 
 
 def decode_alpha(path: Path) -> NDArray[np.uint8]:
-    """Decode the alpha channel (H, W) uint8 of an image file; it is 255 everywhere if the file has no alpha channel.
+    """Decode the alpha channel (H, W) uint8 of an image file; all values are 255 if the file has no alpha channel.
 
-    The errors are those of :func:`decode_rgb`.
+    The function raises the same errors as :func:`decode_rgb`.
     """
     try:
         with Image.open(path, formats=PICTURE_FORMATS) as image:
@@ -50,7 +51,7 @@ def decode_alpha(path: Path) -> NDArray[np.uint8]:
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Read (width, height) in pixels from an image file's header; the errors are those of :func:`decode_rgb`."""
+    """Read (width, height) in pixels from an image file's header; it raises the same errors as :func:`decode_rgb`."""
     try:
         with Image.open(path, formats=PICTURE_FORMATS) as image:
             return image.size

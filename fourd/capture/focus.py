@@ -1,4 +1,4 @@
-"""The common focus of a ring of cameras: the point that they face."""
+"""The common focus of a ring of cameras, which is the point that the cameras face."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from fourd.cameras import Camera
 
 PARALLEL = 1e-4
-"""Limit for the mean squared sine of the angles between the optical axes and their common direction.
+"""Maximum mean squared sine of the angles between parallel optical axes and their common direction.
 
-Below this limit, which corresponds to 0.6 degrees, the axes are treated as parallel.
+The optical axes are treated as parallel below this value, which corresponds to an angle of 0.6 degrees.
 """
 
 
 def find_focus(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """Find the world point (3,) with the least squared distances to all optical axes; None if the axes are parallel."""
+    """Find the world point (3,) with the smallest squared distances to all optical axes; None if these are parallel."""
     projections = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
     if np.linalg.eigvalsh(np.mean(projections, axis=0))[0] < PARALLEL:
         return None

@@ -16,13 +16,13 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts")
 
 VIDEOS = "videos"
-"""Folder in a capture with one video per camera, CAM.mp4 or CAM with another suffix of VIDEO_SUFFIXES."""
+"""Folder in a capture with one video per camera: CAM.mp4, or CAM with another suffix from VIDEO_SUFFIXES."""
 
 DERIVED = Path(".fourd")
-"""Folder in a capture for all files that fourd computes from the capture; fourd deletes stale files in it."""
+"""Folder in a capture for all files that fourd computes from the capture. fourd deletes stale files in this folder."""
 
 MATTES = DERIVED / "mattes"
-"""Folder in a capture for generated mattes, CAM/FRAME.png. They match the undistorted images."""
+"""Folder in a capture for generated mattes CAM/FRAME.png. The generated mattes match the undistorted images."""
 
 
 def camera_folders(folder: Path) -> list[str]:
@@ -33,7 +33,7 @@ def camera_folders(folder: Path) -> list[str]:
 
 
 def find_pictures(folder: Path) -> dict[str, str]:
-    """File names of a camera's images by frame name; the frame name is the file name without suffix.
+    """File names of a camera's images by frame name. A frame's name is the file name without suffix.
 
     Raises:
         UserError: if two files belong to the same frame.
@@ -53,7 +53,7 @@ def find_pictures(folder: Path) -> dict[str, str]:
 
 
 def find_videos(folder: Path) -> dict[str, Path]:
-    """Sorted paths of the videos in ``folder`` by camera name, which is the file name without suffix.
+    """Paths of the videos in ``folder`` by camera name, sorted. A camera's name is the file name without suffix.
 
     Raises:
         UserError: if two videos have the same camera name.
@@ -65,8 +65,8 @@ def find_videos(folder: Path) -> dict[str, Path]:
             continue
         if path.stem in found:
             raise UserError(
-                f"{path}: expected one video per camera, got {found[path.stem].name} of the same name; rename one of "
-                "the two files"
+                f"{path}: expected one video per camera, got {found[path.stem].name} for the same camera; rename one "
+                "of the two files"
             )
         found[path.stem] = path
     return found
@@ -78,7 +78,7 @@ def refuse_symlinks(capture: Path, folder: Path) -> None:
     The check is skipped if ``folder`` is not inside CAPTURE/.fourd.
 
     Raises:
-        UserError: if CAPTURE/.fourd is or contains a symbolic link; the message contains the first one.
+        UserError: if CAPTURE/.fourd is a symbolic link or contains one. The message names the first symbolic link.
     """
     derived = capture / DERIVED
     if not Path(os.path.abspath(folder)).is_relative_to(os.path.abspath(derived)):
@@ -105,16 +105,16 @@ def frame_name(number: int) -> str:
 
 
 def sort_frames(stems: set[str]) -> list[str]:
-    """Sort frame names: numerically if all of them are numbers, otherwise alphabetically."""
+    """Sort frame names: by number if all names are numbers, otherwise alphabetically."""
     if all(stem.isdecimal() for stem in stems):
         return sorted(stems, key=lambda stem: (int(stem), stem))
     return sorted(stems)
 
 
 def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
-    """Create the error for the first missing frame of a camera's folder; None if the folder has all ``frames``.
+    """Create the error for the first frame that is missing in a camera's folder; None if no frame is missing.
 
-    ``found`` maps the frame names in the folder to file names.
+    ``frames`` contains the names of all frames. ``found`` maps the names of the frames in ``folder`` to file names.
     """
     missing = [stem for stem in frames if stem not in found]
     if not missing:
@@ -131,12 +131,12 @@ def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[st
 def parse_frame_range(text: str | None, count: int, source: str = "capture") -> range:
     """Parse a frame range ``A:B[:S]``: every S-th frame from A to B - 1.
 
-    A and B are optional; their defaults are the first frame and the number of frames.
+    A and B are optional: A defaults to the first frame, and B defaults to the number of frames.
 
     Args:
         text: the option's value; None selects all frames.
         count: number of frames.
-        source: the object that has these frames, for error messages.
+        source: word in error messages for the object that contains the frames.
 
     Raises:
         UserError: if the text is not a valid range, or selects no frame.
@@ -159,10 +159,11 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
 
 
 def select_views(views: Sequence[str] | None, names: Sequence[str], option: str = "--views") -> list[str]:
-    """Names of the selected cameras in the order of ``names``; None selects all.
+    """Names of the selected cameras in the order of ``names``. If ``views`` is None, all cameras are selected.
 
     Raises:
-        UserError: if a name is unknown, with the most similar known name, or no camera is selected.
+        UserError: if a name is unknown, or no camera is selected. For an unknown name, the message suggests the most
+            similar camera name.
     """
     if views is None:
         return list(names)

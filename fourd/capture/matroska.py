@@ -1,6 +1,6 @@
 """Detection of truncated Matroska and WebM files.
 
-The header of these files contains the length in bytes but no frame count (RFC 8794, RFC 9559).
+The header of a Matroska file contains the length in bytes but no frame count (RFC 8794, RFC 9559).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ SEGMENT = b"\x18\x53\x80\x67"
 def missing_bytes(path: Path) -> int:
     """Number of bytes that are missing at the end of a Matroska file.
 
-    The result is 0 for complete files, for other formats, and for files without a length. Live recordings have no
-    length if they were not finalised.
+    The result is 0 for complete files, for files in other formats, and for files whose header contains no length. The
+    header of a live recording contains no length if the recording was not finalised.
     """
     with path.open("rb") as stream:
         if stream.read(len(HEADER)) != HEADER:
@@ -32,9 +32,9 @@ def missing_bytes(path: Path) -> int:
 
 
 def _size(stream: BinaryIO) -> int | None:
-    """Read an element's size in bytes; None if it is unknown.
+    """Read the size in bytes of a Matroska element; None if the size is unknown.
 
-    The number of leading zero bits in the first byte is the number of bytes that follow.
+    The number of leading zero bits in the first byte equals the number of further bytes of the size.
     """
     first = stream.read(1)
     if not first or not first[0]:

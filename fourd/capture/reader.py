@@ -1,4 +1,4 @@
-"""An opened capture: its cameras, and its images and mattes, which are decoded on demand and cached."""
+"""An opened capture with its cameras, images and mattes. Images and mattes are decoded on demand and cached."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from fourd.errors import UserError
 
 @dataclass(frozen=True)
 class Mattes:
-    """A camera's mattes of the selected frames.
+    """One camera's mattes for the selected frames.
 
     Attributes:
         frames: the matte files, one per frame.
-        is_generated: whether fourd made the mattes. Generated mattes match the undistorted images, so they are not
-            undistorted when they are read.
+        is_generated: whether fourd generated the mattes. Generated mattes match the undistorted images, so the reader
+            does not undistort these mattes.
     """
 
     frames: CameraFrames
@@ -50,11 +50,11 @@ class Mattes:
 
 @dataclass(frozen=True)
 class Footage:
-    """A camera's selected frames.
+    """The selected frames of one camera.
 
     Attributes:
-        images: the images.
-        mattes: the mattes; None if the camera has none.
+        images: the camera's images.
+        mattes: the camera's mattes; None if the camera has no mattes.
         size: (width, height) of the stored images in pixels.
     """
 
@@ -66,14 +66,14 @@ class Footage:
 class Capture:
     """Selected cameras and frames of a multi-view video.
 
-    Images and mattes are undistorted and scaled to match ``cameras``. They are decoded on demand and kept in a cache
-    of bounded size, so that memory does not grow with the number of frames. The class is not thread-safe.
+    Images and mattes are undistorted and scaled to match ``cameras``. Images and mattes are decoded on demand. A cache
+    of bounded size keeps them, so that memory does not grow with the number of frames. The class is not thread-safe.
 
     Attributes:
         path: the capture's folder.
         names: camera names.
         cameras: pinhole cameras without distortion, in the order of ``names``.
-        frame_names: names of the selected frames, which are the names of their files without suffix.
+        frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
     """
@@ -108,7 +108,7 @@ class Capture:
         return self._distorted_cameras
 
     def with_cameras(self, cameras: Sequence[Camera]) -> Capture:
-        """Copy the capture with other pinhole cameras, one for each of ``names``; the images are the same."""
+        """Copy the capture with other pinhole cameras, one for each of ``names``. The images do not change."""
         other = copy(self)
         other.cameras = tuple(cameras)
         return other
@@ -124,9 +124,9 @@ class Capture:
         return all(footage.mattes is not None for footage in self._footage)
 
     def time(self, frame: int) -> float:
-        """Time of a selected frame in [0, 1]: f / (F - 1) for frame number f of F frames in the whole capture.
+        """Time of a selected frame in [0, 1]: f / (F - 1) for frame f of a capture with F frames in total.
 
-        The time is 0 if the capture has one frame.
+        If the capture has only one frame, its time is 0.
         """
         return self.frame_numbers[frame] / max(self.total_frames - 1, 1)
 
@@ -162,7 +162,7 @@ class Capture:
         if (width, height) != (distorted.width, distorted.height):
             raise UserError(
                 f"{frames.describe(frame)}: expected {distorted.width} x {distorted.height} pixels like camera "
-                f"'{self.names[index]}', got {width} x {height}; export it again at the expected size"
+                f"'{self.names[index]}', got {width} x {height}; export the frame again at the expected size"
             )
         if distorted.distortion is not None and not is_undistorted:
             maps = self._cache.get(index, lambda: _undistortion_maps(distorted))
@@ -187,17 +187,17 @@ def open_capture(
 ) -> Capture:
     """Open a capture in the EasyMocap layout: images/CAM/FRAME.jpg or .png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
-    Without images/, frames are read from videos/CAM.mp4 (or another video suffix) by seeking. Opening decodes no
-    images. If masks/ has no mattes of a camera, generated mattes are used. Images and mattes are undistorted with
-    unchanged intrinsics K; pixels outside the distorted image are 0.
+    If images/ has no camera folders, frames are read from videos/CAM.mp4 (or another video suffix) by seeking. Opening
+    a capture decodes no images. If masks/ has no mattes of a camera, its generated mattes are used. Images and mattes
+    are undistorted without changing the intrinsics K. Pixels outside the distorted image are 0.
 
     Args:
         path: the capture's folder.
-        views: names of the cameras to use; None for all.
-        frames: frame range ``A:B[:S]`` of indices in the sorted list of frames; None for all.
+        views: names of the cameras to use; None selects all cameras.
+        frames: frame range ``A:B[:S]`` of indices in the sorted list of frames; None selects all frames.
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
-        cache_frames: number of frames for which the cache is enlarged; a frame has one image per camera.
+        cache_frames: number of frames by which the cache is enlarged. Each frame has one image per camera.
         mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
 
     Raises:
@@ -248,7 +248,7 @@ def _check_mattes(path: Path, names: Sequence[str], footage: Sequence[Footage]) 
 
 
 def _list_picture_frames(path: Path, names: Sequence[str]) -> list[str]:
-    """Sorted names of all frames of which at least one camera has an image."""
+    """Sorted names of all frames that have an image of at least one camera."""
     found = {name: find_pictures(path / "images" / name) for name in names}
     for name in names:
         if not found[name]:
@@ -269,7 +269,7 @@ def _open_pictures(path: Path, name: str, chosen: Sequence[str]) -> Footage:
 
 
 def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
-    """Names of the frames that all videos have."""
+    """Names of the frames that exist in all videos."""
     total = common_frames(videos)
     if total < 1:
         raise UserError(
@@ -286,7 +286,7 @@ def _open_video(video: Video, selected: range) -> Footage:
 
 
 def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
-    """Open the user's mattes of the chosen frames, or else the generated mattes; None if there are no mattes."""
+    """Open the user's mattes of the chosen frames, or else the generated mattes; None if there are neither."""
     for folder, is_generated in ((path / "masks" / name, False), (path / MATTES / name, True)):
         files = find_pictures(folder)
         if files:
@@ -307,7 +307,7 @@ def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Seq
     """Names of the selected cameras.
 
     Raises:
-        UserError: if a selected camera has no calibration, or neither a folder of images nor a video.
+        UserError: if a selected camera has no calibration, or has no images and no video.
     """
     found = camera_folders(path / "images")
     folder = "images"
@@ -330,7 +330,7 @@ def _select_cameras(path: Path, calibrations: dict[str, Calibration], views: Seq
 
 
 def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int, int]) -> Camera:
-    """Create the camera with distortion; its size is ``size`` if the calibration has no size."""
+    """Create the camera with distortion; its image size is ``size`` if the calibration contains no image size."""
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = size
@@ -341,10 +341,10 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
 
 
 def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
-    """Maps (2, H, W) of x and y: for each pixel of a pinhole camera with the same K, its position in the stored image.
+    """Maps (2, H, W) of x and y from each pixel of the undistorted image to its position in the distorted image.
 
-    In OpenCV, the first pixel's centre is at 0; in fourd, its corner is at 0. The principal point is therefore shifted
-    by half a pixel.
+    In OpenCV, the centre of the first pixel has the coordinate 0, and in fourd, its corner has the coordinate 0. The
+    principal point is therefore shifted by half a pixel.
     """
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
@@ -353,18 +353,18 @@ def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
 
 
 class _ArrayCache:
-    """Cache of arrays by key with a maximum size in bytes; the least recently used array is evicted first."""
+    """Cache of arrays by key, with a maximum size in bytes. It evicts the least recently used array first."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes
         self._arrays: LRUCache[object, NDArray[Any]] = LRUCache(max_bytes, getsizeof=lambda array: array.nbytes)
 
     def __reduce__(self) -> tuple[type[_ArrayCache], tuple[int]]:
-        """Pickle an empty cache, so that the arrays are not sent to other processes."""
+        """Pickle the cache without its arrays, so that other processes do not receive the arrays."""
         return _ArrayCache, (self._max_bytes,)
 
     def get(self, key: object, make: Callable[[], NDArray[Any]]) -> NDArray[Any]:
-        """Return the cached array, or make and cache it; an array larger than the whole cache is not cached."""
+        """Return the cached array, or make it and cache it. An array larger than the whole cache is not cached."""
         if key in self._arrays:
             return self._arrays[key]
         array = make()

@@ -1,4 +1,4 @@
-"""Random access to a video's frames by number, by seeking; frames are not extracted to disk."""
+"""Random access to the frames of a video by frame number. Frames are not extracted to disk."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ A dropped frame causes a deviation of at least 0.5.
 
 @dataclass(frozen=True)
 class VideoIndex:
-    """Times and keyframes of a video.
+    """Frame size, frame times and keyframes of a video.
 
     Attributes:
         width: width of the decoded frames in pixels.
@@ -52,13 +52,13 @@ class VideoIndex:
 
 
 def index_video(path: Path) -> VideoIndex:
-    """Index a video from its packets, and decode its first and last frame as a check.
+    """Create a video's index from its packets, and decode the first and the last frame as a check.
 
     Raises:
         UserError: if the file is not a video, is truncated, or has rotation metadata or a variable frame rate.
     """
     if not path.is_file():
-        raise UserError(f"{path}: expected a video, got no such file; copy it again")
+        raise UserError(f"{path}: expected a video, got no such file; copy the video again")
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
@@ -93,8 +93,9 @@ def index_video(path: Path) -> VideoIndex:
 class VideoReader:
     """Reads frames of a video by number.
 
-    Reading frames in ascending order decodes each frame once. For other frames, the reader seeks to the keyframe
-    before the frame and decodes from there. Close the reader or use it as a context manager. It is not thread-safe.
+    Reading frames in ascending order decodes each frame once. For any other order, the reader seeks to the last
+    keyframe before the requested frame and decodes all frames from there. Close the reader after use, or use it as a
+    context manager. The reader is not thread-safe.
     """
 
     def __init__(self, path: Path, index: VideoIndex) -> None:
@@ -106,7 +107,7 @@ class VideoReader:
         self._last: tuple[int, NDArray[np.uint8]] | None = None
 
     def __reduce__(self) -> tuple[type[VideoReader], tuple[Path, VideoIndex]]:
-        """Pickle the reader without its open file; the next read in another process opens the file again."""
+        """Pickle the reader without its open file. After unpickling, the next read opens the file again."""
         return VideoReader, (self.path, self.index)
 
     def __enter__(self) -> VideoReader:
@@ -146,8 +147,9 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek went past the frame: the frame may be stored after a keyframe that is displayed later, and
-            # some containers seek beyond the requested time. Decode from the start.
+            # The seek ended after the requested frame. This can happen for two reasons: the frame is stored after a
+            # keyframe that is displayed later, or the container seeks beyond the requested time. Therefore decode from
+            # the start.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -155,7 +157,7 @@ class VideoReader:
         return np.asarray(found.to_ndarray(format="rgb24"), np.uint8)
 
     def _decode_until(self, wanted: int) -> av.VideoFrame | None:
-        """Decode frames until number ``wanted``, and return that frame; None if it is missing."""
+        """Decode frames up to the frame number ``wanted``, and return that frame; None if that frame is missing."""
         for frame in self._frames:
             if frame.pts is None or frame.time_base is None:
                 continue
@@ -194,7 +196,7 @@ def _first_size(path: Path) -> tuple[int, int]:
 
 
 def _constant_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> Fraction:
-    """Compute the constant frame rate in 1/s from presentation times; rounding to the container's ticks is allowed.
+    """Compute the constant frame rate in 1/s from presentation times, which may be rounded to the container's ticks.
 
     Raises:
         UserError: if the frame rate is not constant.
@@ -211,7 +213,7 @@ def _constant_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> Fracti
     if jitter.max() > MAX_JITTER and jitter.max() * float(step) > 1:
         steps = np.diff(pts) * float(base)
         raise UserError(
-            f"{path}: expected a constant frame rate, got intervals of {1e3 * steps.min():.1f} to "
+            f"{path}: expected a constant frame rate, got frame intervals of {1e3 * steps.min():.1f} to "
             f"{1e3 * steps.max():.1f} ms (first deviation at frame {int(np.argmax(jitter > MAX_JITTER))}); re-encode "
             f"the video with: ffmpeg -i {path.name} -fps_mode cfr -crf 12 even-{path.name}"
         )

@@ -1,4 +1,4 @@
-"""Cache of video indices on disk, so that commands read each whole video only once."""
+"""Cache on disk for the indices of videos, because creating an index reads the whole video."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.progress import Track
 def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dict[str, VideoIndex]:
     """Return the index of each video by camera name, using the cache file ``folder``/.fourd/videos.json.
 
-    Videos that are not in the cache file are indexed, and their indices are written to the file one by one.
+    If a video is not in the cache file, the function creates its index and writes it to the cache file at once.
 
     Args:
         files: path of each video by camera name.
@@ -39,18 +39,18 @@ def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dic
 
 
 def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> None:
-    """Index the videos that are not in the capture's videos.json, and cache the indices on disk.
+    """Create and cache the indices of all videos that are not listed in the capture's videos.json.
 
-    Opening the capture then does not read whole videos. The function does nothing if the capture has image files or
-    its folder is not writable.
+    With these indices, opening the capture does not read whole videos. The function does nothing if the capture has
+    image files or its folder is not writable.
 
     Args:
         capture: the capture's folder.
-        names: names of the cameras whose videos are indexed; None for all.
+        names: names of the cameras whose videos are indexed; None selects all cameras.
         track: progress callback.
 
     Raises:
-        UserError: if a video cannot be used, or a file with indices is damaged.
+        UserError: if a video cannot be used, or videos.json or the cache file is damaged.
     """
     if camera_folders(capture / "images") or not os.access(capture, os.W_OK):
         return

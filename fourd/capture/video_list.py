@@ -1,4 +1,4 @@
-"""Reading and writing of videos.json, which lists a capture's videos, their frame indices and time offsets."""
+"""Reading and writing of videos.json, which lists the videos of a capture with their indices and offsets in frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.files import write_text_atomically
 
 NAME = "videos.json"
 CACHE = DERIVED / NAME
-"""Cache file in a capture for indices of videos that are not in videos.json, such as during an import."""
+"""Cache file in a capture for indices of videos that videos.json does not list, for example during an import."""
 VERSION = 1
 
 Entry = dict[str, Any]
@@ -29,7 +29,7 @@ class Video:
     Attributes:
         path: the video file.
         index: frame count, times and keyframes of the video.
-        offset: number in the video, at least 0, of the capture's frame 0.
+        offset: frame number in the video of the capture's first frame, at least 0.
     """
 
     path: Path
@@ -38,19 +38,19 @@ class Video:
 
     @property
     def frames_left(self) -> int:
-        """Number of frames of the video from the offset to the end, at least 0."""
+        """Number of frames of the video from frame ``offset`` to the end, at least 0."""
         return max(0, self.index.frames - self.offset)
 
 
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
     """List the videos in ``capture``/videos by camera name.
 
-    Their indices are read from videos.json, or else from .fourd/videos.json. Videos that are in neither file are
-    indexed, but the index is not cached; :func:`fourd.capture.video_index.index_capture` caches it.
+    A video's index is read from videos.json, or else from the cache file .fourd/videos.json. If neither file contains
+    the video, its index is created but not cached. :func:`fourd.capture.video_index.index_capture` caches indices.
 
     Args:
         capture: the capture's folder.
-        names: names of the cameras; None for all.
+        names: names of the cameras; None selects all cameras.
 
     Raises:
         UserError: if two videos have the same name, videos.json is damaged, or a video cannot be used.
@@ -68,12 +68,12 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
 
 
 def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
-    """Write the videos.json of a capture atomically."""
+    """Atomically write the videos.json of a capture."""
     write_entries(capture / NAME, {name: make_entry(video) for name, video in videos.items()})
 
 
 def write_entries(path: Path, entries: Mapping[str, Entry]) -> None:
-    """Write entries by camera name to a file in the format of videos.json, atomically."""
+    """Atomically write the entries of videos by camera name to a file in the format of videos.json."""
     write_text_atomically(path, json.dumps({"version": VERSION, "cameras": entries}, indent=1) + "\n")
 
 
@@ -84,7 +84,7 @@ def align_offsets(offsets: Mapping[str, int]) -> dict[str, int]:
 
 
 def common_frames(videos: Mapping[str, Video]) -> int:
-    """Number of frames of the capture: the smallest number of frames that a video has from its offset on."""
+    """Number of frames of the capture: the minimum of :attr:`Video.frames_left` over all videos."""
     return min((video.frames_left for video in videos.values()), default=0)
 
 
@@ -101,14 +101,14 @@ def make_entry(video: Video) -> Entry:
 
 
 def is_entry_current(entry: Entry | None, path: Path) -> bool:
-    """Whether the entry has the name and size of the file at ``path``."""
+    """Whether the name and size in a video's ``entry`` match the file at ``path``."""
     return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
 
 
 def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
-    """Create the video from its entry in the file ``listing``.
+    """Create a video from its ``entry`` in the file ``listing``.
 
-    The video is indexed if it has no entry, or if the file at ``path`` has changed since.
+    A new index is created if there is no entry, or if the file at ``path`` has changed since the entry was written.
 
     Raises:
         UserError: if the entry is damaged or the video cannot be used.
@@ -129,7 +129,7 @@ def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
 
 
 def read_entries(path: Path) -> dict[str, Entry]:
-    """Read the entries of a file in the format of videos.json by camera name; empty if the file does not exist.
+    """Read the entries by camera name of a file in the format of videos.json; empty if the file does not exist.
 
     Raises:
         UserError: if the file is damaged.

@@ -1,4 +1,4 @@
-"""Space carving: creates initial points with colours and the scene bounds from a capture's masks."""
+"""Space carving: computes the scene bounds and initial coloured points from a capture's masks and images."""
 
 from fourd.carving.bounds import Bounds, find_bounds, hull_bounds
 from fourd.carving.carve import CarvedFrame, carve_frame

@@ -17,8 +17,8 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 COARSE_CELLS = 48
-"""Number of cells along the longest side of the hull's bounding box when this box is measured. The error is at most 2%
-of this side, which is less than the margin."""
+"""Number of cells along the longest side of the hull's bounding box. The cells measure this box with an error of at
+most 2% of its longest side. This error is smaller than the default margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,16 +57,16 @@ class Bounds:
         return self.upper - self.lower
 
     def union(self, other: Bounds) -> Bounds:
-        """The smallest box that contains this box and another one."""
+        """The smallest box that contains both this box and the box ``other``."""
         return Bounds(np.minimum(self.lower, other.lower), np.maximum(self.upper, other.upper))
 
     def padded(self, share: float) -> Bounds:
-        """The box, enlarged on each face by ``share`` times its longest side."""
+        """The box with each face moved outwards by ``share`` times the longest side."""
         pad = share * float(self.extent.max())
         return Bounds(self.lower - pad, self.upper + pad)
 
     def contains(self, xyz: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-        """(N,) bool: whether a point (N, 3) lies inside the box."""
+        """(N,) bool: whether each of the points ``xyz`` (N, 3) is inside the box."""
         return np.all((xyz >= self.lower) & (xyz <= self.upper), axis=1)
 
 
@@ -83,16 +83,18 @@ def find_bounds(
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
-            inside their silhouettes.
-        least_views: share in (0, 1]. A point is in the hull only if at least this share of all views see it, and at
-            least 3 views, or all views if there are fewer.
-        margin: padding on each face, as a fraction of the longest side.
-        max_frames: maximum number of frames that are read. They are evenly spaced and include the first and the last.
+        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
+            that see the point.
+        least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
+            and in at least 3 views. With only 2 views, a hull point must project inside both images.
+        margin: padding on each face of the box, as a fraction of the box's longest side.
+        max_frames: maximum number of frames that are read. The frames are evenly spaced and include the first and the
+            last frame.
         track: progress callback.
 
     Raises:
-        UserError: if the hull of a frame is empty. The message names the views that disagree most.
+        UserError: if the hull of a frame is empty. The message names the 3 views that remove most of the hull of the
+            other views.
     """
     frames = sample_indices(capture.frame_count, max_frames)
     box: Bounds | None = None
@@ -122,11 +124,11 @@ def hull_bounds(
 ) -> Bounds:
     """Find the bounding box of one frame's visual hull without a margin.
 
-    The error is at most 2% of the longest side. The search starts in a cube that is centred on the point nearest to all
-    optical axes and contains all cameras. The cube is enlarged if the hull touches its faces.
+    The error is at most 2% of the box's longest side. The search starts in a cube that contains all cameras. The cube's
+    centre is the point nearest to all optical axes. The cube is enlarged if the hull touches its faces.
 
     Raises:
-        UserError: if the hull is empty. The message names the views that disagree most.
+        UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
@@ -146,10 +148,10 @@ def hull_bounds(
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance from this point to the farthest camera.
 
-    If the axes are almost parallel, the nearest point is undefined. A weak prior then determines the result. The prior
-    is a point in front of the mean camera centre; its distance is four times the largest distance of a camera from this
-    centre. If the axes are not almost parallel, the prior has almost no effect, because its weight is 0.1% of the axes'
-    weight.
+    If the optical axes are almost parallel, the nearest point is undefined, and a weak prior determines the result. The
+    prior is a point in front of the mean of the camera centres. Its distance from this mean is four times the distance
+    of the farthest camera from the mean. For other optical axes, the prior has almost no effect, because its weight is
+    0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -167,10 +169,10 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
 
 
 def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | None, label: str) -> UserError:
-    """Build the error for an empty hull. It names the three views that remove the largest share of the hull of the
-    other views.
+    """Create the error for an empty hull.
 
-    ``half`` is half the side of the search cube in world units.
+    The message names the three views that remove the largest share of the hull of the other views. ``half`` is half the
+    side of the search cube in world units.
     """
     labels = list(names) if names is not None else [f"view {i}" for i in range(len(views.views))]
     blank = [name for name, view in zip(labels, views.views, strict=True) if view.distance.max() < 0]
@@ -180,19 +182,20 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
         )
     shares = removed_shares(views, half)
     worst = sorted(range(len(labels)), key=lambda i: (-shares[i], i))[:3]
-    removals = ", ".join(f"{labels[i]} (removes {100 * shares[i]:.0f}% of the others' hull)" for i in worst)
+    removals = ", ".join(f"{labels[i]} (removes {100 * shares[i]:.0f}% of the other views' hull)" for i in worst)
     return UserError(
-        f"{label}: expected a visual hull at agreement {views.agreement:g} of the views, got an empty hull; "
-        f"these views disagree most: {removals}; fix their masks or calibration, leave them out, or lower the agreement"
+        f"{label}: expected a visual hull with an agreement of {views.agreement:g}, got an empty hull; "
+        f"these views disagree most: {removals}; fix the masks or the calibration of these views, exclude the views, "
+        "or lower the agreement"
     )
 
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
-    """Compute for each view the share in [0, 1] of the other views' hull that this view removes.
+    """Compute, for each view, the share in [0, 1] of the hull of all other views that the view removes.
 
-    The hull of the other views is computed with an agreement of 1. If this hull is empty, the agreement is lowered in
-    steps, to 0.5 at least, until the hull is not empty. The search cube is centred on the origin, and ``half`` is half
-    its side in world units.
+    The hull of the other views is computed with an agreement of 1. While this hull is empty, the agreement is lowered
+    in steps, but not below 0.5. The search cube is centred on the origin of ``views``, and ``half`` is half the cube's
+    side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):
@@ -208,10 +211,10 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
 
 
 def _candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
-    """Find cells that may contain the object, refined until COARSE_CELLS cells span their extent.
+    """Find the cells that may contain the object, and subdivide them until COARSE_CELLS cells span the object.
 
     Returns:
-        centres (3, N) of the cells, and the side of a cell.
+        centres (3, N) of the cells, and the side of a cell in world units.
     """
     size = half / 4
     cells = root_cells(np.full(3, -half), np.full(3, half), size)

@@ -1,4 +1,4 @@
-"""Carving of one frame: masks give a visual hull, and points are spread evenly over its surface."""
+"""Carving of one frame: computes the visual hull from masks and spreads points evenly over its surface."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fourd.carving.surface import choose_cell_side, project_to_surface, surface_
 class CarvedFrame:
     """Points on the surface of one frame's visual hull.
 
-    The points are in random order, so that the first M are a uniform sample for every M.
+    The points are in random order, so that the first M points are a uniform sample of the surface for every M.
 
     Attributes:
         xyz: (N, 3) float32 world points.
@@ -49,25 +49,27 @@ def carve_frame(
     """Carve one frame's visual hull and spread points evenly over its surface.
 
     Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
-    so small that more of them lie on the surface than points are requested. Their centres are moved onto the surface,
-    with an error of at most a tenth of a cell, and thinned to the requested number.
+    so small that the surface intersects more cells than points are requested. The centres of these cells are moved onto
+    the surface with an error of at most a tenth of a cell's side. These points are then thinned evenly to the requested
+    number.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.
         cameras: undistorted pinhole cameras.
         bounds: search box, for example from :func:`find_bounds`.
         points: number of points to return, at least 1.
-        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
-            inside their silhouettes. With 20 views, 0.95 tolerates one wrong view.
-        least_views: share in (0, 1]. A point is in the hull only if at least this share of all views see it, and at
-            least 3 views, or all views if there are fewer.
-        seed: random seed of the points' order. The same input and seed give bitwise equal results.
+        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
+            that see the point. If 20 views see the point, 0.95 tolerates one wrong view.
+        least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
+            and in at least 3 views. With only 2 views, a hull point must project inside both images.
+        seed: random seed of the points' order. Equal inputs and seeds give bitwise equal results.
         names: camera names for messages.
         label: name of the masks for messages.
 
     Raises:
-        UserError: if the hull is empty. The message names the views that disagree most.
-        ValueError: if counts or shapes do not match, or a share is outside (0, 1].
+        UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
+        ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, or a share is
+            outside (0, 1].
     """
     if points < 1:
         raise ValueError(f"points: expected at least 1, got {points}")

@@ -12,8 +12,8 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side of a depth-map cell as a multiple of the point spacing. Cells of this size are wide enough that each cell on the
-nearest surface contains a point."""
+"""Side of a cell of the coarse depth map, as a multiple of the point spacing. A cell of this size contains at least one
+point wherever the nearest surface covers the cell."""
 
 
 def colour_points(
@@ -23,11 +23,12 @@ def colour_points(
     images: Sequence[NDArray[np.uint8]],
     cameras: Sequence[Camera],
 ) -> NDArray[np.uint8]:
-    """Colour each point with the weighted mean of its colours in the views that see it.
+    """Colour each point with the weighted mean of its colours in the views that see the point.
 
     A view sees a point if the point faces the camera and lies at most a few point spacings behind the nearest point in
-    the same cell of a coarse depth map. The weight is the fourth power of the cosine between normal and view direction.
-    This weight suppresses silhouette edges, where pixels mix with the background.
+    the same cell of a coarse depth map. The weight of a view is the fourth power of the cosine of the angle between the
+    normal and the direction to the camera. This weight suppresses colours at silhouette edges, where pixels mix with
+    the background.
 
     Args:
         xyz: (N, 3) world points.
@@ -55,7 +56,7 @@ def colour_points(
 
 
 def _project(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
-    """Pixel coordinates x and y (N,) and depths (N,) of world points (N, 3) in float32."""
+    """Pixel coordinates x (N,) and y (N,) and depths (N,) of world points (N, 3), all in float32."""
     matrix = camera.intrinsics @ camera.rotation
     offset = camera.intrinsics @ camera.translation
     x, y, depth = matrix.astype(np.float32) @ xyz.T + offset.astype(np.float32)[:, None]
@@ -64,13 +65,13 @@ def _project(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
 
 
 def _view_cosine(xyz: Floats, normals: Floats, camera: Camera) -> Floats:
-    """Cosine (N,) between the outward normal and the direction to the camera."""
+    """Cosine (N,) of the angle between each point's outward normal and the direction to the camera."""
     rays = camera.centre.astype(np.float32) - xyz
     return (rays * normals).sum(axis=1) / np.maximum(np.sqrt((rays**2).sum(axis=1)), np.float32(1e-12))
 
 
 def _is_unoccluded(x: Floats, y: Floats, depth: Floats, camera: Camera, spacing: float) -> NDArray[np.bool_]:
-    """(N,) bool: whether a point is at most three cell widths behind the nearest point in its depth-map cell."""
+    """(N,) bool: whether each point is at most three cell widths behind the nearest point in its depth-map cell."""
     if depth.size == 0:
         return np.zeros(0, dtype=np.bool_)
     focal = float(np.sqrt(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))

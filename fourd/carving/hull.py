@@ -1,10 +1,10 @@
-"""The visual hull as a signed distance, and a search for the cells that may contain its surface.
+"""The visual hull as a signed distance function, and the search for cells that may contain its surface.
 
 Each soft matte is converted to a signed distance image in pixels. The distance is positive inside the silhouette and
-zero where the bilinearly sampled matte is one half. In one view, a world point's distance to the silhouette is the
-image's value at the point's projection times depth / focal length, in world units. The distance to the hull is an order
-statistic over the views that see the point. It is the minimum if all views must agree, or the (k + 1)-th smallest
-distance if k views may be wrong.
+zero where the bilinearly sampled matte is one half. The distance image of one view is sampled at the projection of a
+world point, and the sample is multiplied by depth / focal length. The result is the point's distance to the silhouette
+of this view in world units. The point's signed distance to the hull is the minimum of these distances over the views
+that see the point. If k views may be wrong, the (k + 1)-th smallest distance is used instead of the minimum.
 """
 
 from __future__ import annotations
@@ -20,34 +20,35 @@ from fourd.cameras import Array, Camera
 from fourd.carving.silhouette import Floats, SilhouetteView, sample
 
 CHUNK = 1 << 15
-"""Number of cells that are processed together, so that each array has 128 kB and stays in the L2 cache."""
+"""Number of cells that are processed together. A float32 array with one value per cell has 128 KiB, which fits in the
+L2 cache."""
 
 SLACK_PIXELS = np.float32(0.75)
-"""Tolerance in pixels that is added to a cell's radius when the cell is classified by the distance at its centre. The
-tolerance covers the matte's soft edge (0.5 pixels) and the rounding of bilinear sampling."""
+"""Tolerance in pixels that is added to a cell's radius. The radius is compared with the signed distance at the cell's
+centre to classify the cell. The tolerance covers the matte's soft edge (0.5 pixels) and the rounding of bilinear
+sampling."""
 
 SLACK_FACTOR = np.float32(1.03)
-"""Factor on a cell's radius in pixels when the cell is classified. It covers the error of the 5x5 distance transform,
-up to 2%."""
+"""Factor on a cell's radius in pixels. The factor covers the error of the 5x5 distance transform, which is up to 2%."""
 
 MIN_VIEWS = 3
-"""Minimum number of views that must see a point. Two views are not enough, because any two silhouettes whose rays
-intersect have a common volume."""
+"""Minimum number of views that must see a point. Two views are not enough, because the viewing cones of two silhouettes
+can intersect where there is no object."""
 
 DIAGONAL = float(np.sqrt(3) / 2)
-"""Ratio of half the diagonal of a cell to its side."""
+"""Half the diagonal of a cell, divided by the cell's side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Silhouettes:
-    """All silhouettes of one frame, and how many of them may disagree.
+    """All silhouettes of one frame, and the share of the views that must agree.
 
     Attributes:
         origin: (3,) float64 world point; the coordinates of all cells and points are relative to this point.
         views: the silhouettes in the order of the cameras.
-        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
-            inside their silhouettes.
-        needed: minimum number of views that must see a point.
+        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
+            that see the point.
+        needed: minimum number of views that must see a hull point.
     """
 
     origin: Array
@@ -67,12 +68,12 @@ class Silhouettes:
         """Build the silhouettes from ``masks`` and their ``cameras``.
 
         Raises:
-            ValueError: if the numbers of masks and cameras differ, a mask and its camera differ in size, there are
-                fewer than two views, or a share is outside (0, 1].
+            ValueError: if the number of masks is below 2 or differs from the number of cameras, a mask and its camera
+                differ in size, or a share is outside (0, 1].
         """
         if len(masks) != len(cameras) or len(masks) < 2:
             raise ValueError(
-                f"masks: expected one per camera and at least 2, got {len(masks)} masks for {len(cameras)} cameras"
+                f"masks: expected one mask per camera and at least 2, got {len(masks)} masks for {len(cameras)} cameras"
             )
         for name, share in (("agreement", agreement), ("least_views", least_views)):
             if not 0 < share <= 1:
@@ -82,23 +83,26 @@ class Silhouettes:
         return Silhouettes(origin, views, agreement, needed)
 
     def without(self, index: int) -> Silhouettes:
-        """Remove one view; ``needed`` is reduced to the number of remaining views if it exceeds this number."""
+        """Remove one view, and limit ``needed`` to the number of remaining views."""
         remaining = self.views[:index] + self.views[index + 1 :]
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Number of views that may have a point outside their silhouettes if ``seen`` views see the point;
-        elementwise."""
+        """For each point, the number of views whose silhouettes may exclude the point if ``seen`` views see it."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool: whether a cell (3, N) of side ``size`` may intersect the object; if False, it certainly does
-        not."""
+        """(N,) bool: whether each cell (3, N) of side ``size`` may intersect the object.
+
+        If the value is False, the cell certainly does not intersect the object.
+        """
         return np.concatenate([self._classify(chunk, size)[0] for chunk in chunks(cells)])
 
     def may_contain_surface(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool: whether a cell (3, N) of side ``size`` may intersect the surface; if False, it certainly does
-        not."""
+        """(N,) bool: whether each cell (3, N) of side ``size`` may intersect the surface.
+
+        If the value is False, the cell certainly does not intersect the surface.
+        """
         classes = [self._classify(chunk, size) for chunk in chunks(cells)]
         return np.concatenate([maybe & ~inside for maybe, inside in classes])
 
@@ -122,7 +126,7 @@ class Silhouettes:
         return maybe, inside
 
     def distance(self, xyz: Floats) -> tuple[Floats, NDArray[np.int16]]:
-        """Signed distance to the hull at points (3, N), and the view that determines this distance.
+        """Signed distance to the hull at points (3, N), and the deciding view, which determines this distance.
 
         Returns:
             distance: (N,) distance in world units, positive inside; -inf if too few views see the point.
@@ -134,11 +138,13 @@ class Silhouettes:
     def surface_slab(self, cells: Floats, size: float) -> tuple[Floats, Floats, NDArray[np.int16]]:
         """Select the cells (3, N) of side ``size`` whose centres are at most ``size / 2`` from the surface.
 
-        At any slope of the surface, a slab of this thickness contains on average one cell centre per ``size ** 2`` of
-        surface area. The number of cells therefore measures the area, and their density is even.
+        The selected centres fill a slab of thickness ``size`` around the surface. Whatever the slope of the surface,
+        this slab contains on average one centre per ``size ** 2`` of surface area. The number of selected cells is
+        therefore proportional to the surface's area.
 
         Returns:
-            the cell centres (3, M), and their distances and deciding views as in :meth:`distance`.
+            the selected cell centres (3, M), and the distance and the deciding view of each centre as in
+            :meth:`distance`.
         """
         kept, distance, deciding = [], [], []
         for chunk in chunks(cells):
@@ -150,10 +156,10 @@ class Silhouettes:
         return np.concatenate(kept, axis=1), np.concatenate(distance), np.concatenate(deciding)
 
     def _rank_views(self, xyz: Floats, outside: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int16]]:
-        """Compute distances and deciding views of points (3, N); drop points outside the hull by more than ``outside``.
+        """Compute distances and deciding views of points (3, N); drop points at more than ``outside`` from the hull.
 
         Returns:
-            the indices of the remaining points, their distances, and their deciding views.
+            the remaining points' indices, signed distances to the hull, and deciding views.
         """
         kept = int(self.tolerated_outliers(np.array(len(self.views)))) + 1
         lowest = np.full((kept, xyz.shape[1]), np.inf, dtype=np.float32)
@@ -187,7 +193,11 @@ class Silhouettes:
 
 
 def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Signed distances (N,) of points (3, N) in one view in world units, and (N,) bool, whether the view sees them."""
+    """Signed distances of points (3, N) to the silhouette of one view.
+
+    Returns:
+        distances (N,) in world units, positive inside, and (N,) bool: whether the view sees each point.
+    """
     x, y, z = view.project(xyz)
     value = sample(view.distance, x, y, cv2.INTER_LINEAR)
     value *= z
@@ -196,7 +206,7 @@ def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np
 
 
 def root_cells(lower: Array, upper: Array, size: float) -> Floats:
-    """Centres (3, N) float32 of cubes of side ``size`` that cover a box; the grid of cubes is centred on the box."""
+    """Centres (3, N) float32 of cubes of side ``size`` that cover a box. The grid of cubes is centred on the box."""
     counts = np.maximum(1, np.ceil((upper - lower) / size - 1e-6)).astype(int)
     middle = (lower + upper) / 2
     axes = [middle[i] + (np.arange(counts[i]) - (counts[i] - 1) / 2) * size for i in range(3)]
@@ -204,14 +214,14 @@ def root_cells(lower: Array, upper: Array, size: float) -> Floats:
 
 
 def refine(cells: Floats, size: float) -> tuple[Floats, float]:
-    """Subdivide each cell into eight; return the centres (3, 8 N), with siblings next to each other, and the side."""
+    """Subdivide each cell into eight; return the new centres (3, 8 N), cell by cell, and the new side."""
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), dtype=np.float32)
     steps = corners.reshape(3, 1, 8) * np.float32(size / 4)
     return (cells[:, :, None] + steps).reshape(3, -1), size / 2
 
 
 def chunks(cells: Floats) -> Iterator[Floats]:
-    """Yield the columns of ``cells`` (3, N) in contiguous chunks of CHUNK columns; one empty chunk if N is 0."""
+    """Yield the columns of ``cells`` (3, N) in chunks of at most CHUNK columns; if N is 0, yield one empty chunk."""
     for begin in range(0, max(cells.shape[1], 1), CHUNK):
         yield np.ascontiguousarray(cells[:, begin : begin + CHUNK])
 
@@ -219,19 +229,23 @@ def chunks(cells: Floats) -> Iterator[Floats]:
 def interleaved_order(count: int) -> list[int]:
     """The numbers 0 to count - 1 in an order in which successive cameras of a ring are far apart.
 
-    In this order, the first few views come from different angles and reject most cells.
+    With this order, the first few views have different viewing angles, so that they already reject most cells.
     """
     return sorted(range(count), key=lambda index: (index * 0.6180339887) % 1)
 
 
 def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts: NDArray[np.int16]) -> None:
-    """Classify spheres of ``radius`` around ``cells`` (3, N) in one view and add the result to ``counts`` (5, N).
+    """Classify spheres of ``radius`` around ``cells`` (3, N) in one view, and add the result to ``counts`` (5, N).
 
-    Each row of ``counts`` counts views. Row 0: the whole sphere is in the image and projects only to background. Row 1:
-    the whole sphere is in the image and projects only to the object. Row 2: the whole sphere is in the image. Row 3: a
-    part of the sphere may be in the image. Row 4: as row 3, and a part may project to the object. Row 4 is needed for
-    spheres that are cut by many image borders. Row 0 counts no view for such a sphere, even if all its visible parts
-    are background.
+    Each row of ``counts`` counts, for each sphere, the views that meet one condition:
+    - row 0: the whole sphere is in the image and projects only to background;
+    - row 1: the whole sphere is in the image and projects only to the object;
+    - row 2: the whole sphere is in the image;
+    - row 3: a part of the sphere may be in the image;
+    - row 4: a part of the sphere may be in the image, and a part may project to the object.
+
+    Row 4 is needed for spheres that the image borders of many views cut. Row 0 does not count these views, even if all
+    visible parts of the sphere are background.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)
@@ -250,7 +264,7 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
 
 
 def _insert(lowest: Floats, owners: NDArray[np.int16], value: Floats, index: np.int16) -> None:
-    """Insert the values (N,) of view ``index`` in place into the ascending columns of ``lowest`` (K, N)."""
+    """Insert the values (N,) of the view ``index`` into the ascending columns of ``lowest`` (K, N), in place."""
     owner = np.full(value.shape, index, dtype=np.int16)
     for rank in range(lowest.shape[0]):
         less = value < lowest[rank]

@@ -1,4 +1,4 @@
-"""The interface through which carving reads a capture; tests and importers can implement it."""
+"""The interface through which carving reads a capture. Tests and importers can implement this interface."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class MaskSource(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """Frame number of each frame in the capture; the numbers need not start at 0."""
+        """Number of each frame in the whole capture; the first number may be greater than 0."""
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
         """Matte (H, W) uint8; 255 is the object."""

@@ -35,16 +35,16 @@ VERSION = 2
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Estimated duration of the remaining frames in seconds. Below it no worker processes are started, because their start
-takes some seconds."""
+"""Worker processes are started only if the estimated time for the remaining frames is at least this number of seconds.
+Starting worker processes takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Files in a capture whose sizes and modification times are part of the key, a hash of all inputs of carving. A change
-to one of these files invalidates carved points."""
+"""Input files of carving in a capture. Their sizes and modification times are part of the key, which is a hash of all
+inputs. A change to one of the input files invalidates carved points."""
 
 
 @dataclass(frozen=True)
 class CarveSettings:
-    """Settings of carving, described in :func:`fourd.carving.carve_frame`. The field names are keys in bounds.json."""
+    """Settings of :func:`fourd.carving.carve_frame`. The names of the fields are also keys in bounds.json."""
 
     points: int = 65536
     agreement: float = 0.95
@@ -65,22 +65,23 @@ def carve_capture(
 ) -> Bounds:
     """Carve every frame; write ``FRAME.ply`` (xyz, rgb) for each frame and ``bounds.json`` to ``out_folder``.
 
-    FRAME is the six-digit frame number in the capture. Files are written atomically, and each process holds one frame
-    in memory. A second call with the same capture and settings skips frames that have a complete PLY. A call with other
-    settings carves all frames again.
+    FRAME is the six-digit frame number in the capture. Files are written atomically, and each process keeps only one
+    frame in memory. If the capture and the settings did not change since the last call, frames with a complete PLY file
+    are skipped. Otherwise all frames are carved again.
 
     Args:
         capture: cameras, images and masks.
         out_folder: folder for the files; it is created if missing.
         points: number of points per frame, at least 1.
-        agreement: share in (0, 1]. A point is in the hull if at least this share of the views that see it have it
-            inside their silhouettes.
-        least_views: share in (0, 1]. A point is in the hull only if at least this share of all views see it, and at
-            least 3 views, or all views if there are fewer.
+        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
+            that see the point.
+        least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
+            and in at least 3 views. With only 2 views, a hull point must project inside both images.
         seed: random seed of the points' order.
         track: progress callback.
-        workers: number of processes. They are only started if the duration of the first frame indicates that they save
-            time. The capture must be picklable. The points do not depend on this number.
+        workers: number of worker processes. Worker processes are started only if they save time, which is estimated
+            from the time for the first frame. The capture must be picklable. The points do not depend on the number of
+            workers.
 
     Returns:
         the bounding box of the points of all frames, with a margin of 5% of the longest side.
@@ -113,7 +114,7 @@ def read_bounds(folder: Path | str) -> Bounds:
     """Read the bounds written to ``folder`` by :func:`carve_capture`.
 
     Raises:
-        UserError: if bounds.json is missing, unreadable, or from an unfinished carving.
+        UserError: if bounds.json is missing or unreadable, or carving did not finish.
     """
     path = Path(folder) / BOUNDS_NAME
     state = _load(path)
@@ -126,7 +127,7 @@ def read_bounds(folder: Path | str) -> Bounds:
 
 
 def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
-    """Hash all inputs of carving: settings, calibration, frame numbers, and the sizes and times of the input files."""
+    """Hash the inputs of carving: settings, cameras, frame numbers, and the files' sizes and modification times."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):
         digest.update(f"{name} {camera.width} {camera.height}".encode())
@@ -140,10 +141,11 @@ def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
 
 
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
-    """Get the box in which the hull is searched.
+    """Get the search box, in which the hulls of all frames are searched.
 
-    The box is read from bounds.json if an earlier call with the same key wrote it. Otherwise it is computed and saved.
-    If the capture has too many frames to examine all of them, the margin is three times as wide.
+    The search box is read from bounds.json if the key in this file is ``key``. Otherwise the search box is computed and
+    saved. If the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are examined, and the margin of the
+    box is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:
@@ -168,7 +170,7 @@ def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key:
 def _load_or_carve(
     capture: MaskSource, frame: int, folder: Path, search: Bounds, settings: CarveSettings
 ) -> NDArray[np.float32]:
-    """Get the points (N, 3) of one frame: read its PLY if the file is complete, otherwise carve and write it."""
+    """Read the points (N, 3) of one frame from its PLY file, or carve the frame if the file is not complete."""
     number = capture.frame_numbers[frame]
     path = _frame_path(folder, number)
     if path.exists():
@@ -194,7 +196,7 @@ def _load_or_carve(
 
 @dataclass(frozen=True)
 class _Job:
-    """The frames that one process carves, with all inputs."""
+    """The frames that one process carves, and all inputs of their carving."""
 
     capture: MaskSource
     folder: Path
@@ -204,9 +206,9 @@ class _Job:
 
 
 def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
-    """Carve a job's frames, with worker processes if this saves time.
+    """Carve the frames of a job, with worker processes if these save time.
 
-    Yields the same values as :func:`_carve_frames`, in an undefined order of frames.
+    The function yields the same values as :func:`_carve_frames`, but the order of the frames is undefined.
     """
     numbers = job.capture.frame_numbers
     missing = [frame for frame in job.frames if not _frame_path(job.folder, numbers[frame]).exists()]
@@ -222,7 +224,7 @@ def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
 
 
 def _carve_frames(job: _Job) -> Iterator[Corners]:
-    """Carve a job's frames; yields the smallest and the largest coordinates of a frame when its file is written."""
+    """Carve the frames of a job; after each frame, yield the smallest and the largest coordinates of its points."""
     for frame in job.frames:
         xyz = _load_or_carve(job.capture, frame, job.folder, job.search, job.settings)
         yield xyz.min(axis=0), xyz.max(axis=0)

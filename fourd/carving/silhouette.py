@@ -1,4 +1,4 @@
-"""A view of the object: a camera and a signed distance image that is computed from a soft matte."""
+"""A view of the object, which consists of a camera and a signed distance image that is computed from a soft matte."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from fourd.cameras import Array, Camera
 Floats = NDArray[np.float32]
 
 ROW = 4096
-"""Number of samples per row of the coordinate maps that are passed to OpenCV's remap. The sides of these maps must be
-below 32,767."""
+"""Number of samples per row of the coordinate maps for OpenCV's remap. OpenCV requires that the maps' width and height
+are below 32,767."""
 
 
 MAX_SIDE_PX = 1024
-"""Maximum longer side in pixels of a matte's crop around the object; a larger crop is reduced to this size. The limit
-bounds the memory use for large captures."""
+"""Maximum length in pixels of the longer side of a matte's crop around the object. Larger crops are reduced to this
+size, to limit the memory use for large captures."""
 
 
 @dataclass(frozen=True, eq=False)
 class SilhouetteView:
-    """One matte with its camera, for points relative to an origin.
+    """The signed distance image of one matte, with the matte's camera. Coordinates of points are relative to an origin.
 
-    Pixel coordinates refer to the distance image. This image covers a crop of the matte around the object, and its
-    resolution is lower than the matte's if the crop is large.
+    Pixel coordinates refer to the distance image. The distance image covers a crop of the matte around the object. If
+    the crop is large, the resolution of the distance image is lower than that of the matte.
 
     Attributes:
         matrix: (3, 3) float32 matrix product K R of intrinsics and rotation.
-        offset: (3,) float32 homogeneous projection of the origin.
+        offset: (3,) float32 homogeneous pixel coordinates of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: upper bound of the displacement in pixels of a point at depth 1 per unit of its motion, for all points
-            inside the image.
-        frame: left, top, right and bottom borders of the whole image in pixels.
-        distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. Outside the crop, the
-            nearest pixel of the crop gives a lower bound of the distance to the object.
+        reach: upper bound of the displacement in pixels if a point at depth 1 moves by one world unit; valid for all
+            points inside the image.
+        frame: left, top, right and bottom borders of the whole image, in pixels of the distance image.
+        distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. For a point outside the
+            crop, the value at the nearest pixel of the crop gives a lower bound of the distance to the object.
     """
 
     matrix: Floats
@@ -49,7 +49,7 @@ class SilhouetteView:
 
     @staticmethod
     def from_mask(mask: NDArray[np.uint8], camera: Camera, origin: Array) -> SilhouetteView:
-        """Build the view from ``mask`` (H, W) uint8 and its ``camera``, for points relative to ``origin``.
+        """Create the view from ``mask`` (H, W) uint8 and its ``camera``; points are relative to ``origin``.
 
         Raises:
             ValueError: if the mask's shape does not match the camera's image size.
@@ -78,7 +78,7 @@ class SilhouetteView:
         )
 
     def project(self, xyz: Floats) -> tuple[Floats, Floats, Floats]:
-        """Pixel coordinates x and y and depths z of points (3, N); x and y are undefined where z <= 0."""
+        """Pixel coordinates x and y and depths z of points (3, N); x and y are undefined for points with z <= 0."""
         x, y, z = self.matrix @ xyz + self.offset[:, None]
         inverse = 1 / np.where(np.abs(z) > 1e-12, z, np.float32(1e-12))
         x *= inverse
@@ -86,12 +86,12 @@ class SilhouetteView:
         return x, y, z
 
     def sees(self, x: Floats, y: Floats, z: Floats) -> NDArray[np.bool_]:
-        """(N,) bool: whether a projected point lies inside the image and in front of the camera."""
+        """(N,) bool: whether each projected point is inside the image and in front of the camera."""
         left, top, right, bottom = self.frame
         return (z > 0) & (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
 
     def border_distance(self, x: Floats, y: Floats) -> Floats:
-        """Distance (N,) in pixels to the nearest border of the whole image; negative outside the image."""
+        """Distance (N,) in pixels from each projected point to the nearest image border; negative outside the image."""
         left, top, right, bottom = (np.float32(side) for side in self.frame)
         return np.minimum(np.minimum(x - left, right - x), np.minimum(y - top, bottom - y))
 
@@ -99,8 +99,8 @@ class SilhouetteView:
 def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     """Left, top, width and height of the object's bounding box in ``mask``, with a margin, clipped to the image.
 
-    The margin is a sixteenth of the image's longer side plus 8 pixels. With this margin, distances beside the object
-    are exact enough to classify coarse cells.
+    The margin is a sixteenth of the image's longer side plus 8 pixels. Because of this margin, the distances next to
+    the object are exact enough to classify coarse cells.
     """
     left, top, width, height = cv2.boundingRect((mask >= 128).view(np.uint8))
     if width == 0:
@@ -112,11 +112,11 @@ def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def signed_distance(mask: NDArray[np.uint8]) -> Floats:
-    """Signed distance (H, W) float32 in pixels to the contour at which a soft matte (H, W) uint8 is one half.
+    """Signed distance (H, W) float32 in pixels to the contour where a soft matte (H, W) uint8 has half its maximum.
 
-    Pixels next to the contour store ``matte - 0.5``. Bilinear samples of the distance are therefore 0 where bilinear
-    samples of the matte are one half. The image border is not part of the contour. The distance is -65,536 everywhere
-    for an empty matte, and 65,536 for a full matte.
+    In pixels next to the contour, the distance is the matte in [0, 1] minus 0.5. Bilinear samples of the distance are
+    therefore 0 where bilinear samples of the matte are 0.5. The image border is not part of the contour. The distance
+    is -65,536 everywhere for an empty matte, and 65,536 for a full matte.
     """
     inside = (mask >= 128).astype(np.uint8)
     far = float(1 << 16)
@@ -135,10 +135,10 @@ def signed_distance(mask: NDArray[np.uint8]) -> Floats:
 
 
 def sample(image: NDArray[np.float32] | NDArray[np.uint8], x: Floats, y: Floats, method: int) -> NDArray:
-    """Sample ``image`` (H, W[, C]) at pixel coordinates x and y (N,), with pixel centres at half integers.
+    """Sample ``image`` (H, W[, C]) at pixel coordinates x (N,) and y (N,); pixel centres are at half integers.
 
-    ``method`` is cv2.INTER_NEAREST or cv2.INTER_LINEAR. Outside the image, the nearest border pixel is used. The
-    result is (N[, C]) and has the image's dtype.
+    ``method`` is cv2.INTER_NEAREST or cv2.INTER_LINEAR. Positions outside the image get the value of the nearest border
+    pixel. The result has the shape (N[, C]) and the image's dtype.
     """
     count = x.size
     if count == 0:

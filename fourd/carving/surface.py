@@ -1,4 +1,4 @@
-"""Points on the hull's surface: cells give candidates, which are projected onto the surface and thinned evenly."""
+"""Points on the hull's surface: cell centres near the surface are moved onto the surface and thinned evenly."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, sample
 
 CANDIDATES = 1.3
-"""Number of candidates per requested point. More candidates give a more even density but cost more time."""
+"""Number of candidate cells per requested point. More candidates make the points' density more even but take more
+time."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
     """Find the cells of side ``size`` that may intersect the surface inside a box; return their centres (3, N).
 
-    Larger cells are subdivided if they may contain surface. The finest cells are not tested. The coordinates are
-    relative to the origin of ``views``.
+    Larger cells are subdivided if they may intersect the surface. The finest cells, of side ``size``, are returned
+    without this test. The coordinates are relative to the origin of ``views``.
     """
     longest = float((upper - lower).max())
     levels = max(0, int(np.log2(max(longest / size / 6, 1))))
@@ -33,11 +34,11 @@ def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -
 def project_to_surface(
     views: Silhouettes, xyz: Floats, distance: Floats, deciding: NDArray[np.int16], size: float
 ) -> tuple[Floats, Floats]:
-    """Move points (3, N) along the distance gradient onto the surface, and drop points that do not converge.
+    """Move points (3, N) onto the surface along the gradient of the distance; drop points that do not converge.
 
-    Two steps are enough except at creases, where the deciding view changes. The deciding view is the view whose
-    silhouette determines the distance. A point has converged if its distance to the surface is at most a tenth of
-    ``size``.
+    The deciding view of a point is the view whose silhouette determines its distance. Two steps are enough, except at
+    creases of the surface, where the deciding view changes. A point has converged if its distance to the surface is at
+    most a tenth of ``size``.
 
     Returns:
         points (3, M) and their outward unit normals (3, M).
@@ -55,7 +56,7 @@ def project_to_surface(
 
 
 def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int16]) -> Floats:
-    """Gradient (3, N) of the deciding view's signed distance at points (3, N), in world coordinates.
+    """Gradient (3, N) of the signed distance to the deciding view's silhouette at points (3, N), in world coordinates.
 
     The gradient points inwards, and its length is about 1.
     """
@@ -79,10 +80,10 @@ def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int1
 
 
 def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Select ``count`` of the points (N, 3) with an even density; return their indices in random order.
+    """Select ``count`` of the points (N, 3) with an even density; return the indices of the points in random order.
 
-    ``count`` is at most N. Each round removes one point from each of the closest pairs of points. Because of the random
-    order, the first M points are a uniform sample for every M.
+    ``count`` is at most N. Points are removed in rounds. Each round removes one point from each of the closest pairs of
+    points. Because of the random order, the first M points are a uniform sample for every M.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:
@@ -99,10 +100,10 @@ def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) 
 
 
 def choose_cell_side(views: Silhouettes, lower: Array, upper: Array, points: int) -> float:
-    """Choose the side of cells so that the surface inside the box has CANDIDATES cells per requested point.
+    """Choose the side of cells so that the surface in the box has CANDIDATES cells per requested point.
 
-    The surface's area is measured with cells whose side is 1/64 of the box's longest side. If only a few of these cells
-    lie on the surface, smaller cells are used. The result is 0 if there is no surface.
+    The surface's area is measured with cells whose side is 1/64 of the box's longest side. If fewer than 200 of these
+    cells are near the surface, the area is measured with smaller cells. The result is 0 if there is no surface.
     """
     side = float((upper - lower).max()) / 64
     for _ in range(3):

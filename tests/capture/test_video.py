@@ -153,7 +153,7 @@ def test_dropped_frame_is_refused(tmp_path: Path) -> None:
     times = [*range(20), *range(21, 41)]
     assert_refused(
         write_numbered_video(tmp_path / "video.mp4", times=times),
-        r"constant frame rate, got intervals of 33.3 to 66.7 ms.*-fps_mode cfr",
+        r"constant frame rate, got frame intervals of 33.3 to 66.7 ms.*-fps_mode cfr",
     )
 
 
@@ -179,7 +179,7 @@ def test_videos_of_one_name_are_refused(tmp_path: Path) -> None:
     for name in ("a.mp4", "a.mov"):
         write_numbered_video(tmp_path / name, range(2))
     with pytest.raises(
-        UserError, match=r"a.mp4: expected one video per camera, got a.mov of the same name; rename one"
+        UserError, match=r"a.mp4: expected one video per camera, got a.mov for the same camera; rename one"
     ):
         find_videos(tmp_path)
 

@@ -43,4 +43,4 @@ def test_other_folders_are_refused(tmp_path: Path) -> None:
 def test_videos_of_one_name_are_refused(tmp_path: Path) -> None:
     for name in ("a.mp4", "a.mov"):
         write_video(tmp_path / name)
-    assert_refused(read, tmp_path, r"a.mp4: expected one video per camera, got a.mov of the same name; rename one of")
+    assert_refused(read, tmp_path, r"a.mp4: expected one video per camera, got a.mov for the same camera; rename one")
