@@ -65,8 +65,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # Samples of the K-Planes that no plate observes get no gradient. Random initial values of these samples would
-        # remain as noise.
+        # A sample of the K-Planes that no plate observes gets no gradient, so a random initial value would remain as
+        # noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -125,13 +125,14 @@ class StaticBackground:
     def clear_cache(self) -> None:
         """Drop the cached depths and features of all plates.
 
-        A resumed run starts with an empty cache. Each checkpoint also clears the cache, so that a resumed run and an
-        uninterrupted run give the same result.
+        A resumed run starts with an empty cache. Saving a checkpoint also clears the cache, so that a resumed run and
+        an uninterrupted run give the same result.
         """
         self._cache.clear()
 
     def hidden_points(self) -> Tensor:
-        """(N,) bool, whether each point is hidden in every plate: outside the plate's image, or occluded in it."""
+        """(N,) bool, whether each point is hidden in every plate. A hidden point is outside the plate's image or
+        occluded in the plate."""
         xyz, spacing = self.points.xyz.double().numpy(), self.points.spacing.numpy()
         hidden = np.ones(len(xyz), np.bool_)
         for index in self.plates:
@@ -150,8 +151,8 @@ class StaticBackground:
 
         Args:
             cameras: indices of the cameras.
-            train_encoder: whether the image encoder runs and gets a gradient. If true, the returned views have no
-                cached features.
+            train_encoder: whether the image encoder runs and gets a gradient. If ``train_encoder`` is true, the
+                returned views have no cached features.
             points: points whose occlusion depths are computed for this call, together with the plates' features; if
                 None, cached depths and features are used.
         """

@@ -35,7 +35,7 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
     Args:
         folder: the folder of checkpoints; created if missing.
-        step: number of completed optimizer steps, 0 or more. The file's name contains this number.
+        step: number of completed optimizer steps, 0 or more. The checkpoint file is named after the step number.
         tensors: name -> dense tensor, stored bit for bit.
         state: JSON data, stored in the file's header. Floats are stored exactly.
 
@@ -132,7 +132,7 @@ def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, sourc
         rest = f" and {len(found) - MAX_SHOWN_MISMATCHES} more" if len(found) > MAX_SHOWN_MISMATCHES else ""
         raise UserError(
             f"{source}: expected a checkpoint of this model, got one of another model: {shown}{rest}; "
-            f"use the config it was trained with, or train in a new folder"
+            f"use the config with which the checkpoint was trained, or train in a new folder"
         )
     module.load_state_dict(given)
 
@@ -170,7 +170,7 @@ def unpack_optimizer(
         if not fits or (value.ndim > 0 and value.shape != parameters[int(index)].shape):
             raise UserError(
                 f"{source}: expected the optimizer's state of this model, got '{prefix}{key}' of shape "
-                f"{tuple(value.shape)}; use the config it was trained with, or train in a new folder"
+                f"{tuple(value.shape)}; use the config with which the checkpoint was trained, or train in a new folder"
             )
         state.setdefault(int(index), {})[name] = value.clone()
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
@@ -224,7 +224,8 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _drop_old(folder: Path, step: int) -> None:
-    """Delete all checkpoints up to ``step`` except the two newest. Also delete damaged checkpoints of later steps.
+    """Delete all checkpoints up to ``step`` except the two newest. Damaged checkpoints of steps after ``step`` are also
+    deleted.
 
     Checkpoints of later steps exist if the run was resumed from an earlier step.
     """

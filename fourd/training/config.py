@@ -73,14 +73,14 @@ class BackgroundConfig:
     """Source of the background points: ngp takes the points from a radiance field that is fitted to the plates and to
     stereo depths; sfm takes the points from stereo alone."""
     seeds: Path | None = None
-    """PLY file with background points in world units. With this file, no points are computed from the plates."""
+    """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
     """Settings of the radiance field that seeding ngp uses."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """Render foreground and background together. If false, steps on frames train the foreground alone, on black, and
-    steps on plates train the background."""
+    """Render foreground and background together. If false, steps on frames train the foreground alone on black. Steps
+    on plates train the background."""
     share: float = 0.35
     """Share of the training steps that compare the background with a clean plate instead of using a frame."""
     window_px: int = 256
@@ -98,7 +98,7 @@ class BackgroundConfig:
     """The background's image encoder is updated only in steps on a clean plate. The step number must also be a multiple
     of this value."""
     shadow: bool = False
-    """Learn the shadows and reflected light of the foreground on the background in each frame. This option
+    """Learn the shadows and the reflected light that the foreground casts on the background in each frame. This option
     needs a model with image-based colour."""
 
     def __post_init__(self) -> None:
@@ -121,8 +121,8 @@ class DensifyConfig:
     """Number of training steps on a frame between two densifications of the frame's points. Each
     densification removes the points that are at least `frame_every` steps old and have never received a gradient."""
     background_every: int = 250
-    """Number of steps between two densifications of the background. Each densification also removes the points that are
-    occluded in every plate."""
+    """Number of steps between two densifications of the background. Each densification removes the background points
+    that are occluded in every plate."""
     share: float = 0.1
     """Maximum share of the points that are split in one densification."""
     growth: float = 1.25

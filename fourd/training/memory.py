@@ -1,9 +1,9 @@
 """Control of the C library's heap: fast reuse of freed memory within a bounded resident size. Only glibc is supported.
 With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
 
-Images differ in size, so freed memory does not always fit the next allocation. As a result, the heap's address space
-grows for hours. A page of the heap occupies memory only if the page was written since the last trim. Data that is kept
-for many steps would fragment the heap, so it is stored outside the heap, in separate pages.
+Images differ in size, so freed memory does not always fit the next allocation. The heap's address space therefore grows
+for hours during training. A page of the heap occupies memory only if the page was written since the last trim. Data
+that is kept for many steps would fragment the heap, so it is stored outside the heap, in separate pages.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 def retain_freed_memory() -> None:
     """Keep freed memory in the process until a :class:`HeapTrimmer` returns it to the system.
 
-    By default, the C library returns the memory of a large array to the system as soon as the array is freed. The next
-    allocation of this memory would cost time in page faults at each step.
+    By default, the C library returns the memory of a large array to the system as soon as the array is freed. Without
+    this function, each training step would spend time on page faults when it allocates large arrays.
     """
     mallopt = _libc_function("mallopt")
     if mallopt is not None:

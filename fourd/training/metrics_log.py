@@ -26,13 +26,13 @@ class MetricsLog:
 
         Args:
             folder: the run's folder; created if missing.
-            resume_step: number of completed steps. Records of later steps and incomplete lines of a killed run are
-                removed. TensorBoard hides the events of later steps.
+            resume_step: number of completed steps. Records after step ``resume_step`` and incomplete lines of a killed
+                run are removed. TensorBoard hides its events after step ``resume_step``.
 
         Raises:
             UserError: the folder is not writable.
         """
-        # The import takes a second, so it is delayed until a log is opened.
+        # The import of TensorBoard takes a second, so it is delayed until a log is opened.
         from torch.utils.tensorboard import SummaryWriter
 
         self._folder = folder
@@ -67,7 +67,7 @@ class MetricsLog:
             self._events.add_image(name, picture, step, dataformats="HWC")
 
     def close(self) -> None:
-        """Flush and close the log. Further calls have no effect. Raises UserError if the disk is full."""
+        """Flush and close the log. Closing the log again has no effect. Raises UserError if the disk is full."""
         if self._stream.closed:
             return
         with self._os_errors_as_user_errors():
@@ -87,12 +87,12 @@ class MetricsLog:
         except OSError as error:
             raise UserError(
                 f"{self._folder}: expected a writable folder for metrics, got '{error.strerror or error}'; "
-                f"free some space or fix its permissions, and add --resume"
+                f"free some space or make the folder writable, and add --resume"
             ) from error
 
 
 def _truncate(path: Path, last_step: int) -> None:
-    """Keep the complete records up to ``last_step``.
+    """Remove incomplete lines and all records after step ``last_step``.
 
     The file is processed line by line, because the log of a long run is large.
     """

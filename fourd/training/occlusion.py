@@ -49,8 +49,8 @@ def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
     """Depth (H, W) behind which points count as occluded: the surface depth, dilated by the size of a point.
 
     Points are rendered as discs that face the camera. On a floor viewed at a grazing angle, each disc covers the discs
-    behind it. Without dilation of the depth, half of the visible points of the floor would count as occluded. The
-    dilation assigns to each pixel the farthest depth within the median disc radius.
+    behind it. Without dilation of the depth, half of the visible points on a floor at a grazing angle would count as
+    occluded. The dilation assigns to each pixel the farthest depth within the median disc radius.
     """
     pixels, depth = camera.project(points.xyz.double().numpy())
     inside = camera.is_in_image(pixels, depth) & (depth > NEAR)

@@ -89,8 +89,8 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds, in world units. The nearest cameras have the smallest angles to the viewing
-        camera, measured at the centre of the bounds."""
+        """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles
+        to the viewing camera, measured at the centre of the bounds."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property

@@ -83,8 +83,8 @@ def source_pool(
 
 
 def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
-    """Spent share of the training budget, in [0, 1]. If both steps and time are limited, the larger spent share is
-    returned."""
+    """Spent share of the training budget, in [0, 1]. If both steps and time are limited, the result is the larger of
+    the spent shares of steps and of time."""
     shares = [0.0]
     if config.max_steps is not None:
         shares.append(step / config.max_steps)

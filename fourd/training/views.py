@@ -82,7 +82,7 @@ class ViewStore:
     def widened(self, camera: int, frame: int, margin_px: int) -> View:
         """A view extended by up to ``margin_px`` pixels on each side. The extended view is not cached.
 
-        The margin is rounded down to a multiple of half of SIZE_STEP_PX and clipped to the image.
+        The margin is rounded down to a multiple of SIZE_STEP_PX / 2 and clipped to the image.
         """
         view, whole = self.view(camera, frame), self.capture.cameras[camera]
         margin_px -= margin_px % (SIZE_STEP_PX // 2)

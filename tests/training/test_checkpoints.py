@@ -250,7 +250,7 @@ def test_restore_refuses_tensors_of_another_model() -> None:
     message = str(caught.value)
     assert message.startswith("runs/F.safetensors: expected a checkpoint of this model")
     assert "'0.weight' has shape (4, 3) in the model and (8, 3) in the checkpoint" in message
-    assert "use the config it was trained with" in message
+    assert "use the config with which the checkpoint was trained" in message
     tensors = {f"model.{name}": value for name, value in small_model().state_dict().items()}
     surplus = {**tensors, "model.9.bias": torch.zeros(1)}
     missing = {name: value for name, value in tensors.items() if name != "model.2.bias"}

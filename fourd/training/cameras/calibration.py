@@ -32,8 +32,8 @@ POWERS[i]."""
 
 
 def with_start_cameras(capture: Capture, folder: Path) -> Capture:
-    """The capture, with its cameras replaced by the start cameras of the run in ``folder``. Raises UserError if a start
-    camera is missing."""
+    """The capture, with its cameras replaced by the start cameras of the run in ``folder``. Raises UserError if the run
+    has no start camera for one of the capture's cameras."""
     start = folder / CALIBRATION / START
     if not (start / INTRINSICS_NAME).exists():
         raise UserError(f"{start}: expected the start cameras of the run, got no file; train in a new folder")

@@ -1,9 +1,9 @@
 """Corrections of the cameras that are learnt while training.
 
-The renderers treat the corrected cameras as constants and compute no gradient with respect to cameras. Instead, the
-gradient reaches a camera correction through the point positions. The positions pass through a function of the camera
-correction that does not change their values. The derivative of this function is the motion of the points relative to
-the corrected camera.
+The renderers treat the corrected cameras as constants and compute no gradient with respect to cameras. The gradient
+reaches a camera correction through the positions of the rendered points. The positions pass through a function of the
+camera correction that does not change their values. The derivative with respect to the correction is the motion of the
+points relative to the corrected camera.
 """
 
 from __future__ import annotations
@@ -39,9 +39,10 @@ class Refinement(nn.Module):
     """Pose, focal and colour corrections of each training camera. All corrections are initially zero.
 
     A pose correction consists of a rotation vector in radians and a translation in camera coordinates. The translation
-    is a share of the camera's distance from the scene's centre. A focal correction is the logarithm of the factor that
-    scales the focal length. A colour correction is the difference between an affine colour map and the identity. Each
-    camera has its own parameters, so that a step on one camera leaves the optimizer state of other cameras unchanged.
+    of a pose correction is a share of the camera's distance from the scene's centre. A focal correction is the
+    logarithm of the factor that scales the focal length. A colour correction is the difference between an affine colour
+    map and the identity. Each camera has its own parameters, so that a step on one camera leaves the optimizer state of
+    other cameras unchanged.
     """
 
     def __init__(
@@ -97,7 +98,7 @@ class Refinement(nn.Module):
 
     def attach_camera_gradient(self, clouds: Sequence[RenderablePoints], index: int) -> list[RenderablePoints]:
         """Make the points differentiable functions of the correction of camera ``index``, without changing their
-        values. The gradient of a rendered image then also reaches the camera's correction."""
+        values. The gradient of a rendered image can then reach the camera's correction through the points."""
         if not self.config.cameras:
             return list(clouds)
         return [self._attach(cloud, index) for cloud in clouds]

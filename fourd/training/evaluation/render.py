@@ -46,8 +46,8 @@ class ModelRenderer:
         Args:
             scene: the scene, with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) point in world units at which the angles between cameras are measured. The nearest cameras have
-                the smallest angles to the viewing camera.
+            focus: (3,) point in world units at which the angles between cameras are measured. The source views come
+                from the cameras with the smallest angles to the viewing camera.
         """
         self.scene = scene
         self.training = training

@@ -21,10 +21,11 @@ from torch.nn import functional
 
 from fourd.errors import UserError
 
-# Output channels of VGG-16's convolutions. A pooling layer follows each group except the last.
+# Numbers of output channels of VGG-16's convolutions. A pooling layer follows each group of convolutions except the
+# last group.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# Mean and standard deviation of ImageNet images with values in [-1, 1]. The heads were trained with inputs normalised
-# by these numbers.
+# Mean and standard deviation of ImageNet images with values in [-1, 1]. The LPIPS heads were trained with images that
+# are normalised by this mean and standard deviation.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 # An image with a side below 16 pixels has size 0 after four pooling layers.
@@ -75,9 +76,9 @@ class LPIPS(nn.Module):
         """The distance between two images, or between the pairs of two batches.
 
         Args:
-            prediction: (H, W, 3) or (B, 3, H, W), floating point in [0, 1]. Sides below 16 pixels are extended to 16
-                pixels by repeating the border, because the published network is undefined for smaller images.
-            target: the same shape.
+            prediction: (H, W, 3) or (B, 3, H, W), images in [0, 1], floating point. Sides below 16 pixels are extended
+                to 16 pixels by repeating the border, because the published network is undefined for smaller images.
+            target: images of the same shape.
 
         Returns:
             The distance, a scalar for two images (H, W, 3), or (B,) for two batches.
@@ -119,7 +120,7 @@ def load_lpips(path: Path | None) -> LPIPS | None:
             torchmetrics for the heads. If ``path`` is None, only the default locations are used.
 
     Returns:
-        The network on the CPU, or None if ``path`` is None and a part is missing.
+        The network on the CPU, or None if ``path`` is None and a part of the weights is missing.
 
     Raises:
         UserError: the path does not exist, a file cannot be read, or a weight has a wrong name or shape.
@@ -196,7 +197,7 @@ def _default_head_files() -> list[Path]:
 
 def _read(file: Path) -> dict[str, Tensor]:
     """Read the LPIPS weights in a file as float32 tensors with the names of :func:`expected_shapes`. Raises UserError
-    if a shape is wrong."""
+    if a weight has a wrong shape."""
     shapes = expected_shapes()
     found: dict[str, Tensor] = {}
     for key, value in _load(file).items():

@@ -38,7 +38,7 @@ class RenderedStep:
 
 
 class LossTerm(Protocol):
-    """One term of the loss. Terms with weight 0 are not evaluated."""
+    """One term of the training loss. Terms with weight 0 are not evaluated."""
 
     @property
     def name(self) -> str:

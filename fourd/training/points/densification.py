@@ -33,7 +33,8 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
 
     The magnitude is the norm of a point's gradient times the point's spacing. To first order, the magnitude is the
     largest change of the loss if the point moves by one spacing. The magnitude has no unit, so that near and far points
-    can be compared. Kerbl et al. (2023, sec. 5.2) split points with large view-space gradients instead.
+    can be compared. Kerbl et al. 2023, sec. 5.2, split points with large view-space gradients instead of large
+    magnitudes.
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude

@@ -57,7 +57,8 @@ class FrameStore:
         self._saved = folder
 
     def _write(self, frame: int, target: Path) -> None:
-        """Write a frame's points if they are in memory; otherwise copy their newest file."""
+        """Write a frame's points to ``target``. If the points are not in memory, the newest file with the points is
+        copied."""
         file = self._newest_file(frame)
         if frame in self._cache:
             save_file(self._cache[frame].tensors(), target)

@@ -22,8 +22,8 @@ LOCK_SUFFIX = ".lock"
 class Scratch:
     """A new folder in ``parent`` that is used by no other process or object.
 
-    The folder is removed when this object is deleted or the process exits. If the process is killed, its folder remains
-    until the next Scratch with the same ``parent`` is created.
+    The folder is removed when this object is deleted or the process exits. If the process is killed, the scratch folder
+    remains until the next Scratch with the same ``parent`` is created.
     """
 
     def __init__(self, parent: Path) -> None:
@@ -48,7 +48,7 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
         try:
             stream = path.open("xb")
         except FileNotFoundError:
-            continue  # another process has removed the empty parent
+            continue  # Another process has removed the empty parent folder.
         # Another process may have removed the new lock file before it was locked, because the lock files of dead
         # processes are not locked.
         if _try_lock(stream) and path.exists():

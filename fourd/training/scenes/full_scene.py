@@ -31,11 +31,12 @@ RNG_STREAM = 3
 """Number of the random stream of densification: ``default_rng([seed, RNG_STREAM, frame, age])``. No other random
 sampling of a run uses this stream number."""
 BACKGROUND_SEED = 2**31
-"""Number used instead of a frame index in the seed of the background's densification. No frame has this index."""
+"""Number used instead of a frame index in the seed of the background's densification. No frame has this number as its
+index."""
 
 
 class FullScene:
-    """A foreground and a static background; see :class:`fourd.training.scenes.scene.TrainingScene`.
+    """A scene with a foreground and a static background; see :class:`fourd.training.scenes.scene.TrainingScene`.
 
     A step renders either a frame or a clean plate. If ``config.background.joint`` is true, a frame is rendered with the
     background. If ``joint`` is false, a step on a frame trains the foreground alone.
@@ -166,7 +167,7 @@ def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> t
 
     ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
     the image is shifted into the image. Because of the shift, windows at the corners of the image are frequent. If
-    windows were placed uniformly inside the image, almost none would contain a corner.
+    windows were placed uniformly inside the image, almost no window would contain a corner of the image.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

@@ -37,7 +37,7 @@ class Target:
         known: (H, W) mask in [0, 1] that is 1 where ``rgb`` is known. For an object, the mask is the matte. For a frame
             with background, the mask is 1 everywhere. For a plate, the mask is 1 where the plate shows the background.
         fills_picture: whether the scene fills the image. In a scene that fills the image, unknown pixels are excluded
-            from the loss. In other scenes, unknown pixels get the step's background colour.
+            from the loss. In a scene that does not fill the image, unknown pixels get the step's background colour.
     """
 
     camera: Camera
