@@ -33,7 +33,7 @@ from fourd.progress import untracked
 
 RIG_NAME = "rig.json"
 OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0])
-"""Rotation from camera axes x right, y up, z backwards to x right, y down, z forward."""
+"""Rotation from OpenGL camera axes (x right, y up, z backwards) to OpenCV camera axes (x right, y down, z forward)."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Arguments:
 
 
 def looks_like(source: Path) -> bool:
-    """Return whether ``source`` is in this format, judging only by file names."""
+    """Return whether ``source`` has this format. Only file names are checked."""
     return (source / RIG_NAME).is_file()
 
 
@@ -63,7 +63,7 @@ def read(source: Path) -> Imported:
         cameras = tuple(read_camera(source, entry) for entry in entries)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path}: expected a list of cameras, got {error!r}; export the rig again") from error
-    return Imported(cameras, notes=("camera axes y up, z backwards -> y down, z forward (OpenCV)",))
+    return Imported(cameras, notes=("camera axes converted from OpenGL's (y up) to OpenCV's (y down)",))
 
 
 def read_camera(source: Path, entry: dict) -> ImportedCamera:
@@ -83,7 +83,7 @@ RIG = Format("rig", "rig.json and one folder of images per camera", looks_like, 
 
 
 def main(arguments: Arguments) -> None:
-    """Import the source and print a summary."""
+    """Import the source folder as a capture and print a summary."""
     import_source(RIG, arguments.source, arguments.out, ImportOptions(), log=print, warn=print, track=untracked)
     print(f"wrote {arguments.out}; next: fourd check {arguments.out}")
 

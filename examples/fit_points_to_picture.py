@@ -61,7 +61,7 @@ def main(arguments: Arguments) -> float:
     with torch.no_grad():
         image = render(parameters, camera, arguments.layers)
     save(torch.cat([target, image], dim=1), arguments.out)
-    print(f"wrote {arguments.out}: target left, {arguments.points} points right")
+    print(f"wrote {arguments.out}: target on the left, {arguments.points} points on the right")
     return psnr((image - target).square().mean())
 
 
@@ -73,9 +73,9 @@ def front_camera(size: int) -> Camera:
 
 
 def initial_points(count: int) -> dict[str, Tensor]:
-    """Return random grey points in a thin slab that faces the camera. Each value is a leaf tensor."""
+    """Return random grey points in a thin slab that faces the camera. All tensors are leaf tensors."""
     xyz = (torch.rand(count, 3) * 2 - 1) * torch.tensor([1.0, 0.1, 1.0])
-    radius = 1.5 / count**0.5  # in world units; neighbouring points overlap
+    radius = 1.5 / count**0.5  # in world units, so large that neighbouring points overlap
     return {
         "xyz": xyz.requires_grad_(),
         "rgb": torch.zeros(count, 3).requires_grad_(),  # before the sigmoid
@@ -97,7 +97,7 @@ def render(parameters: dict[str, Tensor], camera: Camera, layers: int) -> Tensor
 
 
 def load_target(path: Path | None, size: int) -> Tensor:
-    """Return the image as (size, size, 3) in [0, 1]. Without a path, it is a colour gradient with a disc."""
+    """Return the image as (size, size, 3) in [0, 1]. Without a path, return a colour gradient with a disc."""
     if path is not None:
         with Image.open(path, formats=["JPEG", "PNG"]) as picture:
             pixels = np.asarray(picture.convert("RGB").resize((size, size), Image.Resampling.LANCZOS))
@@ -108,7 +108,7 @@ def load_target(path: Path | None, size: int) -> Tensor:
 
 
 def psnr(mean_squared_error: Tensor) -> float:
-    """Return the peak signal-to-noise ratio in dB of values in [0, 1]."""
+    """Return the peak signal-to-noise ratio in dB, for pixel values in [0, 1]."""
     return float(-10 * torch.log10(mean_squared_error.detach()))
 
 

@@ -2,8 +2,8 @@
 
     python tools/ablation_plot.py CAPTURE --test-views 03,09,14 --frames 0:1 --seconds 180
 
-Writes docs/figures/ablations.png and docs/measurements/ablations.md. Runs in --work that are already finished are not
-trained again.
+The program writes docs/figures/ablations.png and docs/measurements/ablations.md. Finished runs in the folder --work are
+not trained again.
 """
 
 from __future__ import annotations
@@ -63,7 +63,10 @@ def _marks(arguments: Arguments) -> list[float]:
 
 
 def _curve(arguments: Arguments, name: str) -> list[tuple[float, float]]:
-    """Return one pair for every validation of an ablation: training seconds, and held-out PSNR in the matte's box."""
+    """Return one pair per validation of an ablation.
+
+    Each pair contains the training time in seconds, and the held-out PSNR in the matte's box.
+    """
     folder = arguments.work / name
     base = TrainConfig()
     config = replace(

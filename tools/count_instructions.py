@@ -1,10 +1,13 @@
-"""Compare the kernels' instruction counts under valgrind with tools/instructions.json.
+"""Count the kernels' instructions with valgrind, and compare the counts with tools/instructions.json.
 
-    python tools/count_instructions.py            fail if a count is more than 5% above the accepted count
-    python tools/count_instructions.py --update   make the current counts the accepted ones
+    python tools/count_instructions.py
 
-Unlike times, instruction counts do not depend on the load of the machine. They depend on the compiler; without accepted
-counts for a compiler, nothing is compared. Counts are for AVX2, because valgrind does not support AVX-512.
+    python tools/count_instructions.py --update
+
+The first command fails if a count is more than 5% above the accepted count. The second command makes the current counts
+the accepted counts. Unlike times, instruction counts do not depend on the load of the machine. The counts depend on the
+compiler. Without accepted counts for a compiler, nothing is compared. The counts are those of the AVX2 kernels, because
+valgrind does not support AVX-512.
 """
 
 from __future__ import annotations
@@ -40,10 +43,10 @@ WORKLOADS = {
 
 @dataclass(frozen=True)
 class Arguments:
-    """Compare the counts, or accept them."""
+    """Compare the instruction counts, or accept the current counts."""
 
     update: bool = False
-    """Make the current counts the accepted ones instead of comparing."""
+    """Make the current counts the accepted counts, instead of comparing them."""
     build: Path = ROOT / "build" / "count"
     """Folder in which the workloads are built."""
 
@@ -86,13 +89,13 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Return the number of instructions of one repeat of the workload, without its setup."""
+    """Return the number of instructions of one repetition of the workload. The workload's setup does not count."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 
 
 def count_process(command: list[str]) -> int:
-    """Return the number of instructions of one process, counted by callgrind."""
+    """Return the number of instructions that callgrind counts in one process."""
     tool = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", *command]
     output = subprocess.run(tool, capture_output=True, text=True, check=True).stderr
     found = re.search(r"Collected : (\d+)", output)
@@ -102,7 +105,7 @@ def count_process(command: list[str]) -> int:
 
 
 def run_quietly(command: list[str]) -> str:
-    """Run a command and return its output. If the command fails, raises RuntimeError with the error output."""
+    """Run a command and return its output. Raises RuntimeError with the error output if the command fails."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")

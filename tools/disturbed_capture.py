@@ -1,11 +1,13 @@
 """Perturb a capture's calibration by a known amount, and compare calibrations.
 
     python tools/disturbed_capture.py make CAPTURE OUT [--degrees 0.5] [--metres 0.01] [--seed 0]
+
     python tools/disturbed_capture.py compare CAPTURE OTHER... [--without 03,09,14]
 
-``make`` links CAPTURE's folders into OUT and writes perturbed intri.yml and extri.yml there. ``compare`` prints the
-camera pose errors of each OTHER relative to CAPTURE, after aligning them by a similarity transform. OTHER is a capture
-or a run's folder RUN/calibration. Training does not refine held-out cameras; ``--without`` excludes them.
+``make`` links CAPTURE's folders into OUT and writes perturbed intri.yml and extri.yml to OUT. ``compare`` aligns the
+cameras of each OTHER to those of CAPTURE by a similarity transform, and prints the remaining pose errors. OTHER is a
+capture or a run's folder RUN/calibration. ``--without`` excludes cameras from the comparison, such as held-out cameras,
+which training does not refine.
 """
 
 from __future__ import annotations
@@ -38,18 +40,18 @@ def compare(capture: Path, others: list[Path], without: list[str]) -> None:
         errors = pose_errors(truth, cameras).values()
         rotations, distances = [error.degrees for error in errors], [error.distance for error in errors]
         print(
-            f"{other}: rotation {np.mean(rotations):.4f} degrees (at most {max(rotations):.4f}), "
-            f"centre {np.mean(distances):.5f} (at most {max(distances):.5f})"
+            f"{other}: mean rotation error {np.mean(rotations):.4f} degrees (maximum {max(rotations):.4f}), "
+            f"mean distance of centres {np.mean(distances):.5f} (maximum {max(distances):.5f})"
         )
 
 
 def cameras_of(folder: Path) -> dict[str, Camera]:
-    """Return a folder's cameras by name. Missing image sizes become 1, because poses do not depend on them."""
+    """Return a folder's cameras by name. A missing image size becomes 1, because poses do not depend on image sizes."""
     return {name: each.camera(each.width or 1, each.height or 1) for name, each in read_calibration(folder).items()}
 
 
 def main() -> None:
-    """Parse the command line and run the command that it names."""
+    """Parse the command line, then run ``make`` or ``compare``."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(dest="command", required=True)
     make_parser = commands.add_parser("make")

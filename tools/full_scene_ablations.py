@@ -3,11 +3,15 @@
     python tools/full_scene_ablations.py CAPTURE OUT --test-views 03,09,14 [--frames 0:24:6] [--max-steps 600]
                                          [--plates EMPTY_SCENE/] [--only sfm apart]
 
-Each variant is a run in OUT/NAME. It reuses the hull and background points of the first variant unless it changes them.
-Finished runs are not trained again. The two variants with a perturbed calibration use a capture in OUT/disturbed, in
-which each camera is rotated by 0.5 degrees and moved by 1 cm. Their held-out cameras are fitted to their own images
-before evaluation, which by itself raises the scores slightly. The program prints a Markdown table and writes
-OUT/pictures.png, which shows the middle frame of each held-out view: ground truth and every variant.
+Each variant is a run in OUT/NAME. Variants reuse the hull points and background points of the first variant, except
+those variants that change these points. Finished runs are not trained again.
+
+The two variants with a perturbed calibration use the capture OUT/disturbed. In this capture, each camera is rotated by
+0.5 degrees and moved by 1 cm. Before evaluation of these two variants, each held-out camera is fitted to its own
+images. This fit alone raises the scores slightly.
+
+The program prints a Markdown table and writes the image OUT/pictures.png. For the middle frame of each held-out view,
+the image shows the ground truth and the result of every variant.
 """
 
 from __future__ import annotations
@@ -58,12 +62,12 @@ VARIANTS = {
     "unrefined": Variant("calibration off, no refinement", own_seeds=True, disturbed=True),
 }
 SIDE = 256
-"""Longer side of a tile, in pixels."""
+"""Longer side of each tile in OUT/pictures.png, in pixels."""
 FOURD = [sys.executable, "-c", "import sys; from fourd.cli.main import main; sys.exit(main())"]
 
 
 def train(name: str, arguments: argparse.Namespace) -> Path:
-    """Train and evaluate a variant. Return the folder of its run."""
+    """Train and evaluate a variant. Return the folder of the variant's run."""
     variant = VARIANTS[name]
     run, overlay = arguments.out / name, arguments.out / f"{name}.yaml"
     overlay.write_text(yaml.safe_dump(variant.changes))
@@ -103,7 +107,7 @@ def row(name: str, out: Path) -> str:
 
 
 def render_test_views(run: Path) -> list[NDArray[np.uint8]]:
-    """Render a run's held-out cameras. Returns BGR images."""
+    """Render the middle frame from a run's held-out cameras. Return BGR images."""
     trained = load_run(run)
     capture, frame = trained.run.capture, trained.run.capture.frame_count // 2
     layers = trained.run.config.train.layers
@@ -115,7 +119,7 @@ def render_test_views(run: Path) -> list[NDArray[np.uint8]]:
 
 
 def test_pictures(run: Path) -> list[NDArray[np.uint8]]:
-    """Return the captured images of the held-out cameras, BGR."""
+    """Return the middle frame of a run's held-out cameras as BGR images."""
     opened = load_run(run).run
     frame = opened.capture.frame_count // 2
     return [_tile(opened.capture.image(camera, frame)[..., ::-1]) for camera in opened.test]

@@ -1,7 +1,7 @@
 """Run mypy and import-linter on the package in its installed layout.
 
-In the repository, fourd.viewer is in viewer/, outside fourd/, so that neither tool finds it. This program copies the
-Python files of both to build/lint/fourd and runs the tools there. `make lint` calls it.
+In the repository, the package fourd.viewer is in the folder viewer/, where neither tool finds it. This program copies
+the Python files of fourd/ and viewer/ to build/lint/fourd, and runs both tools there. `make lint` runs this program.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ def main() -> int:
     copy_package()
     config = str(ROOT / "pyproject.toml")
     types = subprocess.run([sys.executable, "-m", "mypy", "--config-file", config], cwd=TREE)
-    # -S skips the .pth file of the editable install, because its import hook takes precedence over build/lint.
+    # The option -S skips the .pth file of the editable install. The import hook in this file would take precedence over
+    # build/lint.
     lint_imports = "from importlinter.cli import lint_imports_command; lint_imports_command()"
     options = ["--no-logo", "--config", config, "--cache-dir", str(TREE / ".import_linter_cache")]
     layers = subprocess.run(

@@ -2,7 +2,7 @@
 
     python tools/long_set.py CAPTURE OUT --seconds 180 --cameras 8 --size 160
 
-The program writes OUT/videos/CAM.mp4 and the calibration, which ``fourd import`` reads.
+The program writes one video OUT/videos/CAM.mp4 per camera, and the calibration. ``fourd import`` reads the folder OUT.
 """
 
 from __future__ import annotations
@@ -48,13 +48,16 @@ def main() -> None:
 
 
 def back_and_forth(count: int, length: int) -> list[int]:
-    """Return ``length`` indices into ``count`` frames that play the frames forwards and backwards in turn."""
+    """Return ``length`` frame indices that play ``count`` frames forwards and backwards in turn."""
     period = max(1, 2 * (count - 1))
     return [min(place % period, period - place % period) for place in range(length)]
 
 
 def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], fps: int) -> None:
-    """Write images (H, W, 3) as H.264 in the order of the indices ``shown``, atomically. Sides must be even."""
+    """Write an H.264 video atomically. ``shown`` contains the index into ``pictures`` of each video frame.
+
+    ``pictures`` are images (H, W, 3) with even sides.
+    """
     frames = [av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv420p") for picture in pictures]
     with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:
         stream = container.add_stream("libx264", rate=fps, options=ENCODING)

@@ -1,12 +1,13 @@
-"""Compute digests of all results of fourd, to check that a code change keeps every bit of them.
+"""Compute digests of fourd's results, to check that a code change does not change any bit of the results.
 
     python tools/same_bits.py --fourd OLD/.venv/bin/fourd --json before.json
+
     python tools/same_bits.py --fourd .venv/bin/fourd --compare before.json
 
-The program runs the commands of one installation on synthetic captures in a temporary folder: mattes, clean plates,
-hulls, training of object and full scenes with and without camera refinement, export, rendering, evaluation and fourd
-make. This takes about six minutes on two cores. Compare only digests from the same machine, because different
-instruction sets give different bits.
+The program runs the commands of one installation on synthetic captures in a temporary folder. The commands make mattes,
+clean plates and hulls. They train object scenes and full scenes, and a scene with camera refinement. They also export,
+render and evaluate these scenes, and run fourd make. The program takes about six minutes on two cores. Compare only
+digests from the same machine, because different instruction sets give different bits.
 """
 
 from __future__ import annotations
@@ -22,15 +23,15 @@ import tempfile
 from pathlib import Path
 
 CLOCKS = ("seconds",)
-"""Keys of a checkpoint's state that differ between any two runs, because they hold times."""
+"""Keys of a checkpoint's state that contain times. Their values differ between any two runs."""
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fourd", type=Path, required=True, help="the fourd program of the installation to run")
     parser.add_argument("--json", type=Path, help="write the digests to this JSON file")
-    parser.add_argument("--compare", type=Path, help="exit with 1 if any digest differs from this JSON file's")
-    parser.add_argument("--keep", type=Path, help="work in this folder instead of a temporary one, and keep it")
+    parser.add_argument("--compare", type=Path, help="exit with code 1 if a digest differs from this JSON file")
+    parser.add_argument("--keep", type=Path, help="write all results to this folder, and do not delete it")
     arguments = parser.parse_args()
     program = arguments.fourd.absolute()
     if arguments.keep is None:
@@ -47,7 +48,10 @@ def main() -> int:
 
 
 def compare(before: dict[str, str], after: dict[str, str]) -> int:
-    """Print every file whose digest differs or that only one side has. Return 1 if there is such a file, else 0."""
+    """Print every file whose digest differs, and every file that is missing on one side.
+
+    Returns 1 if there is such a file, else 0.
+    """
     names = sorted(before.keys() | after.keys())
     different = [name for name in names if before.get(name) != after.get(name)]
     for name in different:
@@ -57,7 +61,7 @@ def compare(before: dict[str, str], after: dict[str, str]) -> int:
 
 
 def run_everything(program: Path, folder: Path) -> dict[str, str]:
-    """Run every stage. Return the digest of each written file by its path relative to ``folder``."""
+    """Run every stage. Return a mapping from the path of each result file, relative to ``folder``, to its digest."""
 
     def fourd(*words: str) -> None:
         print("fourd", *words, flush=True)

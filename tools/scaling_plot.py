@@ -1,4 +1,7 @@
-"""Measure rendering time as a function of points, pixels and layers. Write a table and a log-log plot to docs/."""
+"""Measure rendering time as a function of the number of points, pixels and layers.
+
+The program writes a table and a log-log plot to docs/.
+"""
 
 from __future__ import annotations
 
@@ -25,9 +28,10 @@ KINDS = ("forward", "forward + backward", "play")
 
 @dataclass(frozen=True)
 class Arguments:
-    """Options.
+    """Options of the measurement.
 
-    Points, pixels and layers K are varied separately from a base of 262,144 points, 1920 x 1080 and K = 15.
+    Each series varies one of three quantities: the number of points, of pixels or of layers K. The other two quantities
+    keep their base values: 262,144 points, 1920 x 1080 pixels and K = 15.
     """
 
     out: Path = Path("docs")
@@ -38,9 +42,9 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Series:
-    """Milliseconds of every kind of work as a function of one quantity: points, pixels or layers.
+    """Time in milliseconds of every kind of work, as a function of one quantity: points, pixels or layers.
 
-    ``axis`` names the quantity, ``positions`` are its values.
+    ``axis`` is the name of the quantity, and ``positions`` are the values of the quantity.
     """
 
     axis: str
@@ -50,7 +54,7 @@ class Series:
     def slope(self, kind: str) -> float:
         """Return the slope of log time over log position, fitted to the upper half of the positions.
 
-        A slope of 1 is linear growth.
+        A slope of 1 means linear growth.
         """
         half = len(self.positions) // 2
         x, y = np.log(self.positions[half:]), np.log(self.milliseconds[kind][half:])
@@ -77,14 +81,17 @@ def main(arguments: Arguments) -> None:
 
 
 def by_pixels() -> dict[int, tuple[int, int]]:
-    """Return a mapping from the number of pixels to the image size (width, height)."""
+    """Return a mapping from the number of pixels of an image to its size (width, height)."""
     return {width * height: (width, height) for width, height in SIZES}
 
 
 def measure(
     axis: str, positions: list[int], setting: Callable[[int], tuple[int, tuple[int, int], int]], clock: Clock
 ) -> Series:
-    """Time every kind of work at each of the ``positions``; ``setting`` returns points, image size and layers."""
+    """Time every kind of work at each value in ``positions``.
+
+    ``setting`` converts such a value to the number of points, the image size and the number of layers.
+    """
     found: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for position in positions:
         count, size, layers = setting(position)

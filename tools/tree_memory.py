@@ -2,9 +2,9 @@
 
     python tools/tree_memory.py memory.csv -- fourd matte CAPTURE
 
-The program writes one CSV line every ``--every`` seconds: seconds since the start, number of processes, and their
-memory in MB. Memory is the proportional set size (PSS), which counts shared memory once. At the end, the maximum and
-the mean of each tenth of the running time are printed to stderr.
+The program writes one CSV line every ``--every`` seconds. The line contains the seconds since the start, the number of
+processes, and the memory of all processes in MB. Memory is the proportional set size (PSS), which counts shared memory
+once. At the end, the program prints the maximum memory to stderr, and the mean memory of each tenth of the time.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ def main() -> int:
             time.sleep(arguments.every)
     parts = [rows[len(rows) * part // TENTHS : len(rows) * (part + 1) // TENTHS] for part in range(TENTHS)]
     means = " ".join(f"{sum(part) / len(part):.0f}" for part in parts if part)
-    print(f"{time.monotonic() - started:.0f} s, at most {max(rows):.0f} MB; by tenths: {means}", file=sys.stderr)
+    seconds = time.monotonic() - started
+    print(f"{seconds:.0f} s, at most {max(rows):.0f} MB; mean MB in each tenth of the time: {means}", file=sys.stderr)
     return process.returncode
 
 
@@ -54,7 +55,7 @@ def _children(pid: int) -> Iterator[int]:
 
 
 def _pss_mb(pid: int) -> float:
-    """Return the proportional set size in MB. It is 0 if the process has ended."""
+    """Return the proportional set size of a process in MB, or 0 if the process has ended."""
     words = _words(Path(f"/proc/{pid}/smaps_rollup"))
     return int(words[words.index("Pss:") + 1]) / 1024 if "Pss:" in words else 0.0
 

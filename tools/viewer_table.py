@@ -1,7 +1,11 @@
-"""Print two Markdown tables: speed of the viewer's renderers, and their difference from the float CPU renderer.
+"""Print two Markdown tables with the speed of the viewer's renderers and the errors of their images.
 
-python tools/viewer_table.py                         262,144 points of the synthetic benchmark scene, 1920 x 1080
-python tools/viewer_table.py scene.4dv --frame 3     a frame of a scene, from its first camera
+    python tools/viewer_table.py
+
+    python tools/viewer_table.py scene.4dv --frame 3
+
+The first command draws 262,144 points of the synthetic benchmark scene at 1920 x 1080. The second command draws a frame
+of a scene, seen from the scene's first camera. The reference for the errors is the float CPU renderer.
 """
 
 from __future__ import annotations
@@ -30,7 +34,8 @@ from fourd.viewer.navigation.paths import fit_camera
 from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, make_renderer
 
 LAYERS = (15, 12, 8)
-TURN = 1e-4  # radians; every image has another camera, so that no result is reused
+TURN = 1e-4
+"""Angle in radians by which the camera turns between two images, so that no result is reused."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +56,7 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Measured:
-    """Median time of a renderer, and its image (H, W, 3) in [0, 1]."""
+    """Median time of a renderer in ms per image, and the renderer's image (H, W, 3) in [0, 1]."""
 
     ms: float
     picture: NDArray[np.float32]
@@ -111,7 +116,7 @@ def _print_precisions(
 
 
 def _measured(context: moderngl.Context, renderer: Renderer, request: RenderRequest, seconds: float) -> Measured:
-    """Time images from slightly different cameras. Return the median time and the image of the request's camera."""
+    """Time images from slightly different cameras. Return the median time and the image from the request's camera."""
     canvas = Canvas(context)
     times: list[float] = []
     end = time.perf_counter() + seconds

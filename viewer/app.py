@@ -1,4 +1,4 @@
-"""The interactive viewer: its event loop."""
+"""The event loop of the interactive viewer."""
 
 from __future__ import annotations
 
@@ -27,9 +27,12 @@ After a longer stall of the event loop, playback continues near the frame where 
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
 _SPINNER_SECONDS = 0.1
-"""Seconds between images of the spinner. The rate is low, because loading a scene needs the processor."""
+"""Seconds between two images of the spinner. The spinner is slow, because loading a scene also needs the CPU."""
 _IMAGES_AFTER_INPUT = 8
-"""Count of images drawn after each input, because imgui handles a press, a motion and a release in separate images."""
+"""Count of images drawn after each input.
+
+One image is not enough, because imgui handles a press, a motion and a release in separate images.
+"""
 
 
 def run_viewer(
@@ -39,9 +42,9 @@ def run_viewer(
     settings: DisplaySettings,
     console: Console,
 ) -> None:
-    """Open a window on ``source`` and run until it is closed.
+    """Open a window that shows ``source``, and run the viewer until the user closes the window.
 
-    Raises UserError when the source cannot be opened, when there is no display, or when there is no OpenGL.
+    Raises UserError when the source cannot be opened, when there is no display, or when OpenGL is not available.
     """
     session = Session(settings)
     try:
@@ -70,14 +73,14 @@ def _open_scene(session: Session, source: Path) -> LoadedScene:
 
 
 class App:
-    """The event loop."""
+    """The event loop of the viewer."""
 
     def __init__(self, state: ViewerState) -> None:
         self._state = state
         self._images_left = _IMAGES_AFTER_INPUT
 
     def run(self) -> None:
-        """Run until the window is closed."""
+        """Run the event loop until the user closes the window."""
         window = self._state.window
         last = time.monotonic()
         while not window.should_close:
@@ -92,7 +95,7 @@ class App:
                 self._step(elapsed)
 
     def _step(self, elapsed: float) -> None:
-        """Advance time by ``elapsed`` seconds, and draw an image if anything may have changed."""
+        """Advance the session by ``elapsed`` seconds, and draw an image if the image may have changed."""
         state, session, window = self._state, self._state.session, self._state.window
         scene = session.take_opened()
         if scene is not None:
@@ -134,7 +137,7 @@ class App:
                 state.switch_renderer("cpu", f"{name} cannot draw this scene on this machine")
 
     def _seconds_to_wait(self) -> float:
-        """Seconds until the image changes if there is no input."""
+        """Maximum time in seconds to wait for window events before the next image is drawn."""
         state, session = self._state, self._state.session
         if state.window.is_hidden or self._is_idle():
             return _IDLE_SECONDS

@@ -15,32 +15,36 @@ HELP = (
     ("left or middle drag", "orbit"),
     ("right or Shift + drag", "pan"),
     ("wheel, Ctrl + drag", "dolly"),
-    ("W A S D, Q E", "fly, down and up; Shift: faster"),
-    ("Space", "play, pause"),
-    ("Left, Right", "previous, next frame"),
-    ("Home, End", "first, last frame"),
-    ("[ and ]", "slower, faster"),
-    ("N, P", "move to the next, previous camera"),
+    ("W A S D", "fly"),
+    ("Q, E", "fly down, fly up"),
+    ("Shift + fly keys", "fly faster"),
+    ("Space", "play or pause"),
+    ("Left, Right", "previous frame, next frame"),
+    ("Home, End", "first frame, last frame"),
+    ("[ and ]", "play slower, play faster"),
+    ("N, P", "next camera, previous camera"),
     ("0", "initial view"),
     ("R", "next renderer"),
-    ("F9", "start, stop recording the camera path"),
+    ("F9", "start or stop recording the camera path"),
     ("F10", "render the recorded path to MP4"),
     ("F12", "screenshot"),
     ("Tab", "hide or show this panel"),
 )
 
 _LEFT, _RIGHT, _MIDDLE = 0, 1, 2
-_WHEEL_FACTOR = 0.9  # factor on the distance to the pivot per wheel notch
-_SECONDS_TO_PIVOT = 2.0  # time to fly from the eye to the pivot
+_WHEEL_FACTOR = 0.9
+"""Factor by which one notch of the mouse wheel multiplies the distance to the pivot."""
+_SECONDS_TO_PIVOT = 2.0
+"""Time in seconds to fly from the eye to the pivot."""
 _SHIFT_FACTOR = 4.0
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
 def handle_navigation(session: Session, window_height: float, seconds: float) -> bool:
-    """Move the pose by mouse and keys, unless the panel uses them. ``window_height`` is in window coordinates.
+    """Move the pose by mouse and keys, unless the panel uses the input. ``window_height`` is in window coordinates.
 
-    Returns whether the pose has changed. The caller cannot infer this from window events, because a key that is held
-    down produces no event.
+    Returns whether the pose has changed. Window events do not show such a change, because a key that is held down
+    produces no event.
     """
     io = imgui.get_io()
     if session.pose is None:
@@ -138,7 +142,10 @@ def _fly(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
 
 
 def _next_speed(speed: float, direction: int) -> float:
-    """The next preset above (direction 1) or below (direction -1) the absolute speed. The sign does not change."""
+    """The next preset above (direction 1) or below (direction -1) the absolute value of ``speed``.
+
+    The result has the sign of ``speed``.
+    """
     slower = [value for value in _SPEEDS if value < abs(speed) - 1e-9]
     faster = [value for value in _SPEEDS if value > abs(speed) + 1e-9]
     if direction > 0:

@@ -10,7 +10,7 @@ from fourd.baking import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
-"""Range of the panel's point size and density factors."""
+"""Minimum and maximum of the panel's factors on point size and density."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class DisplaySettings:
 
     Attributes:
         layers: K, the maximum count of points composited per pixel.
-        background: red, green and blue in [0, 1].
+        background: background colour as red, green and blue in [0, 1].
         point_scale: factor on the points' radii.
         density_scale: factor on the points' densities. Scaled densities are clamped to 1.
     """
@@ -30,9 +30,10 @@ class DisplaySettings:
     density_scale: float = 1.0
 
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """``frame`` with scaled radii and densities; ``frame`` itself if both factors are 1.
+        """Return ``frame`` with scaled radii and densities. If both factors are 1, return ``frame`` itself.
 
-        A scaled frame has ``background`` None, because its background points differ from those that all frames share.
+        In a scaled frame, ``background`` is None, because the scaled background points differ from the shared
+        background.
         """
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame
@@ -49,9 +50,9 @@ class RenderRequest:
 
     Attributes:
         frame: the arrays to draw, already scaled by :meth:`DisplaySettings.scale_points`.
-        camera: a pinhole camera without distortion. Its size is the size of the image.
+        camera: a pinhole camera without distortion. The camera's size is the size of the image.
         manifest: the manifest of the scene.
-        settings: K and the background colour; the point scales are not applied again.
+        settings: supplies K and the background colour. Renderers ignore the point scales, which ``frame`` includes.
     """
 
     frame: BakedFrame

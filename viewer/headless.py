@@ -33,10 +33,11 @@ class Headless:
     """Renders one scene to files.
 
     Attributes:
-        source: a `.4dv` or a run.
+        source: a `.4dv` file or a run's folder.
         renderer: name of the renderer, or "auto".
-        size: width and height in pixels. None uses the size of the camera, or DEFAULT_SIZE without cameras.
-        settings: display settings. ``layers`` 0 uses the K of the scene.
+        size: width and height of the images in pixels. If it is None, videos have DEFAULT_SIZE. A screenshot then has
+            the size of its camera, or DEFAULT_SIZE if the scene has no cameras.
+        settings: display settings. If ``layers`` is 0, the scene's own K is used.
     """
 
     source: Path
@@ -45,9 +46,10 @@ class Headless:
     settings: DisplaySettings
 
     def video(self, out: Path, path: str, steps: int | None, fps: float | None, console: Console) -> int:
-        """Write an MP4 along ``path``, which is "orbit", "spiral", "cameras" or a file recorded in the window.
+        """Write an MP4 of the scene along a camera path.
 
-        The scene plays in a loop. Returns the count of images.
+        ``path`` is "orbit", "spiral", "cameras" or a file that was recorded in the window. A recorded path also selects
+        the frames. Along the other paths, the scene plays in a loop. Returns the count of images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
@@ -62,7 +64,7 @@ class Headless:
     def screenshot(self, out: Path, camera: str | None, frame: int, console: Console) -> None:
         """Write a PNG of one frame from a capture camera.
 
-        The frame is an index from 0. The camera is given by name; None uses the first camera.
+        ``frame`` is an index from 0. ``camera`` is the name of a camera, or None for the first camera.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:
@@ -88,7 +90,7 @@ class Headless:
 def _cameras_along_path(
     scene: LoadedScene, path: str, size: tuple[int, int], steps: int | None
 ) -> tuple[list[Camera], list[int], float]:
-    """The camera and the frame index of each image, and the images per second. Raises UserError."""
+    """The camera and the frame index of each image of a video, and the images per second. Raises UserError."""
     manifest = scene.manifest
     kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
     if path not in kinds:

@@ -28,18 +28,18 @@ class LoadedScene:
     """
 
     def __init__(self, path: Path, source: BakedFrameSource) -> None:
-        """Takes ownership of ``source`` and closes it."""
+        """The scene takes ownership of ``source``, and :meth:`close` closes the source."""
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # Frames of a run are baked on demand. A minimal buffer leaves more processor time for training.
+        # Frames of a run are baked on demand. A minimal buffer of frames leaves more CPU time for training.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.checkpoint = self._run.checkpoint if self._run else ""
         self._last_poll = time.monotonic()
 
     def initial_pose(self, size: tuple[int, int]) -> Pose:
-        """The pose of the first camera. Without cameras, it is a pose that shows the whole scene."""
+        """The pose of the first camera. If the scene has no cameras, the pose shows the whole scene."""
         if self.manifest.cameras:
             return self.camera_pose(0, size)
         lower, upper = (np.asarray(corner) for corner in self.manifest.bounds)
@@ -53,9 +53,9 @@ class LoadedScene:
         return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size)
 
     def poll_checkpoint(self) -> bool:
-        """Check once per second for a new checkpoint of the run, whose frames then replace the buffered ones.
+        """Check, at most once per second, whether the run has a new checkpoint.
 
-        Returns whether there is a new checkpoint.
+        If there is a new checkpoint, its frames replace the buffered frames. Returns whether there is a new checkpoint.
         """
         now = time.monotonic()
         if self._run is None or now - self._last_poll < _CHECKPOINT_POLL_SECONDS:

@@ -1,4 +1,4 @@
-"""The state of a viewer that does not depend on its window: scene, playback, pose and display settings."""
+"""The part of the viewer's state that does not depend on a window: scene, playback, pose and display settings."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ TRANSITION_SECONDS = 0.7
 class Session:
     """The state that the panel and the keys change.
 
-    A scene opens in a thread, and the previous scene stays on screen until the new one is ready.
+    A scene opens in a thread, and the previous scene stays on screen until the new scene is ready.
 
     Attributes:
         settings: display settings.
         scene: the open scene.
         playback: the playback clock of the scene.
         pose: the viewer's pose.
-        message: the last error or notice for the user; empty if there is none.
-        error: the last error that kept a scene from opening; None if there was none.
+        message: the last error or notice for the user, or an empty string.
+        error: the error of the last scene that could not be opened, or None.
         is_waiting: whether the current frame is still being read.
     """
 
@@ -69,7 +69,7 @@ class Session:
         self._opener.start()
 
     def take_opened(self, wait: bool = False) -> LoadedScene | None:
-        """The scene that has finished opening, returned only once.
+        """Return the scene that has finished opening since the last call, or None if there is no such scene.
 
         If opening has failed, the current scene stays and ``message`` contains the reason.
         """
@@ -83,7 +83,7 @@ class Session:
         return None
 
     def show(self, scene: LoadedScene, pose: Pose) -> None:
-        """Close the current scene and show another one."""
+        """Close the current scene, and show ``scene`` from ``pose``."""
         if self.scene is not None:
             self.scene.close()
         self.scene, self.pose = scene, pose
@@ -95,7 +95,7 @@ class Session:
         self.message = ""
 
     def set_layers(self, layers: int) -> None:
-        """Set K for this scene and for scenes opened later."""
+        """Set the count of layers K for this scene and for scenes that are opened later."""
         self._has_user_layers = True
         self.settings = replace(self.settings, layers=layers)
 
@@ -109,9 +109,9 @@ class Session:
         self.pose, self._transition = pose, None
 
     def advance(self, seconds: float) -> bool:
-        """Advance playback and the transition. Playback stands still while the current frame is being read.
+        """Advance playback and the transition by ``seconds``. Playback waits while the current frame is being read.
 
-        Returns whether the run has a new checkpoint, whose frames replace the current ones.
+        Returns whether the run has a new checkpoint. The frames of a new checkpoint replace the current frames.
         """
         has_new_checkpoint = self.scene is not None and self.scene.poll_checkpoint()
         if not self.is_waiting:
@@ -124,10 +124,10 @@ class Session:
         return has_new_checkpoint
 
     def render_request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
-        """The request for an image of ``size``; None until a scene is open and its first frame is read.
+        """The render request for an image of ``size``, or None until the first frame of a scene has been read.
 
-        While a frame is being read, the request has the previous frame and ``is_waiting`` is set. When a frame cannot
-        be read, the request has the previous frame and ``message`` contains the reason.
+        While a frame is being read, the request contains the previous frame and ``is_waiting`` is True. When a frame
+        cannot be read, the request contains the previous frame and ``message`` contains the reason.
         """
         if self.scene is None or self.pose is None:
             return None
@@ -165,14 +165,18 @@ class Session:
     def _camera(self, pose: Pose, size: tuple[int, int]) -> Camera:
         """The camera of the current pose.
 
-        While pose and size do not change, it is the same object, so that renderers can reuse their depth order.
+        While the pose and the size do not change, the result is the same object. Renderers can then reuse their depth
+        order.
         """
         if self._last_camera is None or self._last_camera[0] is not pose or self._last_camera[1] != size:
             self._last_camera = (pose, size, pose.camera(*size))
         return self._last_camera[2]
 
     def _scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """The frame scaled by the settings. For the same frame and scales, it is the same object."""
+        """The frame scaled by the settings.
+
+        While the frame and the scales do not change, the result is the same object.
+        """
         scales = (self.settings.point_scale, self.settings.density_scale)
         if self._scaled is not None:
             source, settings, scaled = self._scaled
@@ -185,5 +189,5 @@ class Session:
     def _open(self, path: Path) -> None:
         try:
             self._opened = LoadedScene(path, open_frame_source(path))
-        except Exception as error:  # take_opened reports the error in the thread of the window
+        except Exception as error:  # take_opened reports this error in the window's thread
             self._opened = error

@@ -35,7 +35,7 @@ class ViewerState:
         session: the scene, the playback and the pose.
         renderer: draws the session into the window.
         timings: times of the last images.
-        recorder: recorder of the camera path; None while no path is being recorded.
+        recorder: recorder of the camera path, or None while no path is being recorded.
         recorded_path: the last recording of this scene.
         is_panel_open: whether the panel is visible.
         camera_index: the capture camera selected in the panel.
@@ -54,7 +54,10 @@ class ViewerState:
         self._deferred: list[Callable[[], None]] = []
 
     def defer(self, action: Callable[[], None]) -> None:
-        """Run ``action`` after the current image is finished, since it may draw and the panel is still being built."""
+        """Run ``action`` after the current image is finished.
+
+        Until then, the panel is still being built, but ``action`` may need to draw.
+        """
         self._deferred.append(action)
 
     def run_deferred(self) -> bool:
@@ -65,7 +68,7 @@ class ViewerState:
         return bool(actions)
 
     def show_scene(self, scene: LoadedScene) -> None:
-        """Replace the open scene, and start from the saved view of the new one."""
+        """Show ``scene`` instead of the open scene, and start from the saved view of ``scene``."""
         self.save_view()
         size = self.window.framebuffer_size
         self.session.show(scene, self._saved_views.load(scene.path) or scene.initial_pose(size))
@@ -78,7 +81,7 @@ class ViewerState:
             self._saved_views.save(self.session.scene.path, self.session.pose)
 
     def switch_renderer(self, name: RendererName, reason: str = "as requested") -> None:
-        """Switch to another renderer. If that fails, the current renderer stays."""
+        """Switch to another renderer. If the switch fails, the current renderer stays."""
         try:
             self.renderer.switch(name, reason)
         except Exception as error:
@@ -96,7 +99,7 @@ class ViewerState:
             self.session.move_to(self.session.scene.initial_pose(self.window.framebuffer_size))
 
     def take_screenshot(self) -> None:
-        """Write the image without the panel to a PNG in the working directory."""
+        """Write the image, without the panel, to a PNG in the working directory."""
         if self.session.scene is None:
             return
         image = self.renderer.draw_exact()
@@ -106,7 +109,10 @@ class ViewerState:
         self._write(path, lambda: write_png(path, image))
 
     def toggle_recording(self) -> None:
-        """Start to record the camera path, or stop recording and write the path to the working directory."""
+        """Start recording the camera path. If a recording is running, stop it and write the path instead.
+
+        The file is written to the working directory.
+        """
         if self.recorder is None:
             self.recorder = PathRecorder()
             return

@@ -1,4 +1,4 @@
-"""Measures the time per part of an image, for the plot in the panel."""
+"""Measures how much time each part of an image takes, for the plot in the panel."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HISTORY = 120
 
 
 class Timings:
-    """Milliseconds per part of each of the last HISTORY images."""
+    """Milliseconds that each part took, for each of the last HISTORY images."""
 
     def __init__(self) -> None:
         self._history = np.zeros((HISTORY, len(PARTS)))
@@ -23,7 +23,7 @@ class Timings:
 
     @contextmanager
     def measure(self, part: str) -> Iterator[None]:
-        """Time a ``with`` block and add its duration to a part of the current image."""
+        """Measure the duration of a ``with`` block, and add the duration to ``part`` of the current image."""
         started = time.perf_counter()
         try:
             yield
@@ -37,13 +37,17 @@ class Timings:
         self._current = dict.fromkeys(PARTS, 0.0)
 
     def cumulative(self) -> NDArray[np.float64]:
-        """Cumulative sums over the parts, (HISTORY, parts), oldest image first, for a stacked plot."""
+        """Cumulative sums of the times over the parts, for a stacked plot.
+
+        The shape is (HISTORY, parts), with the oldest image first.
+        """
         return np.cumsum(self._history, axis=1)
 
     def medians(self) -> dict[str, float]:
         """Median milliseconds per part.
 
-        The median of a part ignores images in which that part did not run: an unchanged scene is not drawn again.
+        The median of a part ignores images in which that part did not run. For example, an unchanged scene is not drawn
+        again.
         """
         nonzero = [column[column > 0] for column in self._history.T]
         return {

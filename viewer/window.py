@@ -12,9 +12,9 @@ from fourd.errors import UserError
 
 
 class Window:
-    """A window with a current OpenGL context. Use as a context manager.
+    """A window with a current OpenGL context. Use a Window as a context manager.
 
-    Raises UserError where there is no display or no OpenGL 3.3.
+    Raises UserError if there is no display, or if OpenGL 3.3 is not available.
     """
 
     def __init__(self, size: tuple[int, int], title: str) -> None:
@@ -74,13 +74,16 @@ class Window:
         return bool(self._glfw.window_should_close(self.handle))
 
     def set_title(self, text: str) -> None:
-        """Set the title if it differs. An unnecessary change would be an event that ends :meth:`wait_events`."""
+        """Set the title if ``text`` differs from the current title.
+
+        An unnecessary change would cause an event, and :meth:`wait_events` would return too early.
+        """
         if text != self._title:
             self._glfw.set_window_title(self.handle, text)
             self._title = text
 
     def wait_events(self, seconds: float) -> None:
-        """Wait up to ``seconds`` for events and handle them."""
+        """Wait up to ``seconds`` for events, and handle the events."""
         if seconds > 0:
             self._glfw.wait_events_timeout(seconds)
         else:
@@ -108,20 +111,21 @@ class Window:
         from imgui_bundle import imgui
         from OpenGL import GL
 
-        # The backend later binds the current program again, which fails if that program has been deleted.
+        # The backend saves the current shader program and binds it again later. That fails if the program has been
+        # deleted.
         GL.glUseProgram(0)
         imgui.render()
         self._ui.render(imgui.get_draw_data())
 
     def copy_framebuffer(self, framebuffer: int) -> None:
-        """Copy a framebuffer to the window, which has the same size.
+        """Copy a framebuffer that has the window's size to the window.
 
-        The framebuffer is given by its GL name and stays bound for reading.
+        ``framebuffer`` is the framebuffer's OpenGL name. The framebuffer stays bound for reading.
         """
         from OpenGL import GL
 
-        # moderngl's copy fails here: for the buffers of the default framebuffer, it uses names that OpenGL 3.3
-        # rejects.
+        # moderngl's own copy fails here, because its names for the buffers of the default framebuffer are not valid in
+        # OpenGL 3.3.
         width, height = self.framebuffer_size
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, framebuffer)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, 0)
@@ -191,6 +195,6 @@ def _no_display_message(error: str) -> str:
     missing = sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     got = "none (DISPLAY is not set)" if missing else f"'{error}'"
     return (
-        f"display: expected one to open a window on, got {got}; "
+        f"display: expected a display for the window, got {got}; "
         "add --headless FILE.mp4 or --screenshot FILE.png, which need no display"
     )

@@ -34,18 +34,21 @@ class WindowRenderer:
         return self.renderer.stale_images > 0
 
     def switch(self, name: RendererName, reason: str = "as requested") -> None:
-        """Switch to another renderer. If that raises an exception, the current renderer stays."""
+        """Switch to another renderer. If the new renderer raises an exception, the current renderer stays."""
         renderer = make_renderer(name, self.context)
         self.renderer.release()
         self.renderer, self.choice, self._drawn = renderer, RendererChoice(name, reason), None
 
     def reset(self) -> None:
-        """Create the same renderer again, because its textures and threads may hold frames of a closed scene."""
+        """Create the current renderer again.
+
+        The textures and threads of the old instance may still contain frames of a closed scene.
+        """
         self.renderer.release()
         self.renderer, self._drawn = make_renderer(self.choice.name, self.context), None
 
     def invalidate(self) -> None:
-        """Draw the next request even if it is equal to the last one."""
+        """Force the next request to be drawn, even if it is equal to the last request."""
         self._drawn = None
 
     def needs_draw(self, request: RenderRequest) -> bool:
@@ -65,7 +68,7 @@ class WindowRenderer:
         self._drawn = request
 
     def draw_exact(self) -> NDArray[np.uint8] | None:
-        """The exact image of the last request, (H, W, 3) uint8; None before the first request."""
+        """The exact image of the last request, (H, W, 3) uint8, or None before the first request."""
         if self._drawn is None:
             return None
         self.renderer.draw(self._drawn, self._canvas, wait=True)

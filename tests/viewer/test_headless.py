@@ -210,7 +210,7 @@ def test_a_missing_display_raises_one_line(scene: Path) -> None:
     """Catches a traceback of the window library on a server."""
     done = run_in_process({"DISPLAY": None, "WAYLAND_DISPLAY": None}, scene)
     assert done.returncode == 2
-    assert done.stderr.startswith("fourd view: display: expected one to open a window on, got none")
+    assert done.stderr.startswith("fourd view: display: expected a display for the window, got none")
     assert "add --headless FILE.mp4" in done.stderr
 
 

@@ -207,7 +207,7 @@ def test_invalid_values_of_a_failed_training_raise(
         return frame
 
     monkeypatch.setattr("fourd.baking.bake.bake_frame", bake_invalid)
-    with pytest.raises(UserError, match="expected finite numbers, got others in radius of frame 0 at step 6"):
+    with pytest.raises(UserError, match="expected valid values of radius in frame 0 at step 6, got NaN, infinity or"):
         source.read(0)
 
 

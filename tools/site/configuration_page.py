@@ -67,7 +67,7 @@ def _sections(path: str, config: object) -> Iterator[tuple[str, object]]:
 
 
 def _notes(kind: type) -> dict[str, str]:
-    """Return the docstrings below the fields of a dataclass, by field name."""
+    """Return a mapping from each field name of a dataclass to the docstring below the field."""
     body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(body, ast.ClassDef)
     notes = {}

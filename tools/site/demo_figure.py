@@ -1,4 +1,7 @@
-"""Draw docs/figures/demo.png from the output of `make demo`: ground truth, the held-out view, and novel views."""
+"""Draw docs/figures/demo.png from the output of `make demo`.
+
+The figure shows the ground truth of a held-out view, the rendered held-out view, and three novel views.
+"""
 
 from __future__ import annotations
 

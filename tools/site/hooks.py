@@ -1,8 +1,8 @@
 """MkDocs hooks that generate pages while the site is built.
 
-- ``reference/cli.md`` from each command's ``--help``;
-- ``examples.md`` from the programs in ``examples/``;
-- ``contributing.md`` and ``changelog.md`` from the files at the top of the repository.
+- ``reference/cli.md`` contains the ``--help`` of each command.
+- ``examples.md`` contains the programs in ``examples/``.
+- ``contributing.md`` and ``changelog.md`` are copies of the files at the top of the repository.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ ROLE = re.compile(r":(?:py:)?(?:func|class|meth|mod|attr|data|exc|obj):`~?([^`]+
 
 
 class SphinxRoles(Extension):
-    """Rewrite the roles in every docstring."""
+    """Converts the Sphinx roles in every docstring to code spans."""
 
     def on_object(self, *, obj: Object, **_: Any) -> None:
-        """Rewrite the docstring of one object in place."""
+        """Convert the roles in the docstring of ``obj``, in place."""
         if obj.docstring is not None:
             text = obj.docstring.value.replace("``", "`")
             obj.docstring.value = ROLE.sub(r"`\1`", text)

@@ -1,6 +1,8 @@
-"""Make docs/figures/viewer.png: a screenshot of the viewer with the scene of `make demo`, on a virtual screen.
+"""Make docs/figures/viewer.png, a screenshot of the viewer with the scene of `make demo` on a virtual screen.
 
-python tools/site/viewer_figure.py [SCENE] [PNG]     needs Xvfb, xdotool and python-xlib
+    python tools/site/viewer_figure.py [SCENE] [PNG]
+
+The program needs Xvfb, xdotool and python-xlib.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from tests.viewer.screen import Viewer, screen  # noqa: E402
 SIZE = (1280, 760)
 BACKGROUND = ("0.12", "0.14", "0.17")
 WARM_UP_SECONDS = 8.0
-"""Number of images that fills the timing plot."""
+"""Seconds to wait before the screenshot, so that the timing plot is full."""
 
 
 def main(scene: str = "demo/scene.4dv", out: str = "docs/figures/viewer.png") -> None:

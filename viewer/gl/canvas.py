@@ -26,7 +26,7 @@ class Canvas:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) in pixels; (0, 0) before the first image."""
+        """The (width, height) of the image in pixels. Before the first image, the size is (0, 0)."""
         return (0, 0) if self._texture is None else self._texture.size
 
     def framebuffer(self, width: int, height: int) -> moderngl.Framebuffer:
@@ -38,21 +38,21 @@ class Canvas:
         return self._framebuffer
 
     def write(self, pixels: NDArray[np.uint8]) -> None:
-        """Upload an image (H, W, 4) uint8, row 0 at the top."""
+        """Upload an image, (H, W, 4) uint8, with row 0 at the top."""
         height, width = pixels.shape[:2]
         self.framebuffer(width, height)
         assert self._texture is not None
-        # With software OpenGL, flipping here takes a quarter of the time of a render pass that flips.
+        # With software OpenGL, flipping the rows in NumPy takes a quarter of the time of a render pass that flips them.
         self._texture.write(np.ascontiguousarray(pixels[::-1]))
 
     def read_rgb8(self) -> NDArray[np.uint8]:
-        """The image, (H, W, 3) uint8, row 0 at the top."""
+        """The image, (H, W, 3) uint8, with row 0 at the top."""
         framebuffer = self.framebuffer(*self.size)
         content = np.frombuffer(framebuffer.read(components=3, alignment=1), np.uint8)
         return np.ascontiguousarray(content.reshape(framebuffer.height, framebuffer.width, 3)[::-1])
 
     def read_rgba32f(self) -> NDArray[np.float32]:
-        """The image, (H, W, 4) float32, row 0 at the top."""
+        """The image, (H, W, 4) float32, with row 0 at the top."""
         framebuffer = self.framebuffer(*self.size)
         content = np.frombuffer(framebuffer.read(components=4, dtype="f4"), np.float32)
         return content.reshape(framebuffer.height, framebuffer.width, 4)[::-1]

@@ -22,11 +22,11 @@ from fourd.viewer.gl.shaders import NONE
 
 
 class Compositor(Protocol):
-    """Composites the discs of a request."""
+    """Composites the discs of a render request."""
 
     @property
     def discs(self) -> Discs:
-        """The disc geometry. The caller projects the points of the request into it before it calls :meth:`draw`."""
+        """The disc geometry. Before :meth:`draw`, the caller calls :meth:`Discs.project` of this geometry."""
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
         """Composite :attr:`discs` over the background colour of the request and write the result into ``target``."""
@@ -36,14 +36,14 @@ class Compositor(Protocol):
 
 
 class OverBackground:
-    """Draws a composited image over the background colour. Row 0 of the texture is the top of the image."""
+    """Draws a composited image over the background colour. Row 0 of the image's texture is the top of the image."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self._pass = FullScreenPass(context, "over_background.frag")
 
     def run(self, image: moderngl.Texture, request: RenderRequest, target: moderngl.Framebuffer) -> None:
-        """Draw into ``target``, which stays bound."""
+        """Draw ``image`` over the background colour into ``target``. The framebuffer ``target`` stays bound."""
         target.use()
         disable_blending(self._context)
         self._pass.run({"image": image}, background=request.settings.background)
@@ -54,7 +54,7 @@ class OverBackground:
 
 
 class SortedBlending:
-    """Blends all discs in one pass, from the farthest to the nearest. It ignores K and composites all layers."""
+    """Blends all discs in one pass, from the farthest to the nearest. It blends all layers, also more than K."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -72,7 +72,7 @@ class SortedBlending:
 
 
 class DepthPeeling:
-    """Depth peeling (Everitt 2001), as in 4K4D. Each of K passes finds the next layer of every pixel."""
+    """Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next depth layer of every pixel."""
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
         self._context = context
@@ -112,11 +112,12 @@ class DepthPeeling:
 
 
 class DualDepthPeeling:
-    """Dual depth peeling (Bavoil and Myers 2008): each pass finds a layer from the front and one from the back.
+    """Dual depth peeling (Bavoil and Myers 2008): each pass finds one layer from the front and one from the back.
 
-    The first K // 2 passes find two layers each. A pixel that then has layers left can have more than K layers, so its
-    layers from the back are dropped. Further passes peel this pixel from the front, until it has K layers or no further
-    layer is visible. The result has the K nearest layers, as in :class:`DepthPeeling`.
+    In each pixel, the first K // 2 passes find up to two layers per pass. If a pixel then still has undiscovered
+    layers, it can have more than K layers in total. In this case, the layers found from the back are dropped. Further
+    passes peel the pixel from the front, until K layers are composited or no further layer is visible. The result has
+    the K nearest layers, as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
@@ -151,9 +152,9 @@ class DualDepthPeeling:
         self._over_background.run(targets.texture(f"front {last % 2}"), request, target)
 
     def _peel(self, index: int, front_only: bool = False) -> None:
-        """Run geometry pass ``index``, from 0.
+        """Run geometry pass ``index``, counted from 0.
 
-        In each pixel, it finds the nearest and the farthest rank between the two that the previous pass found.
+        In each pixel, the pass finds the nearest and the farthest rank between the two ranks of the previous pass.
         """
         targets = self._targets
         bounds, previous_bounds = f"bounds {index % 2}", f"bounds {1 - index % 2}"
@@ -163,7 +164,7 @@ class DualDepthPeeling:
         self.discs.draw("peel", targets.framebuffer([bounds]), bounds=0, front_only=front_only)
 
     def _composite(self, index: int, front_only: bool = False) -> None:
-        """Composite the layers found by geometry pass ``index``."""
+        """Composite the layers that geometry pass ``index`` has found."""
         targets = self._targets
         current, previous = index % 2, 1 - index % 2
         targets.framebuffer([f"front {current}", f"back {current}"]).use()
@@ -175,7 +176,7 @@ class DualDepthPeeling:
     def _peel_front(self, first: int, max_layers: int) -> int:
         """Peel up to ``max_layers`` layers from the front, starting at pass ``first``.
 
-        Returns the index of the last composited pass.
+        Returns the index of the last pass whose layers were composited.
         """
         self._peel(first)
         if not self._has_remaining_layers(first, clear_back=True):
@@ -189,14 +190,15 @@ class DualDepthPeeling:
         return first + max_layers - 1
 
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
-        """Whether geometry pass ``index`` has found layers that are visible through the front.
+        """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        With ``clear_back``, hidden layers count too. Each pixel with such a layer then loses its composited layers from
-        the back.
+        With ``clear_back``, hidden layers count too. In each pixel where the pass has found a layer, the layers
+        composited from the back are then cleared.
         """
         targets = self._targets
         previous = 1 - index % 2
-        # The query needs a target. The bounds of the previous pass can be overwritten: no pass reads them again.
+        # The occlusion query needs a framebuffer to draw into. The bounds of the previous pass can be overwritten,
+        # because no later pass reads these bounds.
         targets.framebuffer([f"back {previous}" if clear_back else f"bounds {previous}"]).use()
         disable_blending(self._context)
         with self._counter:

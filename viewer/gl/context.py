@@ -13,14 +13,15 @@ REQUIRED_VERSION = 330
 
 
 def offscreen_context() -> moderngl.Context:
-    """A context without a window. On Linux it uses EGL, which needs no display.
+    """An OpenGL context without a window. On Linux, the context uses EGL, which needs no display.
 
-    Raises UserError where OpenGL 3.3 is not available.
+    Raises UserError if OpenGL 3.3 is not available.
     """
     backend = {"backend": "egl"} if sys.platform.startswith("linux") else {}
     try:
         return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **backend)  # type: ignore[arg-type]
-    except Exception as error:  # moderngl and glcontext raise plain Exceptions
+    except Exception as error:
+        # moderngl and glcontext raise the base class Exception.
         raise UserError(
             f"OpenGL: expected version 3.3 or newer, got '{' '.join(str(error).split())}'; "
             "install a driver (Debian: libegl1 libgl1-mesa-dri) or add --renderer cpu"
@@ -28,15 +29,15 @@ def offscreen_context() -> moderngl.Context:
 
 
 def driver_info(context: moderngl.Context) -> dict[str, Any]:
-    """The names and limits that the driver reports, keyed by GL constant."""
+    """The names and limits that the driver reports, keyed by the names of the OpenGL constants."""
     info = context.info
-    # moderngl also queries limits of newer OpenGL versions. Each limit that the driver does not know sets a GL error,
-    # which this loop clears.
+    # moderngl also queries limits of newer OpenGL versions. Each limit that the driver does not know sets a GL error.
+    # This loop clears the errors.
     while context.error != "GL_NO_ERROR":
         pass
     return info
 
 
 def driver_name(context: moderngl.Context) -> str:
-    """GL_RENDERER, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
+    """The driver's GL_RENDERER string, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
     return str(driver_info(context)["GL_RENDERER"])

@@ -41,9 +41,9 @@ class DepthOrders(Protocol):
     """Supplies a depth order for each request."""
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """A depth order.
+        """Return a depth order for ``request``.
 
-        With ``wait``, it is the order of this request; otherwise it may be the order of an earlier request.
+        With ``wait``, the order is computed for this request. Otherwise, the order may be that of an earlier request.
         """
 
     def release(self) -> None:
@@ -51,7 +51,7 @@ class DepthOrders(Protocol):
 
 
 class ExactOrders:
-    """Sorts on request. The last order is reused if the frame and the camera are the same."""
+    """Sorts the points for each request. If the frame and the camera have not changed, the last order is reused."""
 
     def __init__(self) -> None:
         self._sorter = DepthSorter()
@@ -71,10 +71,11 @@ class ExactOrders:
 
 
 class BackgroundOrders:
-    """Sorts in a thread that always takes the newest request. :meth:`order` may return the order of an earlier request.
+    """Sorts the points of the newest request in a thread.
 
-    The thread sorts the points inside an image of twice the width and height. The order then includes points that enter
-    the image while the next order is computed.
+    :meth:`order` may return the depth order of an earlier request. The thread sorts all points inside a larger image,
+    of twice the width and twice the height. A depth order then includes points that enter the image during the next
+    sort.
     """
 
     def __init__(self) -> None:
@@ -88,9 +89,9 @@ class BackgroundOrders:
         self._thread.start()
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """The newest order; with ``wait``, the order of this request.
+        """Return the newest depth order. With ``wait``, return the depth order of this request.
 
-        The first call always waits until an order exists. Raises RuntimeError when sorting has failed.
+        The first call always waits until a depth order exists. Raises RuntimeError when sorting has failed.
         """
         with self._changed:
             self._newest = request

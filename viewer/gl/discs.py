@@ -26,9 +26,9 @@ class Discs:
     """The discs of the visible points.
 
     In nearest-first order, discs are stored in drawing order, and the rank of a disc is its index plus 1. In
-    farthest-first order, sprites are stored in the order of the frame's points, and an index buffer has their drawing
-    order. The vertex shader then reads the points' textures in sequence, which takes half the time of reading them in
-    depth order.
+    farthest-first order, sprites are stored in the order of the frame's points, and an index buffer contains the
+    drawing order. The vertex shader then reads the textures of the points in sequence. This takes half the time of
+    reading the textures in depth order.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Discs:
         farthest_first: bool = False,
         as_texture: bool = False,
     ) -> None:
-        """``passes`` maps the pass names that :meth:`draw` accepts to fragment shaders.
+        """``passes`` maps the name of each pass to the file of its fragment shader. :meth:`draw` accepts these names.
 
         With ``as_texture``, the discs are also stored in :attr:`texture`, in order of rank, with two texels per disc.
         """
@@ -64,9 +64,9 @@ class Discs:
         self._margin: int | None = None
 
     def project(self, textures: FrameTextures, order: NDArray[np.uint32], request: RenderRequest) -> None:
-        """Project and shade the points in ``order``, nearest first, for the camera of ``request``.
+        """Project and shade points for the camera of ``request``.
 
-        Raises UserError for 2^24 points or more.
+        ``order`` contains the indices of the points, nearest first. Raises UserError for 2^24 points or more.
         """
         if len(order) >= _MAX_RANKS:
             raise UserError(
@@ -101,14 +101,14 @@ class Discs:
     def uses_sprites(self) -> bool:
         """Whether the discs are drawn as point sprites.
 
-        Otherwise they are drawn as quads, which need four times the vertices.
+        Otherwise, the discs are drawn as quads, which need four times the vertices.
         """
         return self._margin is not None
 
     def draw(self, name: str, framebuffer: moderngl.Framebuffer, upright: bool = False, **uniforms: object) -> None:
         """Draw all discs with pass ``name`` and the ``uniforms`` of its shader.
 
-        With ``upright``, row 0 of the image is at the top of the framebuffer, as on screen. Otherwise it is at the
+        With ``upright``, row 0 of the image is at the top of the framebuffer, as on screen. Otherwise, row 0 is at the
         bottom, as in textures.
         """
         if not self._count:
@@ -139,8 +139,9 @@ class Discs:
             program.release()
 
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
-        """Pixels by which sprites can extend past the image; None if a sprite may exceed the driver's maximum size."""
-        # The cheap bound is too large for scenes with a background: its points have large radii, but are far away.
+        """Pixels by which sprites can extend past the image, or None if sprites may exceed the driver's limits."""
+        # The first, cheap bound is too large for scenes with a background: background points have large radii, but are
+        # far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):
             margin = math.ceil(float(request.camera.intrinsics[1, 1]) * ratio(order, request)) + 1
             if self._driver_allows(margin):
@@ -190,18 +191,21 @@ class Discs:
 
 
 def _radius_depth_ratio_bound(order: NDArray[np.uint32], request: RenderRequest) -> float:
-    """The largest radius divided by the smallest depth, a cheap upper bound of :func:`_max_radius_depth_ratio`."""
+    """The largest radius divided by the smallest depth: a cheap upper bound of :func:`_max_radius_depth_ratio`."""
     nearest, camera = request.frame.xyz[order[0]].astype(np.float64), request.camera
     depth = float(nearest @ camera.forward) + float(camera.translation[2])
     return float(request.frame.radius.max()) / max(depth, request.manifest.near)
 
 
 def _max_radius_depth_ratio(order: NDArray[np.uint32], request: RenderRequest) -> float:
-    """The largest ratio of radius to depth among the points beyond the near plane. It takes 1 ms for 140,000 points."""
+    """The largest ratio of radius to depth among the points beyond the near plane.
+
+    The computation takes 1 ms for 140,000 points.
+    """
     camera, near = request.camera, request.manifest.near
     depth = (request.frame.xyz @ camera.forward.astype(np.float32)).take(order) + np.float32(camera.translation[2])
     radius = request.frame.radius.take(order).astype(np.float32)
-    # The limit is near / 2, because rounding in the shader can accept points slightly nearer than near.
+    # The minimum depth is near / 2, because rounding can make the shader accept points slightly before the near plane.
     ratio = np.where(depth >= near / 2, radius / np.maximum(depth, np.float32(near)), 0)
     return float(ratio.max())
 

@@ -1,6 +1,6 @@
 """Stores the arrays of a frame in textures that vertex shaders read by index.
 
-Buffer textures would serve the same purpose, but many drivers read them more slowly, and moderngl does not support
+OpenGL's buffer textures are not used, because many drivers read them more slowly, and because moderngl does not support
 them.
 """
 
@@ -22,12 +22,15 @@ Precision = Literal["float16", "float32"]
 
 
 class ArrayTexture:
-    """A texture that stores a row-major array. The storage is reused, and grows when an array needs more space."""
+    """A texture that stores a row-major array.
+
+    Later arrays reuse the storage, which grows when an array needs more space.
+    """
 
     def __init__(self, context: moderngl.Context, components: int, dtype: str) -> None:
         """``components`` is the count of numbers per texel.
 
-        ``dtype`` is f1 (bytes read as [0, 1]), f2 or f4, as in moderngl.
+        ``dtype`` is a moderngl format: f1 (bytes that shaders read as numbers in [0, 1]), f2 (float16) or f4 (float32).
         """
         self._context = context
         self._components = components
@@ -44,7 +47,7 @@ class ArrayTexture:
         assert texture is not None
         while first < end:
             row, column = divmod(first, TEXELS_PER_ROW)
-            # All full rows are uploaded at once. A partial row before or after them is uploaded separately.
+            # All full rows are uploaded at once. A partial row before or after the full rows is uploaded separately.
             full_rows = 0 if column else (end - first) // TEXELS_PER_ROW
             width = TEXELS_PER_ROW if full_rows else min(end - first, TEXELS_PER_ROW - column)
             count = width * max(full_rows, 1)
@@ -52,7 +55,7 @@ class ArrayTexture:
             content, first = content[count:], first + count
 
     def use(self, location: int) -> None:
-        """Bind to a texture unit."""
+        """Bind the texture to texture unit ``location``."""
         assert self._texture is not None
         self._texture.use(location)
 
@@ -65,8 +68,8 @@ class ArrayTexture:
     def reserve(self, texels: int) -> bool:
         """Reserve storage for ``texels`` texels.
 
-        Returns whether the texture keeps its content; a larger texture starts empty. Raises UserError above the
-        driver's limit.
+        Returns whether the texture keeps its content. A larger texture starts empty. Raises UserError if the texture
+        would exceed the driver's limit.
         """
         rows = -(-texels // TEXELS_PER_ROW)
         if self._texture is not None and self._texture.height >= rows:
@@ -88,13 +91,14 @@ class FrameTextures:
     """The arrays of one frame in GPU textures. The next frame reuses the textures.
 
     Each texture stores the dynamic points first, then unused space, then the background's points. A background that
-    consecutive frames share is uploaded once, except for colours that a frame's shadow changes.
+    consecutive frames share is uploaded once. Only the colours that a frame's shadow changes are uploaded again.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
-        """``precision`` float32 is the reference for tests and benchmarks of float16.
+        """``precision`` is the type of the textures that store float16 arrays.
 
-        It doubles the memory and the bandwidth of the arrays that float16 stores in two bytes.
+        The precision float32 is the reference in tests and benchmarks. It doubles the memory and the bandwidth of these
+        textures.
         """
         short = "f2" if precision == "float16" else "f4"
         self._float16_dtype = np.float16 if precision == "float16" else np.float32
@@ -106,7 +110,7 @@ class FrameTextures:
         self.frame: BakedFrame | None = None
         self._background: BakedFrame | None = None
         self._has_shadow = False
-        self._dynamic_capacity = 0  # count of points that fit before the background's points
+        self._dynamic_capacity = 0  # count of dynamic points that fit before the background's points
 
     def load(self, frame: BakedFrame) -> None:
         """Upload ``frame``, unless it is already loaded."""
@@ -127,7 +131,7 @@ class FrameTextures:
     def use(self) -> dict[str, int]:
         """Bind all textures.
 
-        Returns uniforms of shade.vert: the texture unit of each array by name, and the layout of the points.
+        Returns the uniforms of shade.vert: the texture unit of each array by name, and the layout of the points.
         """
         assert self.frame is not None
         names = [attribute.name for attribute in self.frame.attributes]
@@ -144,7 +148,10 @@ class FrameTextures:
         self.frame = self._background = None
 
     def _reserve(self, frame: BakedFrame) -> bool:
-        """Reserve storage for all points of ``frame``. Returns whether the textures already contain its background."""
+        """Reserve storage for all points of ``frame``.
+
+        Returns whether the textures already contain the frame's background.
+        """
         is_same = frame.background is not None and frame.background is self._background
         keeps_background = is_same and frame.dynamic_count <= self._dynamic_capacity
         if not keeps_background:
@@ -165,7 +172,7 @@ class FrameTextures:
 
 
 def _components(attribute: Attribute) -> int:
-    """Count of numbers per texel. It is the largest divisor, up to 4, of the count of numbers per point."""
+    """Count of numbers per texel: the largest divisor, at most 4, of the attribute's count of numbers per point."""
     return next(count for count in (4, 3, 2, 1) if attribute.numbers % count == 0)
 
 

@@ -13,7 +13,10 @@ from fourd.viewer.gl.shaders import compile_program, set_uniforms
 
 
 class RenderTargets:
-    """Named textures of one size, and framebuffers that draw into them. All are created again when the size changes."""
+    """Named textures of one size, and framebuffers that draw into the textures.
+
+    When the size changes, all textures and framebuffers are created again.
+    """
 
     def __init__(self, context: moderngl.Context, formats: dict[str, tuple[int, str]], has_depth: bool = False) -> None:
         """``formats`` maps texture names to (components, dtype). ``has_depth`` adds a depth buffer."""
@@ -39,7 +42,7 @@ class RenderTargets:
             self._depth_buffer = self._context.depth_renderbuffer(size)
 
     def texture(self, name: str) -> moderngl.Texture:
-        """The texture of that name."""
+        """The texture called ``name``."""
         return self._textures[name]
 
     def clear(self, name: str, first: float = 0.0, second: float = 0.0) -> None:
@@ -51,7 +54,7 @@ class RenderTargets:
         self.framebuffer([name], with_depth=True).clear()
 
     def framebuffer(self, names: Sequence[str], with_depth: bool = False) -> moderngl.Framebuffer:
-        """A framebuffer that draws into these textures at once."""
+        """A framebuffer that draws into all textures in ``names`` at once."""
         key = (*names, "depth" if with_depth else "")
         if key not in self._framebuffers:
             buffer = self._depth_buffer if with_depth else None
@@ -70,7 +73,10 @@ class RenderTargets:
 
 
 def release_framebuffer(context: moderngl.Context, framebuffer: moderngl.Framebuffer) -> None:
-    """Unbind and release a framebuffer. If it stayed bound, moderngl would later fail to bind it again."""
+    """Unbind a framebuffer, then release it.
+
+    If a released framebuffer stayed bound, moderngl would later fail to bind that framebuffer again.
+    """
     if context.fbo is not None and context.fbo.glo == framebuffer.glo:
         context.detect_framebuffer(0).use()
     framebuffer.release()
@@ -100,7 +106,7 @@ class FullScreenPass:
 class SampleCounter:
     """An occlusion query that counts the samples drawn inside its ``with`` block.
 
-    It replaces the queries of moderngl, which cannot be deleted.
+    The queries of moderngl are not used, because they cannot be deleted.
     """
 
     def __init__(self) -> None:
@@ -141,12 +147,12 @@ def blend_max(context: moderngl.Context) -> None:
 
 
 def disable_blending(context: moderngl.Context) -> None:
-    """Set the mode in which drawing overwrites the framebuffer's content, without a depth test."""
+    """Disable blending and the depth test, so that drawing overwrites the framebuffer's content."""
     context.disable(moderngl.BLEND | moderngl.DEPTH_TEST)
 
 
 def _set_blending(context: moderngl.Context, equation: int, source: int, destination: int) -> None:
     context.disable(moderngl.DEPTH_TEST)
     context.enable(moderngl.BLEND)
-    context.blend_equation = equation  # type: ignore[assignment]  # one equation for colour and alpha
+    context.blend_equation = equation  # type: ignore[assignment]  # The equation applies to colour and to alpha.
     context.blend_func = source, destination

@@ -1,4 +1,4 @@
-"""The OpenGL renderer: uploads, sorts, projects and composites."""
+"""The OpenGL renderer, which uploads, sorts, projects and composites points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.viewer.gl.frame_textures import FrameTextures, Precision
 
 
 class GLRenderer:
-    """Renders requests with one compositor. An instance belongs to one context and one thread."""
+    """Renders requests with one compositor. An instance belongs to one OpenGL context and one thread."""
 
     def __init__(
         self,
@@ -29,18 +29,21 @@ class GLRenderer:
         self._context = context
         self._compositor = compositor
         self._orders = orders
-        # Two sets of textures: the previous frame is drawn until the next frame has a depth order.
+        # There are two sets of textures, because the previous frame is drawn until the next frame has a depth order.
         self._textures = [FrameTextures(context, precision) for _ in range(2)]
         self._stale_images = 0
         self.sort_seconds = 0.0
 
     @property
     def stale_images(self) -> int:
-        """Count of consecutive images drawn with the depth order of an earlier request; 0 when the order is current."""
+        """Count of images drawn in succession with the depth order of an earlier request.
+
+        The count is 0 when the depth order is current.
+        """
         return self._stale_images
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw into ``canvas`` at the image size of the camera.
+        """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
         With ``wait``, the depth order is computed for this request.
         """

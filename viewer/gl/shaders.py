@@ -14,7 +14,10 @@ from fourd.ops.play.op import MIN_TRANSMITTANCE
 TEXELS_PER_ROW = 4096
 """Width in texels of the textures that store arrays. It is a power of two, so that shaders can use bit operations."""
 NONE = 1e9
-"""A rank behind every layer. In the bounds of a dual peeling pass, it means that the pixel has no layer."""
+"""A rank that is larger than the rank of every layer.
+
+In the bounds of a dual peeling pass, this value means that the pixel has no layer.
+"""
 
 _DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}
 _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
@@ -23,7 +26,10 @@ _INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
 def compile_program(
     context: moderngl.Context, vertex: str, fragment: str | None = None, varyings: Sequence[str] = ()
 ) -> moderngl.Program:
-    """Compile shader files, given by name. ``varyings`` are the outputs captured by transform feedback."""
+    """Compile the shader files ``vertex`` and ``fragment``.
+
+    ``varyings`` are the names of the outputs that transform feedback captures.
+    """
     return context.program(
         vertex_shader=_load_source(vertex),
         fragment_shader=None if fragment is None else _load_source(fragment),

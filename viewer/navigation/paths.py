@@ -1,7 +1,7 @@
 """Camera paths around a captured scene.
 
-A path is a list of cameras, one per image. A looping path omits its last camera, which would be equal to the first, so
-that the loop has no pause.
+A path is a list of cameras, one per image. A looping path ends one step before its first camera. Otherwise, the first
+camera would appear twice in succession, which would look like a pause.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ Bounds = tuple[Sequence[float], Sequence[float]]
 PathKind = Literal["orbit", "spiral", "cameras"]
 
 _MAX_GAP = np.radians(120)
-"""Gap in azimuth between neighbouring cameras above which one side of the scene counts as unobserved."""
+"""Largest allowed gap in azimuth between two neighbouring cameras, in radians.
+
+If a gap is larger, that side of the scene counts as unobserved.
+"""
 
 
 def camera_path(
@@ -35,7 +38,10 @@ def camera_path(
     *,
     size: tuple[int, int] | None = None,
 ) -> list[Camera]:
-    """A looping path: "orbit" (:func:`orbit`), "spiral" (:func:`spiral`), or "cameras" (all cameras by azimuth)."""
+    """A looping path of a kind: "orbit" (:func:`orbit`), "spiral" (:func:`spiral`) or "cameras".
+
+    The kind "cameras" passes through all cameras in order of azimuth.
+    """
     if kind == "orbit":
         return orbit(cameras, steps, focus=focus, size=size)
     if kind == "spiral":
@@ -54,18 +60,18 @@ def orbit(
     size: tuple[int, int] | None = None,
     full: bool | None = None,
 ) -> list[Camera]:
-    """A looping circle around ``focus`` that starts at the azimuth of the first camera.
+    """A looping circular path around ``focus``. A full circle starts at the azimuth of the first camera.
 
     Args:
         cameras: cameras of the capture; at least 1.
         steps: count of images, at least 1.
-        focus: (3,) centre of the circle; None estimates it (:func:`estimate_focus`).
-        up: (3,) up direction; None estimates it (:func:`estimate_up`).
-        distance: distance from the focus in world units; None uses the cameras' median distance.
-        elevation: degrees above the horizontal plane through the focus; None uses the cameras' median elevation.
-        size: (width, height) in pixels; None for the first camera's.
-        full: True makes a full circle. False swings back and forth over the arc of the cameras. None makes a full
-            circle unless two neighbouring cameras are more than 120 degrees of azimuth apart.
+        focus: (3,) centre of the circle in world units, or None for the result of :func:`estimate_focus`.
+        up: (3,) up direction, or None for the result of :func:`estimate_up`.
+        distance: distance from the focus in world units, or None for the cameras' median distance.
+        elevation: degrees above the horizontal plane through the focus, or None for the cameras' median elevation.
+        size: (width, height) of the images in pixels, or None for the size of the first camera.
+        full: True makes a full circle. False makes the path swing back and forth over the arc of the cameras. None
+            makes a full circle unless two neighbouring cameras are more than 120 degrees of azimuth apart.
     """
     rig = _measure_rig(cameras, steps, focus, up)
     distance = rig.distance if distance is None else distance
@@ -85,12 +91,14 @@ def spiral(
     size: tuple[int, int] | None = None,
     full: bool | None = None,
 ) -> list[Camera]:
-    """A looping :func:`orbit` of several turns, during which the elevation follows one period of a sine.
+    """A looping path of several turns. The elevation follows one period of a sine.
+
+    The arguments that are not listed here are those of :func:`orbit`.
 
     Args:
         turns: count of full circles or of swings, at least 1.
-        swing: amplitude in degrees of the elevation around the cameras' median elevation. None uses the largest
-            deviation of a camera from this median, but at least 10.
+        swing: amplitude of the elevation around the cameras' median elevation, in degrees. None uses the largest
+            deviation of a camera's elevation from this median, but at least 10 degrees.
     """
     if turns < 1:
         raise ValueError(f"turns: expected at least 1, got {turns}")
@@ -116,10 +124,10 @@ def interpolate(
     second derivatives. The speed along the path is nearly constant.
 
     Args:
-        cameras: cameras to pass through; at least 1. Consecutive duplicates count once.
+        cameras: cameras to pass through; at least 1. Equal cameras in succession count once.
         steps: count of images, at least 1.
-        loop: whether the path returns from the last camera to the first. Otherwise it ends at the last camera.
-        size: (width, height) in pixels; None for the first camera's.
+        loop: whether the path returns from the last camera to the first. Otherwise, the path ends at the last camera.
+        size: (width, height) of the images in pixels, or None for the size of the first camera.
     """
     _check_arguments(cameras, steps)
     width, height = size or (cameras[0].width, cameras[0].height)
@@ -134,7 +142,7 @@ def interpolate(
 def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array | None = None) -> list[int]:
     """Indices of the cameras sorted by azimuth around ``focus``, for :func:`interpolate`.
 
-    The order starts after the widest gap, so that a path through an arc of cameras follows the arc.
+    The order starts after the widest gap in azimuth. A path through an arc of cameras then follows the arc.
     """
     rig = _measure_rig(cameras, 1, focus, None)
     order = np.argsort(rig.azimuths, kind="stable")
@@ -146,9 +154,10 @@ def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array |
 def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> Array:
     """The least-squares intersection of all optical axes, (3,).
 
-    The axes do not determine a point in front of the cameras if they are nearly parallel or if there is one camera. The
-    result is then the centre of ``bounds`` (lower, upper). Without bounds it is a point in front of the cameras, at a
-    distance of three times the spread of their centres, or of 1 for a single camera.
+    The intersection is not used if the axes are nearly parallel, if there is only one camera, or if the intersection is
+    behind at least half of the cameras. The result is then the centre of ``bounds`` (lower, upper). Without bounds, the
+    result is a point in front of the cameras. Its distance from the mean camera centre is three times the spread of the
+    camera centres, or 1 world unit for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -165,7 +174,10 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
 
 
 def fit_camera(camera: Camera, width: int, height: int) -> Camera:
-    """Change the image size without distortion or cropping. The new image contains the old one, scaled and centred."""
+    """Change a camera's image size without distortion or cropping.
+
+    The new image contains the whole old image, scaled and centred.
+    """
     zoom = min(width / camera.width, height / camera.height)
     intrinsics = np.diag([zoom, zoom, 1.0]) @ camera.intrinsics
     intrinsics[0, 2] += (width - zoom * camera.width) / 2
@@ -179,12 +191,13 @@ class _Rig:
 
     Attributes:
         focus: (3,) origin.
-        axes: (3, 3) unit vectors as rows. The first points towards the first camera in the horizontal plane, the second
-            sideways, the third up.
+        axes: (3, 3) unit vectors as rows. The first row points towards the first camera in the horizontal plane. The
+            second row points sideways, and the third row points up.
         azimuths: (C,) azimuths of the cameras in radians.
-        distance, elevation: the cameras' median distance in world units and median elevation in radians.
+        distance: the cameras' median distance from the focus in world units.
+        elevation: the cameras' median elevation in radians.
         elevation_deviation: largest deviation of a camera from the median elevation, in radians.
-        zoom: median focal length, in units of the shorter image side.
+        zoom: the cameras' median focal length, in units of the shorter image side.
         size: (width, height) of the first camera.
     """
 
@@ -224,7 +237,7 @@ def _measure_rig(
     local = offsets @ axes.T
     distances = np.maximum(np.linalg.norm(local, axis=1), 1e-9)
     elevations = np.arcsin(np.clip(local[:, 2] / distances, -1, 1))
-    # At an elevation of 90 degrees, the up direction would be parallel to the view direction.
+    # The elevation is at most 80 degrees, because at 90 degrees the up direction is parallel to the view direction.
     median = float(np.clip(np.median(elevations), -np.radians(80), np.radians(80)))
     zooms = [camera.intrinsics[1, 1] / min(camera.width, camera.height) for camera in cameras]
     return _Rig(
@@ -240,7 +253,7 @@ def _measure_rig(
 
 
 def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> Array:
-    """Azimuths (steps,) of full circles, or of swings over the arc of the cameras."""
+    """Azimuths (steps,) in radians of full circles, or of swings over the arc of the cameras."""
     phases = 2 * np.pi * turns * np.arange(steps) / steps
     ordered = np.sort(rig.azimuths)
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
@@ -255,10 +268,13 @@ def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> 
 
 
 def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
-    """Samples (steps, D) of the spline through ``knots`` (M, D), at equal distances along the spline."""
+    """Sample the spline through ``knots`` at equal distances along the spline.
+
+    ``knots`` (M, D) contains one camera vector per row. The samples are (steps, D).
+    """
     if loop:
         # After one loop, the quaternions can have the opposite sign, although the rotation is the same. Two loops are
-        # always periodic, so the spline covers two loops and the first is sampled.
+        # always periodic. The spline therefore covers two loops, and only the first loop is sampled.
         knots = _align_signs(np.concatenate([knots, knots, knots[:1]]))
     else:
         knots = _align_signs(knots)
@@ -279,7 +295,7 @@ def _to_vector(camera: Camera) -> Array:
 
 
 def _from_vector(vector: Array, width: int, height: int) -> Camera:
-    """The inverse of :func:`_to_vector`. The quaternion does not need unit length."""
+    """The inverse of :func:`_to_vector`. The quaternion in ``vector`` can have any length above 0."""
     rotation = Rotation.from_quat(vector[3:7]).as_matrix()
     focal = np.exp(vector[7:9])
     intrinsics = np.array([[focal[0], 0, vector[9]], [0, focal[1], vector[10]], [0, 0, 1.0]])
@@ -287,7 +303,10 @@ def _from_vector(vector: Array, width: int, height: int) -> Camera:
 
 
 def _align_signs(knots: Array) -> Array:
-    """Negate quaternions so that consecutive ones have a positive dot product, which selects the shorter rotation."""
+    """Negate quaternions so that consecutive quaternions have a positive dot product.
+
+    The spline then interpolates along the shorter rotation.
+    """
     knots = knots.copy()
     for previous, current in pairwise(knots):
         if previous[3:7] @ current[3:7] < 0:
@@ -306,7 +325,10 @@ def _drop_duplicates(knots: Array, loop: bool) -> Array:
 
 
 def _distances(first: Array, second: Array) -> Array:
-    """Length of each step. It combines translation and rotation, so that a pure rotation also takes time."""
+    """Length of each step between two knots.
+
+    The length combines translation and rotation, so that a pure rotation also takes time.
+    """
     turn = 1 - np.abs((first[:, 3:7] * second[:, 3:7]).sum(axis=1)).clip(max=1)
     moved = np.linalg.norm(first[:, :3] - second[:, :3], axis=1)
     return np.hypot(moved, np.sqrt(turn) * 0.1 * max(float(moved.mean()), 1e-3))

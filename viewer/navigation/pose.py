@@ -14,24 +14,25 @@ from fourd.cameras import Camera, look_at
 Array = NDArray[np.float64]
 
 MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW = np.radians(2.0), np.radians(150.0)
-"""Vertical, in radians."""
+"""Limits of the vertical field of view, in radians."""
 
-_MIN_POLE_ANGLE = np.radians(1.0)  # between the view direction and the up axis
-_MIN_DISTANCE = 1e-3  # world units
-_MAX_DISTANCE = 1e6
+_MIN_POLE_ANGLE = np.radians(1.0)
+"""Smallest angle between the view direction and the up axis, in radians."""
+_MIN_DISTANCE, _MAX_DISTANCE = 1e-3, 1e6
+"""Limits of the distance from the eye to the pivot, in world units."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A viewpoint: an eye, and a pivot on its viewing axis. Lengths are in world units.
+    """A viewpoint: an eye, and a pivot on the eye's viewing axis. Lengths are in world units.
 
     Attributes:
         pivot: (3,) point that the eye orbits around.
-        rotation: (3, 3) R_camera_world. The camera's x axis points right, y down and z forward.
+        rotation: (3, 3) R_camera_world. The camera's x axis points right, the y axis down and the z axis forward.
         distance: distance from the eye to the pivot, above 0.
         field_of_view: vertical field of view in radians.
         up: (3,) up direction of the world, a unit vector.
-        offset: (x, y) of the principal point from the image centre, in image heights.
+        offset: (x, y) offset of the principal point from the image centre, in units of the image height.
     """
 
     pivot: Array
@@ -59,14 +60,14 @@ class Pose:
         return Camera(intrinsics, self.rotation, -self.rotation @ self.eye, width, height)
 
     def orbit(self, right: float, down: float) -> Pose:
-        """Rotate about the pivot, as if the scene were dragged by these angles in radians.
+        """Rotate the eye about the pivot, as if the user dragged the scene by ``right`` and ``down`` radians.
 
         The rotation stops 1 degree before the viewing axis is parallel to ``up``.
         """
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # The axis is horizontal. If the camera is rolled, a rotation about the image's x axis would move past the pole.
+        # The tilt axis is horizontal. For a rolled camera, a rotation about the image's x axis could pass the pole.
         level = level / length if length > 1e-6 else self.rotation[0]
         if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down
@@ -77,7 +78,10 @@ class Pose:
         return replace(self, rotation=_nearest_rotation(self.rotation @ turn.T))
 
     def pan(self, right: float, down: float) -> Pose:
-        """Translate, as if the scene at the depth of the pivot were dragged by these fractions of the image height."""
+        """Translate the eye and the pivot, as if the user dragged the scene at the depth of the pivot.
+
+        ``right`` and ``down`` are the lengths of the drag, as fractions of the image height.
+        """
         length = 2 * np.tan(self.field_of_view / 2) * self.distance
         return replace(self, pivot=self.pivot - length * (right * self.rotation[0] + down * self.rotation[1]))
 
@@ -86,12 +90,12 @@ class Pose:
         return replace(self, distance=float(np.clip(self.distance * factor, _MIN_DISTANCE, _MAX_DISTANCE)))
 
     def fly(self, right: float, up: float, forward: float) -> Pose:
-        """Translate eye and pivot along the eye's axes by these lengths in world units."""
+        """Translate the eye and the pivot along the eye's axes, by lengths in world units."""
         step = right * self.rotation[0] - up * self.rotation[1] + forward * self.rotation[2]
         return replace(self, pivot=self.pivot + step)
 
     def with_field_of_view(self, radians: float) -> Pose:
-        """The pose with another vertical field of view, clamped to the allowed range."""
+        """The same pose with another vertical field of view, which is clamped to the allowed range."""
         return replace(self, field_of_view=float(np.clip(radians, MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW)))
 
 
@@ -99,7 +103,7 @@ def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, 
     """The pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
     The pivot is the point of the viewing axis nearest to ``focus``. If that point is not in front of the camera, the
-    pivot is at distance 1.
+    pivot is 1 world unit in front of the camera.
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
@@ -128,7 +132,7 @@ def pose_facing(eye: Array, pivot: Array, up: Array, field_of_view: float) -> Po
 
 
 def interpolate_poses(start: Pose, end: Pose, fraction: float) -> Pose:
-    """Interpolate from ``start`` to ``end`` at ``fraction`` in [0, 1], with smoothstep easing."""
+    """Interpolate from pose ``start`` to pose ``end`` at ``fraction`` in [0, 1], with smoothstep easing."""
     t = fraction * fraction * (3 - 2 * fraction)
     if fraction >= 1:
         return end
@@ -152,6 +156,9 @@ def _rotation_matrix(vector: Array) -> Array:
 
 
 def _nearest_rotation(rotation: Array) -> Array:
-    """The nearest rotation matrix. This removes rounding errors that accumulate over thousands of small rotations."""
+    """The rotation matrix nearest to ``rotation``.
+
+    This removes the rounding errors that accumulate over thousands of small rotations.
+    """
     left, _, right = np.linalg.svd(rotation)
     return left @ right

@@ -1,4 +1,4 @@
-"""Recorded camera paths, which are poses and frames at a constant rate, and their file format."""
+"""Recorded camera paths and their file format. A path contains a pose and a frame index per sample."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RecordedPath:
     fps: float = RECORDED_FPS
 
     def save(self, path: Path) -> None:
-        """Write a JSON file atomically."""
+        """Write the path to a JSON file atomically."""
         content = {
             "format": FORMAT,
             "version": VERSION,
@@ -56,13 +56,13 @@ class PathRecorder:
         return self._seconds
 
     def advance(self, seconds: float, pose: Pose, frame: int) -> None:
-        """Advance the recording by ``seconds``. ``pose`` and ``frame`` are the values at the new time."""
+        """Advance the recording by ``seconds``. ``pose`` and ``frame`` are those of the new time."""
         self._seconds += seconds
         while len(self._samples) < self._seconds * RECORDED_FPS:
             self._samples.append(PathSample(pose, frame))
 
     def path(self) -> RecordedPath:
-        """The samples recorded until now."""
+        """The path with all samples that have been recorded until now."""
         return RecordedPath(tuple(self._samples))
 
 
@@ -79,9 +79,10 @@ def load_recorded_path(path: Path) -> RecordedPath:
         samples = tuple(PathSample(pose_from_json(item), _frame_index(item["frame"])) for item in content["stops"])
         fps = float(content["fps"])
         if not samples or not 0 < fps <= 1000:
-            raise ValueError("expected at least one stop, and fps above 0 and at most 1000")
+            raise ValueError("expected at least one entry in stops, and fps above 0 and at most 1000")
     except OSError as error:
-        raise UserError(f"{path}: expected a camera path, got '{(error.strerror or '').lower()}'; check it") from error
+        reason = (error.strerror or "").lower()
+        raise UserError(f"{path}: expected a camera path, got '{reason}'; check the file") from error
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise UserError(f"{path}: expected a camera path recorded by the viewer, got another file ({error})") from error
     return RecordedPath(samples, fps)

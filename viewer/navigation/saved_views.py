@@ -47,26 +47,29 @@ def pose_from_json(content: Any) -> Pose:
     except (KeyError, TypeError, OverflowError) as error:
         raise ValueError(f"expected a pose, got {str(content)[:60]}") from error
     if not (pose.distance > 0 and 1e-3 < pose.field_of_view < math.pi and abs(np.linalg.norm(pose.up) - 1) < 1e-3):
-        raise ValueError("expected a distance above 0, a field of view from 0.001 to pi and a unit vector up")
+        raise ValueError("expected distance above 0, field_of_view between 0.001 and pi, and a unit vector as up")
     pose.camera(16, 16)  # validates the rotation
     return pose
 
 
 class SavedViews:
-    """Poses by scene. A file that cannot be read counts as empty. A file that cannot be written stays unchanged."""
+    """The last pose of each scene, stored in a file.
+
+    A file that cannot be read counts as empty. If the file cannot be written, it stays unchanged.
+    """
 
     def __init__(self, file: Path) -> None:
         self._file = file
 
     def load(self, scene: Path) -> Pose | None:
-        """The saved pose of a scene; None if no pose is saved."""
+        """Return the saved pose of a scene, or None if no pose is saved."""
         try:
             return pose_from_json(self._read().get(_key(scene)))
         except ValueError:
             return None
 
     def save(self, scene: Path, pose: Pose) -> None:
-        """Save the pose. Views of up to 200 scenes are kept, and the oldest are dropped."""
+        """Save the pose. The file keeps the poses of the 200 scenes that were saved last."""
         views = self._read()
         views.pop(_key(scene), None)
         views[_key(scene)] = pose_to_json(pose)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fourd.errors import UserError
 from fourd.files import atomic_path
 
-# The ITU-T H.273 code points of BT.709 are 1. FFmpeg's code of "limited range" is also 1.
+# In ITU-T H.273, the codes of BT.709 have the value 1. FFmpeg's code for limited range is also 1.
 _BT709 = 1
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "h264")
 
@@ -23,12 +23,13 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
     """Write images as an MP4 (H.264, yuv420p, BT.709), which every player opens.
 
     Args:
-        path: the file, written atomically. If an image raises an exception, no file is left.
-        images: (H, W, 3) RGB, uint8 or float in [0, 1], all of one size. Images are consumed one by one, so memory
-            stays constant with a generator. An odd side is padded by a copy of the last row or column, because yuv420p
-            needs even sides.
+        path: the file, which is written atomically. If ``images`` raises an exception, no file is written.
+        images: RGB images (H, W, 3), uint8 or float in [0, 1], all of one size. The images are read one by one, so a
+            generator needs constant memory. If a side is odd, the last row or column is repeated, because yuv420p needs
+            even sides.
         fps: images per second, above 0.
-        quality: x264's CRF, from 0 (lossless) to 51. A smaller CRF gives better quality and a larger file.
+        quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
+            larger file.
 
     Returns:
         The count of images written.
@@ -53,7 +54,7 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
                 shape = image.shape
                 stream = _add_stream(container, encoder, shape, fps, quality)
             if image.shape != shape:
-                raise ValueError(f"images: expected {shape} like the first, got {image.shape} at index {count}")
+                raise ValueError(f"images: expected {shape} like the first image, got {image.shape} at index {count}")
             _encode(container, stream, _to_yuv(image))
             count += 1
         if stream is None:

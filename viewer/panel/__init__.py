@@ -1,1 +1,1 @@
-"""The viewer's panel: one file per section, listed in panel.py."""
+"""The viewer's panel. Each section has its own file, and panel.py lists the sections."""

@@ -1,4 +1,4 @@
-"""The Display section: K, point size, density and background."""
+"""The Display section, which sets the count of layers K, the point size, the density and the background."""
 
 from __future__ import annotations
 

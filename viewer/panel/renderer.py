@@ -28,7 +28,7 @@ def _draw(state: ViewerState) -> None:
 
 
 def _draw_plot(state: ViewerState) -> None:
-    """Draw a stacked plot of the time per part."""
+    """Draw a stacked plot of the time that each part of an image takes."""
     tops = state.timings.cumulative()
     scale = text_scale(state)
     size = imgui.ImVec2(scale * (PANEL_WIDTH - 20), scale * _PLOT_HEIGHT)

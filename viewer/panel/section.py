@@ -31,7 +31,7 @@ class Section:
 def text_scale(state: ViewerState) -> float:
     """The scale of text and widgets.
 
-    It is the scale factor of the display, or 1 if the framebuffer is already larger than the window.
+    The scale is the display's scale factor. If the framebuffer is already larger than the window, the scale is 1.
     """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

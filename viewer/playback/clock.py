@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 @dataclass
 class Playback:
-    """A clock over the frames of a scene.
+    """A playback clock for the frames of a scene.
 
     Attributes:
         frame_count: count of frames, at least 1.
         fps: frames per second at speed 1.
         speed: factor on ``fps``; negative plays backwards.
         is_playing: whether :meth:`advance` moves the clock.
-        is_looping: whether playback wraps at the first and the last frame. Otherwise it pauses there.
+        is_looping: whether playback wraps around at the first and the last frame. Otherwise, playback pauses there.
     """
 
     frame_count: int
@@ -36,7 +36,7 @@ class Playback:
         return -1 if self.speed < 0 else 1
 
     def advance(self, seconds: float) -> None:
-        """Move the clock by ``seconds``. At the first or the last frame, wrap or pause."""
+        """Advance the clock by ``seconds``. At the first or the last frame, playback wraps around or pauses."""
         if not self.is_playing or self.frame_count < 2:
             return
         self._position += seconds * self.fps * self.speed
@@ -57,11 +57,11 @@ class Playback:
         return frames / (self.fps * abs(self.speed))
 
     def seek(self, frame: int) -> None:
-        """Seek to a frame. The index is clamped to the scene."""
+        """Seek to a frame. The index is clamped to the frames of the scene."""
         self._position = float(min(max(frame, 0), self.frame_count - 1))
 
     def step(self, frames: int) -> None:
-        """Pause and move by ``frames``, wrapping at the first and the last frame."""
+        """Pause, and step by ``frames`` frames. The step wraps around at the first and the last frame."""
         self.is_playing = False
         self._position = float((self.frame + frames) % self.frame_count)
 

@@ -33,10 +33,10 @@ class FramePrefetcher:
     """Returns buffered frames and reads the following frames in a thread. Only one thread may call :meth:`get`."""
 
     def __init__(self, source: BakedFrameSource, buffer_bytes: int = BUFFER_BYTES) -> None:
-        """Takes ownership of ``source`` and closes it.
+        """The prefetcher takes ownership of ``source``, and :meth:`close` closes the source.
 
-        ``buffer_bytes`` is the memory limit for the buffered frames and the background that the source keeps. At
-        least two frames are buffered.
+        ``buffer_bytes`` limits the memory of the buffered frames plus the source's background. At least two frames are
+        buffered, even if they exceed this limit.
         """
         self._source = source
         self._frame_count = source.manifest.frame_count
@@ -45,17 +45,17 @@ class FramePrefetcher:
         self._buffer: dict[int, BakedFrame | UserError] = {}
         self._head, self._direction = 0, 1
         self._has_started = False
-        self._largest: int | None = None  # bytes of the largest frame read until now
-        self._generation = 0  # frames read for an earlier generation are dropped
+        self._largest: int | None = None  # Size in bytes of the largest frame that has been read.
+        self._generation = 0  # Frames that were read for an earlier generation are dropped.
         self._is_stopped = False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="frame reader", daemon=True)
         self._thread.start()
 
     def get(self, index: int, direction: int = 1, wait: bool = False) -> BakedFrame | None:
-        """A frame, or None while it is being read. The next frames in ``direction`` are prefetched.
+        """Return frame ``index``, or None while the frame is being read. Prefetch the next frames in ``direction``.
 
-        Raises UserError if the frame is damaged, and IndexError if the scene does not have the frame.
+        Raises UserError if the frame is damaged, and IndexError if the scene has no frame ``index``.
         """
         if not 0 <= index < self._frame_count:
             raise IndexError(f"frame: expected 0 to {self._frame_count - 1}, got {index}")
@@ -68,13 +68,13 @@ class FramePrefetcher:
             self._raise_failure()
             found = self._buffer.get(index)
         if isinstance(found, UserError):
-            # A new exception, because the traceback of an exception grows each time that it is raised.
+            # Raise a new exception, because the traceback of an exception grows each time that the exception is raised.
             raise UserError(str(found))
         return found
 
     @property
     def frames_ahead(self) -> int:
-        """Count of consecutive frames after the current one that are buffered."""
+        """Count of buffered frames that directly follow the current frame in playback order."""
         with self._changed:
             upcoming = self._playback_order()
             next(upcoming)
@@ -111,7 +111,7 @@ class FramePrefetcher:
                 self._changed.notify_all()
 
     def _read_next(self) -> bool:
-        """Wait until a frame is needed and read it. Returns False after :meth:`close`."""
+        """Wait until a frame is needed, then read the frame. Returns False after :meth:`close`."""
         with self._changed:
             index = self._first_missing()
             while not self._is_stopped and index is None:
@@ -148,9 +148,10 @@ class FramePrefetcher:
             del self._buffer[index]
 
     def _capacity(self) -> int:
-        """Count of frames that fit into the memory limit if all are as large as the largest frame read until now.
+        """Count of frames that fit into the memory limit.
 
-        This bound is conservative, so that evicting one frame frees enough memory for another.
+        Each frame is assumed to be as large as the largest frame that has been read. Evicting one frame then frees
+        enough memory for another frame.
         """
         if self._largest is None:
             return min(_MIN_FRAMES, self._frame_count)

@@ -17,7 +17,7 @@ _NICENESS = 10
 
 
 class RunSource:
-    """Bakes frames of the newest checkpoint of a run. It needs torch. Only one thread uses it at a time.
+    """Bakes frames of the newest checkpoint of a run. This class needs torch. Only one thread uses a source at a time.
 
     Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """
@@ -36,12 +36,12 @@ class RunSource:
 
     @property
     def checkpoint(self) -> str:
-        """File name of the newest checkpoint on disk; empty when there is none."""
+        """File name of the newest checkpoint on disk, or an empty string when there is no checkpoint."""
         names = [path.name for path in (self._folder / "checkpoints").glob("*.safetensors") if path.stem.isdecimal()]
         return max(names, default="")
 
     def read(self, index: int) -> BakedFrame:
-        """Bake a frame of the newest checkpoint. Raises UserError if the frame has values that are not finite."""
+        """Bake a frame of the newest checkpoint. Raises UserError if the frame has an invalid value, such as NaN."""
         try:
             return self._bake(index)
         except FileNotFoundError:  # training has replaced the checkpoint while this method was loading it
@@ -68,8 +68,8 @@ class RunSource:
         invalid = frame.find_invalid_array()
         if invalid is not None:
             raise UserError(
-                f"{self._folder}: expected finite numbers, got others in {invalid} of frame {index} "
-                f"at step {trained.step}; training has failed: lower the learning rates"
+                f"{self._folder}: expected valid values of {invalid} in frame {index} at step {trained.step}, "
+                "got NaN, infinity or a value out of range; training has failed: lower the learning rates"
             )
         return frame
 

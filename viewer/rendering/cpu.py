@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 
 
 class CPURenderer:
-    """Renders with the native kernel. In a window, the image is then uploaded to OpenGL."""
+    """Renders with the native kernel. In a window, the rendered image is uploaded to OpenGL."""
 
     name = "cpu"
     stale_images = 0
     sort_seconds = 0.0
 
     def __init__(self) -> None:
-        """Raises ImportError where the native module is not built."""
+        """Raises ImportError if the native module is not built."""
         self._player = Player()
         self._pixels: NDArray[np.uint8] | None = None
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """The image, (H, W, 4) uint8. The next call overwrites the array."""
+        """The rendered image, (H, W, 4) uint8. The next call overwrites this array."""
         shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
             self._pixels = np.empty(shape, np.uint8)
@@ -41,7 +41,7 @@ class CPURenderer:
         )
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw into ``canvas`` at the image size of the camera."""
+        """Draw ``request`` into ``canvas``, at the image size of the request's camera."""
         canvas.write(self.render(request))
 
     def release(self) -> None:

@@ -20,7 +20,10 @@ if TYPE_CHECKING:
 
 
 class OffscreenRenderer:
-    """Renders requests to arrays with any renderer. The cpu renderer needs no OpenGL. Use as a context manager."""
+    """Renders requests to arrays with any renderer. The cpu renderer needs no OpenGL.
+
+    Use an OffscreenRenderer as a context manager.
+    """
 
     def __init__(self, requested: RendererName | Literal["auto"]) -> None:
         """Raises UserError when an OpenGL renderer is requested but OpenGL is not available."""
@@ -34,7 +37,7 @@ class OffscreenRenderer:
         self._canvas = None if self._context is None else _make_canvas(self._context)
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """The image, (H, W, 3) uint8, in a new array."""
+        """The rendered image, (H, W, 3) uint8, in a new array."""
         if isinstance(self._renderer, CPURenderer):
             return self._renderer.render(request)[..., :3].copy()
         assert self._canvas is not None
@@ -59,7 +62,7 @@ class OffscreenRenderer:
 
 
 def _make_context(requested: RendererName | Literal["auto"]) -> moderngl.Context | None:
-    """An OpenGL context; None if OpenGL is not available and the renderer is chosen automatically."""
+    """An OpenGL context, or None if OpenGL is not available and the renderer is chosen automatically."""
     from fourd.viewer.gl.context import offscreen_context
 
     try:

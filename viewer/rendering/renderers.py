@@ -39,17 +39,20 @@ class Renderer(Protocol):
 
     @property
     def stale_images(self) -> int:
-        """Count of consecutive images drawn with the depth order of an earlier request; 0 when the order is current."""
+        """Count of images drawn in succession with the depth order of an earlier request.
+
+        The count is 0 when the depth order is current.
+        """
 
     @property
     def sort_seconds(self) -> float:
-        """Duration of the last depth sort in seconds; 0 for renderers that do not sort."""
+        """Duration of the last depth sort in seconds, or 0 for renderers that do not sort."""
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
-        """Draw into ``canvas`` at the image size of the camera.
+        """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        With ``wait``, the frame and the depth order are those of this request. Otherwise they may be from an earlier
-        request.
+        With ``wait``, the frame and the depth order are those of this request. Otherwise, the frame and the depth order
+        may be those of an earlier request.
         """
 
     def release(self) -> None:
@@ -69,7 +72,7 @@ def choose_renderer(requested: RendererName | Literal["auto"], driver: str | Non
 
     Args:
         requested: the renderer that the user has requested, or "auto".
-        driver: the driver's GL_RENDERER string; None if OpenGL is not available.
+        driver: the driver's GL_RENDERER string, or None if OpenGL is not available.
 
     Raises:
         UserError: when an OpenGL renderer is requested but OpenGL is not available.
@@ -92,7 +95,7 @@ def choose_renderer(requested: RendererName | Literal["auto"], driver: str | Non
 def make_renderer(name: RendererName, context: moderngl.Context | None, precision: Precision = "float16") -> Renderer:
     """Create a renderer. ``precision`` is the floating-point type of arrays and render targets on the GPU.
 
-    Raises ImportError where the native module is not built.
+    Raises ImportError if the native module is not built.
     """
     if name == "cpu" or context is None:
         return CPURenderer()

@@ -1,5 +1,5 @@
 #version 330 core
-// Copies an image of the same size. The blend mode decides how it is combined with the target.
+// Copies an image that has the target's size. The blend mode decides how the image is combined with the target.
 
 uniform sampler2D image;
 

@@ -1,8 +1,9 @@
 #version 330 core
-// Composites the two layers of a dual peeling pass: the nearer one behind `front`, the farther one in front of `back`.
+// Composites the two layers that a dual peeling pass has found. The nearer layer is composited behind `front`, and the
+// farther layer in front of `back`.
 
-uniform sampler2D bounds;  // (-rank of the nearer layer, rank of the farther layer)
-uniform sampler2D discs;   // two texels per disc, in order of rank
+uniform sampler2D bounds;  // The negative rank of the nearer layer, and the rank of the farther layer.
+uniform sampler2D discs;   // Two texels per disc, in order of rank.
 uniform sampler2D front;
 uniform sampler2D back;
 uniform bool front_only;
@@ -10,7 +11,7 @@ uniform bool front_only;
 layout(location = 0) out vec4 next_front;
 layout(location = 1) out vec4 next_back;
 
-// The premultiplied colour of the disc with this rank.
+// Returns the premultiplied colour of the disc with this rank.
 vec4 layer(float rank) {
     int texel = 2 * (int(rank) - 1);
     ivec2 at = ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW);

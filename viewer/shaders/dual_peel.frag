@@ -1,10 +1,11 @@
 #version 330 core
 // Geometry pass of dual depth peeling (Bavoil and Myers 2008). With max blending, one pass finds the nearest and the
-// farthest remaining layer of each pixel. Ranks replace depths, because depths can be equal and
-// ranks cannot.
+// farthest remaining layer of each pixel. Ranks replace depths, because two discs can have the same depth, but not the
+// same rank.
 #include "alpha.glsl"
 
-uniform sampler2D bounds;  // previous pass: (-nearest rank, farthest rank); (-NONE, -NONE) for pixels without layers
+// The previous pass stores the negative nearest rank and the farthest rank. In pixels without layers, both are -NONE.
+uniform sampler2D bounds;
 uniform bool front_only;
 
 flat in vec3 disc_centre;

@@ -1,5 +1,5 @@
 #version 330 core
-// Composites a premultiplied image, whose row 0 is its top, over a uniform background.
+// Composites a premultiplied image over a uniform background. Row 0 is the top row of the premultiplied image.
 
 uniform sampler2D image;
 uniform vec3 background;

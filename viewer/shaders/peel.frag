@@ -1,7 +1,7 @@
 #version 330 core
 // One pass of depth peeling (Everitt 2001). The depth test keeps the nearest disc behind the previous layer.
 
-uniform sampler2D peeled_rank;  // rank of the previous layer
+uniform sampler2D peeled_rank;  // Rank of the layer that the previous pass found.
 
 #include "alpha.glsl"
 

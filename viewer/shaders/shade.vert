@@ -1,37 +1,37 @@
 #version 330 core
-// Projects and shades one point. Transform feedback stores the result once per image, and all geometry passes draw from
-// it. The operations and their order are those of fourd/ops/points/reference.py and fourd/baking/shade.py.
+// Projects and shades one point. Transform feedback stores the result once per image, and all geometry passes draw the
+// stored result. The operations and their order are those of fourd/ops/points/reference.py and fourd/baking/shade.py.
 
-uniform sampler2D xyz;            // one texel per point
+uniform sampler2D xyz;            // One texel per point, as for radius and density.
 uniform sampler2D radius;
 uniform sampler2D density;
-uniform sampler2D sh;             // 12 texels per point: 16 coefficients of red, then of green, then of blue
-uniform sampler2D blend_weights;  // `views` texels per point
-uniform sampler2D rgb;            // `views` texels per point
-uniform int views;
-uniform int dynamic_count;        // count of dynamic points, which are stored first
-uniform int gap;                  // count of unused slots between the dynamic points and the background
+uniform sampler2D sh;             // Twelve texels per point: 16 coefficients of red, then of green, then of blue.
+uniform sampler2D blend_weights;  // One texel per point and source view.
+uniform sampler2D rgb;            // One texel per point and source view.
+uniform int views;                // Count of source views.
+uniform int dynamic_count;        // Count of dynamic points, which are stored first.
+uniform int gap;                  // Count of unused slots between the dynamic points and the background.
 
-uniform vec3 intrinsics_x;  // the first two rows of the intrinsic matrix
+uniform vec3 intrinsics_x;  // The first two rows of the intrinsic matrix.
 uniform vec3 intrinsics_y;
-uniform vec3 rotation_x;    // rows of R_camera_world
+uniform vec3 rotation_x;    // The rows of R_camera_world.
 uniform vec3 rotation_y;
 uniform vec3 rotation_z;
 uniform vec3 translation;
 uniform vec3 camera_centre;
 uniform float near;
 
-uniform int blended_views[64];  // indices of the source views to blend
+uniform int blended_views[64];  // Indices of the source views to blend.
 uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;
 
 in uint point;
 
-out vec4 disc;   // u, v, 1 / rho^2, and the radius rho; in pixels
-out vec4 paint;  // red, green, blue, density
+out vec4 disc;   // Centre (u, v), 1 / rho^2 and the radius rho, with lengths in pixels.
+out vec4 paint;  // Red, green, blue and density.
 
-int slot;  // index of the point in the textures
+int slot;  // Index of the point in the textures.
 
 ivec2 at(int texel) { return ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW); }
 

@@ -1,10 +1,10 @@
 #version 330 core
 // Draws the bounding square of a disc as a point sprite. A sprite needs a quarter of the vertices of a quad, but
-// drivers limit its size. OpenGL drops sprites whose centre is outside the viewport, so the viewport extends past the
-// image by `margin`.
+// drivers limit the size of sprites. OpenGL drops sprites whose centre is outside the viewport, so the viewport extends
+// past the image by `margin`.
 #include "disc.glsl"
 
-uniform float margin;  // in pixels
+uniform float margin;  // In pixels.
 
 void main() {
     write_outputs(2.0 * (disc.xy + margin) / (size + 2.0 * margin) - 1.0, gl_VertexID);
