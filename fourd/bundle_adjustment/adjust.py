@@ -1,7 +1,7 @@
 """Correction of given cameras by bundle adjustment of feature matches.
 
-After features are matched, bundle adjustment runs three times. Each run uses only matches near their epipolar lines.
-The maximum distance from the epipolar lines decreases from run to run.
+After features are matched, bundle adjustment runs three times. Each run of bundle adjustment uses only matches near
+their epipolar lines. The maximum distance from the epipolar lines decreases from run to run.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class Adjustment:
     Attributes:
         cameras: adjusted cameras in the order of the given cameras.
         features: (V,) number of inlier features of each camera.
-        before_px: median reprojection error of the inliers with the given cameras, in pixels; NaN if there are no
+        before_px: median reprojection error of the inliers with the given cameras, in pixels, or NaN if there are no
             inliers.
-        after_px: median reprojection error of the inliers with the adjusted cameras, in pixels; NaN if there are no
+        after_px: median reprojection error of the inliers with the adjusted cameras, in pixels, or NaN if there are no
             inliers.
     """
 

@@ -40,9 +40,9 @@ class Prior:
         rotation: standard deviation of rotations in radians; 0 keeps all rotations fixed.
         position: (V,) standard deviation of each camera's position in world units; 0 keeps all positions fixed.
         focal: standard deviation of the logarithm of the focal length; 0 keeps all focal lengths fixed.
-        pixel: standard deviation of a feature's position in pixels. The measured value is a third of a pixel. The
-            default is larger, because errors of features on one surface are correlated. With a small value, the
-            features outweigh the prior, and the adjustment bends rings of cameras.
+        pixel: standard deviation of a feature's position in pixels. The measured standard deviation is a third of a
+            pixel. The default is larger than this measurement, because errors of features on one surface are
+            correlated. With a small value, the features outweigh the prior, and the adjustment bends rings of cameras.
     """
 
     rotation: float
@@ -104,7 +104,7 @@ class _System:
     Attributes:
         cameras: (V, 7, 7) diagonal blocks of the cameras.
         points: (P, 3, 3) diagonal blocks of the points.
-        coupling: (M, 7, 3) blocks, one per feature, that couple the feature's camera and its point.
+        coupling: (M, 7, 3) blocks, one per feature, that couple the camera and the point of the feature.
         rhs_cameras: (V, 7) right-hand side of the cameras' equations.
         rhs_points: (P, 3) right-hand side of the points' equations.
         tracks: the M observed features.

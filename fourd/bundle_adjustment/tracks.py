@@ -104,7 +104,7 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """For each match (M,), the larger of its two features' distances in pixels from their epipolar lines."""
+    """For each match (M,), the larger of the two features' distances in pixels from their epipolar lines."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix
@@ -118,7 +118,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
 
     Returns:
         world points (P, 3), and (P,) bool: whether the rays of each point span at least about 2 degrees. If the rays of
-        a point span a smaller angle, its position is undefined.
+        a point span a smaller angle, the position of the point is undefined.
     """
     origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
     rays = _ray_directions(tracks, cameras)

@@ -30,9 +30,9 @@ class Agreement:
     """Result of the check of a calibration.
 
     Attributes:
-        mean_px: mean over the camera pairs of their median residuals, in pixels of the full-size images; None if no
+        mean_px: mean over the camera pairs of their median residuals, in pixels of the full-size images, or None if no
             camera pair has enough matches.
-        worst: name of the camera with the largest residual, and its residual in pixels; None if no camera pair has
+        worst: name of the camera with the largest residual, and its residual in pixels, or None if no camera pair has
             enough matches.
         pairs: number of camera pairs with enough matches.
         matches: total number of matches.

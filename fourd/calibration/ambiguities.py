@@ -128,7 +128,7 @@ class _SizeResolver:
         If ``asked`` is None, check that at least one size hypothesis explains these sizes.
 
         Raises:
-            UserError: if no such size hypothesis explains the sizes.
+            UserError: if no suitable size hypothesis explains the sizes of all resized images.
         """
         options = [size_hypotheses(self.cameras[i], *self.sizes[i]) for i in resized]
         common = [name for name in options[0] if all(name in option for option in options)]
@@ -181,7 +181,7 @@ def _evidence(choice: SizeChoice, widths: Sequence[float]) -> str:
 
 
 def _choose_mirrors(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice | None:
-    """Choose the principal points with the smallest residuals; None if there are too few feature matches."""
+    """Choose the principal points with the smallest residuals; return None if there are too few feature matches."""
     if not compute_residuals(matches, cameras).pairs:
         return None
     return choose_principal_points(matches, cameras)

@@ -27,7 +27,7 @@ NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
 GROUND_HEIGHTS_M = (0.0, -0.02, 0.02)
 """Heights z, in metres, of the horizontal planes on which ground patches are matched.
 
-The planes are tried in this order until there are enough matches.
+Ground matching tries the planes in this order until there are enough matches.
 """
 GROUND_HALF_SIDE_M = 2.5
 METRIC_DISTANCES_M = (0.5, 50.0)
@@ -42,11 +42,11 @@ def match_cameras(
 ) -> dict[Pair, Matches]:
     """Match pairs of cameras over all given frames.
 
-    Features are matched first. If a camera pair has fewer than 20 feature matches, they are discarded. With wide
-    baselines, a camera may have feature matches in fewer than two pairs. If the world is in metres with z up, all pairs
-    of such a camera are also matched on the ground. Ground patches are searched at z = 0 in a 5 m square centred below
-    the cameras' focus. If this gives too few ground matches, the planes 2 cm below and above are searched too. Each of
-    these pairs keeps the larger set: its feature matches or its ground matches.
+    Features are matched first. Camera pairs with fewer than 20 feature matches count as unmatched. Wide baselines can
+    leave a camera with fewer than two matched pairs. All pairs of these cameras are also matched on the ground, if the
+    world is in metres with z up. Ground patches are searched at z = 0 in a 5 m square centred below the cameras' focus.
+    If the plane z = 0 gives too few matches, the planes 2 cm below and above are searched too. A pair with both feature
+    matches and ground matches keeps the larger set.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.

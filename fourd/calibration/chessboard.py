@@ -38,9 +38,9 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
 
     The origin is at one of the four corners of the grid of inner corners. The x axis points along the ``columns``
     corners, y along the ``rows`` corners, and z from the board towards the camera. The square that touches the origin
-    on the +x and +y side is black. If ``columns + rows`` is odd, this rule gives the same origin in all views. If
-    ``columns + rows`` is even, the board looks the same after a rotation by 180 degrees. The origin may then be at
-    either of two opposite corners.
+    on the +x and +y side is black. If ``columns + rows`` is odd, the origin is the same in all views. If ``columns +
+    rows`` is even, the board looks the same after a rotation by 180 degrees, so the origin may be at either of two
+    opposite corners.
 
     Args:
         picture: distorted RGB image (H, W, 3) uint8.

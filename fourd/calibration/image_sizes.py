@@ -22,8 +22,7 @@ MAX_BORDER_ERROR_PX = 0.75
 """Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""
 MAX_GOOD_PX = 3.0
 MIN_LEAD = 1.5
-"""Minimum ratio of the second smallest to the smallest residual of all hypotheses. Smaller ratios are not clear
-evidence."""
+"""Minimum ratio of the second smallest to the smallest residual of all hypotheses, for the evidence to be clear."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +48,10 @@ class SizeChoice:
         name: the best hypothesis.
         cameras: the cameras of all images under the best hypothesis.
         residuals: epipolar residuals of each hypothesis.
-        means_px: for each hypothesis, the mean over the median residuals of all camera pairs with a resized camera;
+        means_px: for each hypothesis, the mean over the median residuals of all camera pairs with a resized camera, or
             None if no such pair has enough matches.
-        borders_px: for each hypothesis, the largest difference in pixels between measured and predicted borders; None
-            if the borders were not measured.
+        borders_px: for each hypothesis, the largest difference in pixels between measured and predicted borders, or
+            None if the borders were not measured.
         is_clear: whether the evidence is sufficient, so that the user need not decide.
         why: the evidence in one line.
     """
@@ -80,7 +79,7 @@ def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera
       and not scaled;
     - ``cropped centre``: the image is cropped equally on opposite sides and not scaled.
 
-    The cropped hypotheses are omitted if the new image is wider or higher than the old one. All hypotheses keep the
+    The cropped hypotheses are omitted if the new image is wider or higher than the old image. All hypotheses keep the
     distortion coefficients, because these apply to coordinates divided by the focal length.
     """
     if (width, height) == (camera.width, camera.height):
@@ -151,19 +150,20 @@ def choose_size(
     sizes: Sequence[tuple[int, int]],
     borders: Mapping[int, Borders] | None = None,
 ) -> SizeChoice:
-    """Find how images were resized, assuming that all of them were resized by the same method.
+    """Find how images were resized, assuming one method for all resized images.
 
-    A hypothesis is excluded if it predicts other black borders than the measured ones. The function chooses the
-    remaining hypothesis with the smallest epipolar residual. The evidence is clear in two cases. Either an image has a
-    black border of at least 2 pixels, and only one hypothesis fits the borders. Or the smallest residual is at most 3
-    pixels, and the residuals of all other remaining hypotheses are at least 1.5 times as large.
+    Hypotheses are excluded if the black borders that they predict differ from the measured borders. The function
+    chooses the remaining hypothesis with the smallest epipolar residual. The evidence is clear in two cases. In the
+    first case, an image has a black border of at least 2 pixels, and only one hypothesis fits the borders. In the
+    second case, the smallest residual is at most 3 pixels, and the residuals of all other remaining hypotheses are at
+    least 1.5 times as large.
 
     Args:
         matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are
             concatenated.
         cameras: the calibration, one camera per image.
         sizes: (width, height) of each image in pixels.
-        borders: measured borders of the resized images by camera index; None if they were not measured.
+        borders: measured borders of the resized images by camera index, or None if no borders were measured.
 
     Raises:
         ValueError: if no image is resized, or no hypothesis explains all sizes.

@@ -1,7 +1,7 @@
 """Feature matches between two images, verified by two-view geometry.
 
-Verification does not use camera poses. It fits homographies and a fundamental matrix to the matches. The inliers of a
-model are kept if the model has more inliers than random matches would give.
+Verification does not use camera poses. Instead, homographies and a fundamental matrix are fitted to the matches. The
+inliers of a model are kept if the model has more inliers than random matches would give.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ UNDISTORT_ITERATIONS = 20
 MAX_FALSE_ALARMS = 1e-4
 """Maximum number of false alarms of an accepted model.
 
-The number of false alarms of a model is the expected number of models with as many inliers among random matches.
+The number of false alarms is how many models with as many inliers are expected if all matches are random.
 """
 
 

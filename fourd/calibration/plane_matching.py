@@ -2,7 +2,7 @@
 
 The calibration is used to rectify both images to the plane. Small patches of one rectified image are then searched in
 the other rectified image, near the position that the calibration predicts. The calibration affects only the appearance
-of a patch and the centre of its search. The positions of the matches therefore show the calibration's error.
+of a patch and the centre of its search. The positions of the matches therefore reveal errors of the calibration.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def _search(
     """Search for the patch around (x, y) of the rectified image ``raster`` in the rectified image ``other``.
 
     Returns:
-        (x, y) and the subpixel position of the match in ``other``; None if the correlation has no distinct peak.
+        (x, y) and the subpixel position of the match in ``other``, or None if the correlation has no distinct peak.
     """
     reach = HALF_PATCH + search_radius
     template = raster[y - HALF_PATCH : y + HALF_PATCH + 1, x - HALF_PATCH : x + HALF_PATCH + 1]

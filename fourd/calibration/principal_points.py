@@ -1,9 +1,9 @@
 """Detection of principal points that are mirrored about the image centre.
 
 Programs that rotate a calibration by 90 degrees can mirror the principal point. A rotation by 90 degrees swaps the
-image's axes and reverses one of them. Some programs swap the principal point's coordinates without reversing one. Focal
-lengths and poses are then correct, but the principal point is mirrored along one axis. The error is twice the distance
-of the principal point from the image centre along this axis, often 10 pixels or more.
+image's axes and reverses one of them. If a program swaps the principal point's coordinates but reverses neither, the
+principal point is mirrored along one axis. Focal lengths and poses are still correct. The error of the principal point
+is twice its distance from the image centre along the mirrored axis, often 10 pixels or more.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class MirrorChoice:
     """The combination of mirrored principal points with the smallest residual.
 
     Attributes:
-        names: choice for each camera: "as given", "mirrored x", "mirrored y" or "mirrored both".
+        names: choice for each camera, either "as given", "mirrored x", "mirrored y" or "mirrored both".
         cameras: the cameras with the chosen principal points.
         given: residuals of the given calibration.
         chosen: residuals of the chosen combination.
@@ -73,8 +73,8 @@ def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
 def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
     """Choose the combination of mirrored principal points with the smallest epipolar residual.
 
-    The images must have the calibration's size, or be resized without an off-centre crop. The image centre is then the
-    same as in the calibration.
+    The images must have the calibration's size, or be resized without an off-centre crop. A resize without an
+    off-centre crop does not move the image centre.
 
     Args:
         matches: matches of each camera pair, in pixels of the distorted images.

@@ -41,7 +41,7 @@ class Residuals:
     Attributes:
         pairs: median distance r_ij of each camera pair (i, j), i < j, with at least 8 matches.
         counts: number of matches of each pair.
-        cameras: residual r_i of each camera i, fitted to r_ij^2 = r_i^2 + r_j^2; None for a camera without enough
+        cameras: residual r_i of each camera i, fitted to r_ij^2 = r_i^2 + r_j^2, or None for a camera without enough
             matches.
         bad: ascending indices of the cameras that disagree with the others; see :func:`find_bad_cameras`.
     """
@@ -157,8 +157,8 @@ def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array
 def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX) -> tuple[int, ...]:
     """Find the cameras whose pairs have large residuals, although the other cameras agree with each other.
 
-    ``pairs`` contains the median residual of each camera pair. A pair disagrees if this residual exceeds two limits:
-    ``max_px``, and 4 times the median over the half of the pairs with the smallest residuals.
+    ``pairs`` contains the median residual of each camera pair. A pair disagrees if its median residual exceeds both
+    ``max_px`` and 4 times a typical residual. The typical residual is the median over the better half of the pairs.
 
     A camera is bad if it meets all of these conditions:
     - the camera belongs to at least 2 pairs;

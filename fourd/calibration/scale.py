@@ -32,8 +32,8 @@ def set_world_frame(
     Args:
         cameras: cameras by name, with the distortion of the images.
         pictures: one RGB image (H, W, 3) per camera, by name; used only to find the board.
-        distance: measured distance between two cameras; None skips the scaling to this distance.
-        board: chessboard in the images; None skips the alignment to the chessboard.
+        distance: measured distance between two cameras, or None to skip the scaling.
+        board: chessboard in the images, or None to skip the alignment.
 
     Returns:
         The transformed cameras by name, and notes for the log, one line each.
@@ -86,8 +86,8 @@ def align_cameras(cameras: Mapping[str, Camera], poses: Mapping[str, Camera]) ->
     """Transform all cameras into the world in which some of them have the given ``poses``.
 
     One given pose determines the rotation and the translation, but not the scale. Two or more given poses also
-    determine the scale. In this case, each given pose determines one rotation, and the mean of these rotations is used.
-    The scale and the translation are a least-squares fit of the camera centres.
+    determine the scale. With several given poses, each pose determines one rotation, and the mean of these rotations is
+    used. The scale and the translation are a least-squares fit of the camera centres.
 
     Raises:
         UserError: if no name in ``poses`` is a name in ``cameras``.

@@ -177,7 +177,7 @@ def _merge_frame(database: Path, keypoints: list[Array], matches: PairMatches) -
 
 
 def _merge_keypoints(known: Array, xy: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Add the keypoints ``xy`` (M, 2) to ``known``; merge each one that is within 0.75 pixels of a known keypoint.
+    """Add the keypoints ``xy`` (M, 2) to ``known``; merge those within 0.75 pixels of a known keypoint.
 
     Returns:
         all keypoints (N, 2), and for each keypoint of ``xy`` its index (M,) in all keypoints.
@@ -214,7 +214,7 @@ def _mapping_options(seed: int) -> Any:
     options.mapper.init_min_num_inliers = 40
     options.mapper.init_min_tri_angle = 8.0
     options.mapper.abs_pose_min_num_inliers = 15
-    # By default, COLMAP ignores points that only two images show. With one image per camera, these are most points.
+    # With one image per camera, only two images show most points. By default, COLMAP ignores points in only two images.
     options.triangulation.ignore_two_view_tracks = False
     return options
 

@@ -31,9 +31,9 @@ class Calibration:
         intrinsics: (3, 3) matrix K in pixels.
         rotation: (3, 3) rotation R from world to camera.
         translation: (3,) translation t in world units, with x_camera = R x_world + t.
-        distortion: OpenCV distortion coefficients; None if intri.yml does not contain them.
-        width: width of the images in pixels; None if intri.yml does not contain it.
-        height: height of the images in pixels; None if intri.yml does not contain it.
+        distortion: OpenCV distortion coefficients, or None if intri.yml does not contain them.
+        width: width of the images in pixels, or None if intri.yml does not contain the width.
+        height: height of the images in pixels, or None if intri.yml does not contain the height.
     """
 
     intrinsics: Array
@@ -230,7 +230,7 @@ class _Storage:
         entries = [node.at(i) for i in range(node.size())] if node.isSeq() else []
         if not entries or not all(entry.isString() for entry in entries):
             raise UserError(
-                f'{self.path}: names: expected a list of quoted camera names such as "00", got no such list; add it'
+                f'{self.path}: names: expected a list of quoted camera names such as "00", got no list; add the list'
             )
         names = [entry.string() for entry in entries]
         if len(set(names)) != len(names):
@@ -243,7 +243,7 @@ class _Storage:
         """Read a finite matrix of the given shape; if the shape is None, read any matrix and flatten it."""
         node = self._storage.getNode(key)
         if node.empty():
-            raise UserError(f"{self.path}: {key}: expected a matrix, got no such key; add it or remove the camera")
+            raise UserError(f"{self.path}: {key}: expected a matrix, got no such key; add the key or remove the camera")
         try:
             matrix = node.mat()
         except cv2.error as error:
@@ -266,7 +266,7 @@ class _Storage:
         return values.reshape(-1 if shape is None else shape)
 
     def count(self, key: str) -> int | None:
-        """Read a whole number of pixels; None if the key is missing or the number is 0."""
+        """Read a whole number of pixels; return None if the key is missing or the number is 0."""
         node = self._storage.getNode(key)
         if node.empty():
             return None

@@ -57,8 +57,7 @@ class Report:
         distorted: number of cameras with lens distortion.
         ring_radius: mean distance between the cameras and their common focus in world units; 0 if there is no common
             focus.
-        coverage: mean share of an image that is covered by its matte, over the decoded mattes; None if no matte was
-            decoded.
+        coverage: mean share of the image area that is white in the decoded mattes, or None if no matte was decoded.
         nbytes: total size of all images, videos and mattes in bytes.
     """
 
@@ -202,8 +201,8 @@ class _Check:
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:
         """Check that a camera's folder has all frames.
 
-        ``found`` maps frame names to file names. It is None if the folder could not be listed; this error is already
-        reported.
+        ``found`` maps frame names to file names. If the folder could not be listed, which is already reported,
+        ``found`` is None.
         """
         if found is None:
             return

@@ -12,7 +12,7 @@ from PIL import Image, UnidentifiedImageError
 from fourd.errors import UserError
 
 PICTURE_FORMATS = ("JPEG", "PNG")
-"""Image formats that Pillow may decode. To decode some other formats, such as EPS, it starts external programs."""
+"""Image formats that Pillow may decode. For some other formats, such as EPS, Pillow starts external programs."""
 
 
 def decode_rgb(path: Path) -> NDArray[np.uint8]:
@@ -51,7 +51,7 @@ def decode_alpha(path: Path) -> NDArray[np.uint8]:
 
 
 def picture_size(path: Path) -> tuple[int, int]:
-    """Read (width, height) in pixels from an image file's header; it raises the same errors as :func:`decode_rgb`."""
+    """Read (width, height) in pixels from an image file's header; raises the same errors as :func:`decode_rgb`."""
     try:
         with Image.open(path, formats=PICTURE_FORMATS) as image:
             return image.size

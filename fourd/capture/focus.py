@@ -9,14 +9,14 @@ import numpy as np
 from fourd.cameras import Camera
 
 PARALLEL = 1e-4
-"""Maximum mean squared sine of the angles between parallel optical axes and their common direction.
+"""Limit for parallel optical axes: mean squared sine of the angles between the axes and their common direction.
 
-The optical axes are treated as parallel below this value, which corresponds to an angle of 0.6 degrees.
+Optical axes below this limit are treated as parallel. The limit corresponds to an angle of 0.6 degrees.
 """
 
 
 def find_focus(cameras: Sequence[Camera]) -> np.ndarray | None:
-    """Find the world point (3,) with the smallest squared distances to all optical axes; None if these are parallel."""
+    """Find the world point (3,) nearest to all optical axes (least squares); return None if the axes are parallel."""
     projections = [np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras]
     if np.linalg.eigvalsh(np.mean(projections, axis=0))[0] < PARALLEL:
         return None

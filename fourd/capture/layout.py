@@ -112,7 +112,7 @@ def sort_frames(stems: set[str]) -> list[str]:
 
 
 def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[str]) -> UserError | None:
-    """Create the error for the first frame that is missing in a camera's folder; None if no frame is missing.
+    """Create the error for the first missing frame in a camera's folder; return None if no frame is missing.
 
     ``frames`` contains the names of all frames. ``found`` maps the names of the frames in ``folder`` to file names.
     """
@@ -131,10 +131,10 @@ def missing_frame_error(folder: Path, found: dict[str, str], frames: Sequence[st
 def parse_frame_range(text: str | None, count: int, source: str = "capture") -> range:
     """Parse a frame range ``A:B[:S]``: every S-th frame from A to B - 1.
 
-    A and B are optional: A defaults to the first frame, and B defaults to the number of frames.
+    A and B are optional. A defaults to the first frame, and B defaults to the number of frames.
 
     Args:
-        text: the option's value; None selects all frames.
+        text: the option's value, or None for all frames.
         count: number of frames.
         source: word in error messages for the object that contains the frames.
 

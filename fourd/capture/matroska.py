@@ -32,7 +32,7 @@ def missing_bytes(path: Path) -> int:
 
 
 def _size(stream: BinaryIO) -> int | None:
-    """Read the size in bytes of a Matroska element; None if the size is unknown.
+    """Read the size in bytes of a Matroska element; return None if the size is unknown.
 
     The number of leading zero bits in the first byte equals the number of further bytes of the size.
     """

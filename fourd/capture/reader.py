@@ -54,7 +54,7 @@ class Footage:
 
     Attributes:
         images: the camera's images.
-        mattes: the camera's mattes; None if the camera has no mattes.
+        mattes: the camera's mattes, or None if the camera has no mattes.
         size: (width, height) of the stored images in pixels.
     """
 
@@ -67,7 +67,8 @@ class Capture:
     """Selected cameras and frames of a multi-view video.
 
     Images and mattes are undistorted and scaled to match ``cameras``. Images and mattes are decoded on demand. A cache
-    of bounded size keeps them, so that memory does not grow with the number of frames. The class is not thread-safe.
+    of limited size keeps decoded images and mattes, so that memory does not grow with the number of frames. The class
+    is not thread-safe.
 
     Attributes:
         path: the capture's folder.
@@ -193,8 +194,8 @@ def open_capture(
 
     Args:
         path: the capture's folder.
-        views: names of the cameras to use; None selects all cameras.
-        frames: frame range ``A:B[:S]`` of indices in the sorted list of frames; None selects all frames.
+        views: names of the cameras to use, or None for all cameras.
+        frames: frame range ``A:B[:S]`` of indices in the sorted list of frames, or None for all frames.
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
         cache_frames: number of frames by which the cache is enlarged. Each frame has one image per camera.
@@ -286,7 +287,7 @@ def _open_video(video: Video, selected: range) -> Footage:
 
 
 def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
-    """Open the user's mattes of the chosen frames, or else the generated mattes; None if there are neither."""
+    """Open the user's mattes of the chosen frames, or else the generated mattes; return None without mattes."""
     for folder, is_generated in ((path / "masks" / name, False), (path / MATTES / name, True)):
         files = find_pictures(folder)
         if files:
@@ -343,8 +344,8 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
 def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
     """Maps (2, H, W) of x and y from each pixel of the undistorted image to its position in the distorted image.
 
-    In OpenCV, the centre of the first pixel has the coordinate 0, and in fourd, its corner has the coordinate 0. The
-    principal point is therefore shifted by half a pixel.
+    The centre of the first pixel has the coordinate 0 in OpenCV and 0.5 in fourd. The principal point is therefore
+    shifted by half a pixel.
     """
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
@@ -353,7 +354,7 @@ def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
 
 
 class _ArrayCache:
-    """Cache of arrays by key, with a maximum size in bytes. It evicts the least recently used array first."""
+    """Cache of arrays by key, with a maximum size in bytes. The least recently used array is evicted first."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes

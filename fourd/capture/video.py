@@ -93,8 +93,8 @@ def index_video(path: Path) -> VideoIndex:
 class VideoReader:
     """Reads frames of a video by number.
 
-    Reading frames in ascending order decodes each frame once. For any other order, the reader seeks to the last
-    keyframe before the requested frame and decodes all frames from there. Close the reader after use, or use it as a
+    Reading frames in ascending order decodes each frame once. For other orders, the reader seeks to the last keyframe
+    before the requested frame, and decodes all frames from this keyframe. Close the reader after use, or use it as a
     context manager. The reader is not thread-safe.
     """
 
@@ -147,9 +147,9 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek ended after the requested frame. This can happen for two reasons: the frame is stored after a
-            # keyframe that is displayed later, or the container seeks beyond the requested time. Therefore decode from
-            # the start.
+            # The seek ended after the requested frame. There are two possible reasons: the frame is stored after a
+            # keyframe that is displayed later, or the container seeks beyond the requested time. Decode from the start
+            # of the video instead.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -157,7 +157,7 @@ class VideoReader:
         return np.asarray(found.to_ndarray(format="rgb24"), np.uint8)
 
     def _decode_until(self, wanted: int) -> av.VideoFrame | None:
-        """Decode frames up to the frame number ``wanted``, and return that frame; None if that frame is missing."""
+        """Decode frames up to the frame number ``wanted``; return the frame ``wanted``, or None if it is missing."""
         for frame in self._frames:
             if frame.pts is None or frame.time_base is None:
                 continue

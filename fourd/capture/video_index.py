@@ -46,7 +46,7 @@ def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> N
 
     Args:
         capture: the capture's folder.
-        names: names of the cameras whose videos are indexed; None selects all cameras.
+        names: names of the cameras whose videos are indexed, or None for all cameras.
         track: progress callback.
 
     Raises:

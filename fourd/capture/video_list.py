@@ -29,7 +29,7 @@ class Video:
     Attributes:
         path: the video file.
         index: frame count, times and keyframes of the video.
-        offset: frame number in the video of the capture's first frame, at least 0.
+        offset: frame number in the video that corresponds to frame 0 of the capture; at least 0.
     """
 
     path: Path
@@ -50,7 +50,7 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
 
     Args:
         capture: the capture's folder.
-        names: names of the cameras; None selects all cameras.
+        names: names of the cameras, or None for all cameras.
 
     Raises:
         UserError: if two videos have the same name, videos.json is damaged, or a video cannot be used.
@@ -129,7 +129,7 @@ def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
 
 
 def read_entries(path: Path) -> dict[str, Entry]:
-    """Read the entries by camera name of a file in the format of videos.json; empty if the file does not exist.
+    """Read a file in the format of videos.json: the entries by camera name, or no entries if the file does not exist.
 
     Raises:
         UserError: if the file is damaged.

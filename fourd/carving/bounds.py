@@ -124,8 +124,8 @@ def hull_bounds(
 ) -> Bounds:
     """Find the bounding box of one frame's visual hull without a margin.
 
-    The error is at most 2% of the box's longest side. The search starts in a cube that contains all cameras. The cube's
-    centre is the point nearest to all optical axes. The cube is enlarged if the hull touches its faces.
+    The error of the box is at most 2% of its longest side. The search starts in a cube that contains all cameras. The
+    cube's centre is the point nearest to all optical axes. The cube is enlarged if the hull touches its faces.
 
     Raises:
         UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
@@ -149,9 +149,9 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance from this point to the farthest camera.
 
     If the optical axes are almost parallel, the nearest point is undefined, and a weak prior determines the result. The
-    prior is a point in front of the mean of the camera centres. Its distance from this mean is four times the distance
-    of the farthest camera from the mean. For other optical axes, the prior has almost no effect, because its weight is
-    0.1% of the weight of the axes.
+    prior is a point in front of the mean of the camera centres. The distance of the prior from this mean is four times
+    the distance of the farthest camera from the mean. If the optical axes are not almost parallel, the prior has almost
+    no effect, because its weight is 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -193,9 +193,9 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
     """Compute, for each view, the share in [0, 1] of the hull of all other views that the view removes.
 
-    The hull of the other views is computed with an agreement of 1. While this hull is empty, the agreement is lowered
-    in steps, but not below 0.5. The search cube is centred on the origin of ``views``, and ``half`` is half the cube's
-    side in world units.
+    The hull of the other views is computed with an agreement of 1. While the hull of the other views is empty, the
+    agreement is lowered in steps, but not below 0.5. The search cube is centred on the origin of ``views``, and
+    ``half`` is half the cube's side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):

@@ -50,8 +50,8 @@ def carve_frame(
 
     Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
     so small that the surface intersects more cells than points are requested. The centres of these cells are moved onto
-    the surface with an error of at most a tenth of a cell's side. These points are then thinned evenly to the requested
-    number.
+    the surface with an error of at most a tenth of a cell's side. The moved points are then thinned evenly to the
+    requested number.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.

@@ -129,8 +129,8 @@ class Silhouettes:
         """Signed distance to the hull at points (3, N), and the deciding view, which determines this distance.
 
         Returns:
-            distance: (N,) distance in world units, positive inside; -inf if too few views see the point.
-            deciding: (N,) index of the view whose silhouette gives the distance; -1 if too few views see the point.
+            distance: (N,) distance in world units, positive inside, or -inf if too few views see the point.
+            deciding: (N,) index of the view whose silhouette gives the distance, or -1 if too few views see the point.
         """
         parts = [self._rank_views(chunk, np.inf) for chunk in chunks(xyz)]
         return np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts])
@@ -138,9 +138,9 @@ class Silhouettes:
     def surface_slab(self, cells: Floats, size: float) -> tuple[Floats, Floats, NDArray[np.int16]]:
         """Select the cells (3, N) of side ``size`` whose centres are at most ``size / 2`` from the surface.
 
-        The selected centres fill a slab of thickness ``size`` around the surface. Whatever the slope of the surface,
-        this slab contains on average one centre per ``size ** 2`` of surface area. The number of selected cells is
-        therefore proportional to the surface's area.
+        The selected centres fill a slab of thickness ``size`` around the surface. At any slope of the surface, this
+        slab contains on average one centre per ``size ** 2`` of surface area. The number of selected cells is therefore
+        proportional to the surface's area.
 
         Returns:
             the selected cell centres (3, M), and the distance and the deciding view of each centre as in
@@ -229,7 +229,7 @@ def chunks(cells: Floats) -> Iterator[Floats]:
 def interleaved_order(count: int) -> list[int]:
     """The numbers 0 to count - 1 in an order in which successive cameras of a ring are far apart.
 
-    With this order, the first few views have different viewing angles, so that they already reject most cells.
+    With this order, the first few views reject most cells, because their viewing angles differ.
     """
     return sorted(range(count), key=lambda index: (index * 0.6180339887) % 1)
 
@@ -237,15 +237,15 @@ def interleaved_order(count: int) -> list[int]:
 def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts: NDArray[np.int16]) -> None:
     """Classify spheres of ``radius`` around ``cells`` (3, N) in one view, and add the result to ``counts`` (5, N).
 
-    Each row of ``counts`` counts, for each sphere, the views that meet one condition:
+    Each row of ``counts`` contains, for each sphere, the number of views that meet one condition:
     - row 0: the whole sphere is in the image and projects only to background;
     - row 1: the whole sphere is in the image and projects only to the object;
     - row 2: the whole sphere is in the image;
     - row 3: a part of the sphere may be in the image;
     - row 4: a part of the sphere may be in the image, and a part may project to the object.
 
-    Row 4 is needed for spheres that the image borders of many views cut. Row 0 does not count these views, even if all
-    visible parts of the sphere are background.
+    Row 4 is needed for spheres that the image borders of many views cut. Row 0 does not count views that see only a
+    part of the sphere, even if this part is background.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)

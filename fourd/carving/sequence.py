@@ -1,4 +1,4 @@
-"""Carving of a whole capture: writes one PLY per frame and the scene bounds.
+"""Carving of a whole capture: writes one PLY file per frame and the scene bounds.
 
 Frames are processed one at a time, and an interrupted run can be resumed.
 """
@@ -67,7 +67,7 @@ def carve_capture(
 
     FRAME is the six-digit frame number in the capture. Files are written atomically, and each process keeps only one
     frame in memory. If the capture and the settings did not change since the last call, frames with a complete PLY file
-    are skipped. Otherwise all frames are carved again.
+    are skipped. After a change, all frames are carved again.
 
     Args:
         capture: cameras, images and masks.
@@ -141,11 +141,11 @@ def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
 
 
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
-    """Get the search box, in which the hulls of all frames are searched.
+    """Get the search box, in which the hull of each frame is carved.
 
-    The search box is read from bounds.json if the key in this file is ``key``. Otherwise the search box is computed and
-    saved. If the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are examined, and the margin of the
-    box is three times as wide.
+    If bounds.json contains the same ``key``, the search box is read from this file. Otherwise the search box is
+    computed and saved. If the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are examined, and the
+    margin of the box is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:

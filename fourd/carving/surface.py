@@ -19,8 +19,8 @@ time."""
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
     """Find the cells of side ``size`` that may intersect the surface inside a box; return their centres (3, N).
 
-    Larger cells are subdivided if they may intersect the surface. The finest cells, of side ``size``, are returned
-    without this test. The coordinates are relative to the origin of ``views``.
+    Larger cells are subdivided if they may intersect the surface. The finest cells, of side ``size``, are not tested.
+    The coordinates are relative to the origin of ``views``.
     """
     longest = float((upper - lower).max())
     levels = max(0, int(np.log2(max(longest / size / 6, 1))))
@@ -102,8 +102,8 @@ def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) 
 def choose_cell_side(views: Silhouettes, lower: Array, upper: Array, points: int) -> float:
     """Choose the side of cells so that the surface in the box has CANDIDATES cells per requested point.
 
-    The surface's area is measured with cells whose side is 1/64 of the box's longest side. If fewer than 200 of these
-    cells are near the surface, the area is measured with smaller cells. The result is 0 if there is no surface.
+    The surface's area is measured with cells whose side is 1/64 of the box's longest side. If fewer than 200 cells are
+    near the surface, the area is measured again with smaller cells. The result is 0 if there is no surface.
     """
     side = float((upper - lower).max()) / 64
     for _ in range(3):
