@@ -49,7 +49,8 @@ def main(arguments: Arguments) -> None:
     """Train the runs that are missing, then write the plot and the table."""
     curves = {name: _curve(arguments, name) for name in ABLATIONS}
     _draw(arguments, curves)
-    lines = ["# Ablations", "", f"Held-out PSNR in dB over training time, frames {arguments.frames}.", ""]
+    caption = f"The table shows the held-out PSNR in dB after each training time. Frames: {arguments.frames}."
+    lines = ["# Ablations", "", caption, ""]
     lines.append("| colour | " + " | ".join(f"{mark:.0f} s" for mark in _marks(arguments)) + " |")
     lines.append("|---" * (1 + len(_marks(arguments))) + "|")
     for name, title in ABLATIONS.items():
