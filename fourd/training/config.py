@@ -70,8 +70,8 @@ class BackgroundConfig:
     """Maximum number of background points. The coarse shell of points in directions that no plate shows is not
     counted."""
     seeding: Literal["ngp", "sfm"] = "ngp"
-    """Source of the background points: ngp takes the points from a radiance field that is fitted to the plates and to
-    stereo depths; sfm takes the points from stereo alone."""
+    """Source of the background points. The value ngp takes the points from a radiance field that is fitted to the plates
+    and to stereo depths. The value sfm takes the points from stereo alone."""
     seeds: Path | None = None
     """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
@@ -192,8 +192,8 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
     scene: Literal["object", "full"] = "object"
-    """Part of the images to reconstruct: object is the foreground in the mattes, on black; full is the whole image,
-    with a static background."""
+    """Part of the images to reconstruct. The value object reconstructs only the foreground in the mattes, on black. The
+    value full reconstructs the whole image, with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Settings of the background of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
@@ -210,7 +210,8 @@ class TrainConfig:
     layers. Training with a small K produces surfaces that are opaque in few layers. Full scenes use
     `background.least_layers` instead of this key."""
     crop: Literal["mask", "full"] = "mask"
-    """Part of an image to train on: mask is the matte's bounding box with a margin; full is the whole image."""
+    """Part of each image that is used for training. The value mask selects the matte's bounding box with a margin. The
+    value full selects the whole image."""
     random_background: bool = True
     """Composite prediction and ground truth on a random colour in each step. On a black background, holes in dark
     surfaces would cause no loss."""

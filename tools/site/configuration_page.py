@@ -19,8 +19,9 @@ from fourd.training.config import TrainConfig
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 HEAD = """# Configuration
 
-`fourd train` and `fourd make` take config keys from a YAML file with `--config FILE.yaml`, and from the command line
-with `--set KEY=VALUE`, which can be repeated. KEY is a path with dots, such as `model.planes.levels`. VALUE is YAML:
+The commands `fourd train` and `fourd make` read config keys from a YAML file (`--config FILE.yaml`) and from the
+command line (`--set KEY=VALUE`). The option `--set` can be repeated. KEY is a path with dots, such as
+`model.planes.levels`. VALUE is written as YAML:
 
 ```
 fourd train CAPTURE -o run/ --max-steps 5000 --set rates.planes=1e-3 --set model.planes.levels=3
