@@ -49,7 +49,7 @@ def main(arguments: Arguments) -> None:
 
 
 def orbit(camera: Camera, centre: np.ndarray, radians: float) -> Camera:
-    """Return the camera rotated by ``radians`` about ``centre`` (3,). The axis is parallel to the image's y axis."""
+    """Return the camera rotated about ``centre`` (3,). The rotation axis is parallel to the image's y axis."""
     x, y, z = camera.rotation[1]  # the image's y axis in world coordinates
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(radians) * skew + (1 - np.cos(radians)) * skew @ skew  # Rodrigues' formula

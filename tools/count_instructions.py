@@ -4,10 +4,10 @@
 
     python tools/count_instructions.py --update
 
-The first command fails if a count is more than 5% above the accepted count. The second command makes the current counts
-the accepted counts. Unlike times, instruction counts do not depend on the load of the machine. The counts depend on the
-compiler. Without accepted counts for a compiler, nothing is compared. The counts are those of the AVX2 kernels, because
-valgrind does not support AVX-512.
+Without --update, the program fails if a count is more than 5% above the accepted count. With --update, the current
+counts become the accepted counts. Unlike times, instruction counts do not depend on the load of the machine. The counts
+depend on the compiler. Without accepted counts for a compiler, nothing is compared. The counts are those of the AVX2
+kernels, because valgrind does not support AVX-512.
 """
 
 from __future__ import annotations

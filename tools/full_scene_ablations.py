@@ -3,12 +3,12 @@
     python tools/full_scene_ablations.py CAPTURE OUT --test-views 03,09,14 [--frames 0:24:6] [--max-steps 600]
                                          [--plates EMPTY_SCENE/] [--only sfm apart]
 
-Each variant is a run in OUT/NAME. Variants reuse the hull points and background points of the first variant, except
-those variants that change these points. Finished runs are not trained again.
+Each variant is a run in OUT/NAME. A variant reuses the hull points and background points of the first variant, unless
+the variant changes these points. Finished runs are not trained again.
 
-The two variants with a perturbed calibration use the capture OUT/disturbed. In this capture, each camera is rotated by
-0.5 degrees and moved by 1 cm. Before evaluation of these two variants, each held-out camera is fitted to its own
-images. This fit alone raises the scores slightly.
+The two variants with a perturbed calibration use the capture OUT/disturbed. In OUT/disturbed, each camera is rotated by
+0.5 degrees and moved by 1 cm. For the two variants with a perturbed calibration, each held-out camera is fitted to its
+own images before evaluation. Fitting the held-out cameras by itself raises the scores slightly.
 
 The program prints a Markdown table and writes the image OUT/pictures.png. For the middle frame of each held-out view,
 the image shows the ground truth and the result of every variant.

@@ -1,7 +1,8 @@
 """Run mypy and import-linter on the package in its installed layout.
 
-In the repository, the package fourd.viewer is in the folder viewer/, where neither tool finds it. This program copies
-the Python files of fourd/ and viewer/ to build/lint/fourd, and runs both tools there. `make lint` runs this program.
+In the repository, the package fourd.viewer is in the folder viewer/, where mypy and import-linter do not find the
+package. This program copies the Python files of fourd/ and viewer/ to build/lint/fourd, and runs mypy and import-linter
+in build/lint. `make lint` runs this program.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ def main() -> int:
     copy_package()
     config = str(ROOT / "pyproject.toml")
     types = subprocess.run([sys.executable, "-m", "mypy", "--config-file", config], cwd=TREE)
-    # The option -S skips the .pth file of the editable install. The import hook in this file would take precedence over
-    # build/lint.
+    # The option -S skips the .pth file of the editable install. The import hook in the .pth file would take precedence
+    # over build/lint.
     lint_imports = "from importlinter.cli import lint_imports_command; lint_imports_command()"
     options = ["--no-logo", "--config", config, "--cache-dir", str(TREE / ".import_linter_cache")]
     layers = subprocess.run(

@@ -37,7 +37,7 @@ def main() -> None:
     for camera in capture.cameras:
         if camera.width % 2 or camera.height % 2:
             sys.exit(
-                f"--size: expected even image sides, as H.264 requires, got {camera.width} x {camera.height}; change it"
+                f"--size: expected even image sides, as H.264 needs, got {camera.width} x {camera.height}; change it"
             )
     shown = back_and_forth(capture.frame_count, round(arguments.seconds * arguments.fps))
     for index, name in enumerate(capture.names):

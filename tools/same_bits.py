@@ -5,8 +5,8 @@
     python tools/same_bits.py --fourd .venv/bin/fourd --compare before.json
 
 The program runs the commands of one installation on synthetic captures in a temporary folder. The commands make mattes,
-clean plates and hulls. They train object scenes and full scenes, and a scene with camera refinement. They also export,
-render and evaluate these scenes, and run fourd make. The program takes about six minutes on two cores. Compare only
+clean plates and hulls. The commands train, export, render and evaluate an object scene, a full scene and a scene with
+camera refinement. The program also runs fourd make. The program takes about six minutes on two cores. Compare only
 digests from the same machine, because different instruction sets give different bits.
 """
 
@@ -50,7 +50,7 @@ def main() -> int:
 def compare(before: dict[str, str], after: dict[str, str]) -> int:
     """Print every file whose digest differs, and every file that is missing on one side.
 
-    Returns 1 if there is such a file, else 0.
+    Returns 1 if a file was printed, else 0.
     """
     names = sorted(before.keys() | after.keys())
     different = [name for name in names if before.get(name) != after.get(name)]

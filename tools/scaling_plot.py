@@ -91,7 +91,7 @@ def measure(
 ) -> Series:
     """Time every kind of work at each value in ``positions``.
 
-    ``setting`` converts such a value to the number of points, the image size and the number of layers.
+    ``setting`` converts a position to the number of points, the image size and the number of layers.
     """
     found: dict[str, list[float]] = {kind: [] for kind in KINDS}
     for position in positions:

@@ -2,9 +2,9 @@
 
     python tools/tree_memory.py memory.csv -- fourd matte CAPTURE
 
-The program writes one CSV line every ``--every`` seconds. The line contains the seconds since the start, the number of
+The program writes one CSV line every ``--every`` seconds. Each line has the seconds since the start, the number of
 processes, and the memory of all processes in MB. Memory is the proportional set size (PSS), which counts shared memory
-once. At the end, the program prints the maximum memory to stderr, and the mean memory of each tenth of the time.
+once. At the end, the program prints the maximum memory and the mean memory in each tenth of the running time to stderr.
 """
 
 from __future__ import annotations

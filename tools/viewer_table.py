@@ -4,8 +4,8 @@
 
     python tools/viewer_table.py scene.4dv --frame 3
 
-The first command draws 262,144 points of the synthetic benchmark scene at 1920 x 1080. The second command draws a frame
-of a scene, seen from the scene's first camera. The reference for the errors is the float CPU renderer.
+Without a scene, the program draws 262,144 points of the synthetic benchmark scene at 1920 x 1080. With a scene, the
+program draws one frame from the scene's first camera. The reference for the errors is the float CPU renderer.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def _turned(seen: Camera, angle: float) -> Camera:
 
 
 def _float_picture(frame: BakedFrame, manifest: SceneManifest, seen: Camera, layers: int) -> NDArray[np.float32]:
-    """Render the same frame with the float CPU renderer."""
+    """Render the frame with the float CPU renderer."""
     colours = shade_reference(frame, seen, manifest)
     sizes: list[Any] = [frame.radius.astype(np.float32), frame.density.astype(np.float32)]
     rgb, _, _ = render_points_numpy(frame.xyz, colours, *sizes, seen, layers=layers, near=manifest.near)

@@ -18,7 +18,7 @@ class DisplaySettings:
     """The settings in the Display section of the panel.
 
     Attributes:
-        layers: K, the maximum count of points composited per pixel.
+        layers: the maximum count K of points composited per pixel.
         background: background colour as red, green and blue in [0, 1].
         point_scale: factor on the points' radii.
         density_scale: factor on the points' densities. Scaled densities are clamped to 1.
@@ -52,7 +52,8 @@ class RenderRequest:
         frame: the arrays to draw, already scaled by :meth:`DisplaySettings.scale_points`.
         camera: a pinhole camera without distortion. The camera's size is the size of the image.
         manifest: the manifest of the scene.
-        settings: supplies K and the background colour. Renderers ignore the point scales, which ``frame`` includes.
+        settings: supplies K and the background colour. Renderers ignore the point scales in ``settings``, because the
+            points of ``frame`` are already scaled.
     """
 
     frame: BakedFrame

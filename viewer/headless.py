@@ -35,8 +35,9 @@ class Headless:
     Attributes:
         source: a `.4dv` file or a run's folder.
         renderer: name of the renderer, or "auto".
-        size: width and height of the images in pixels. If it is None, videos have DEFAULT_SIZE. A screenshot then has
-            the size of its camera, or DEFAULT_SIZE if the scene has no cameras.
+        size: width and height of the images in pixels. If ``size`` is None, videos have DEFAULT_SIZE, and screenshots
+            have the size of the selected camera. In a scene without cameras, None means DEFAULT_SIZE for screenshots
+            too.
         settings: display settings. If ``layers`` is 0, the scene's own K is used.
     """
 
@@ -49,7 +50,8 @@ class Headless:
         """Write an MP4 of the scene along a camera path.
 
         ``path`` is "orbit", "spiral", "cameras" or a file that was recorded in the window. A recorded path also selects
-        the frames. Along the other paths, the scene plays in a loop. Returns the count of images.
+        the frame of each image. Along a path that is not recorded, the scene plays in a loop. Returns the count of
+        images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:

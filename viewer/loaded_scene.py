@@ -23,7 +23,7 @@ class LoadedScene:
         path: path of the `.4dv` file or of the run's folder.
         manifest: the manifest of the scene.
         frames: supplies the frames and prefetches them.
-        up: (3,) up direction of the world.
+        up: up direction of the world, (3,).
         checkpoint: file name of the displayed checkpoint of a run; empty for a `.4dv` file.
     """
 

@@ -69,7 +69,7 @@ class Session:
         self._opener.start()
 
     def take_opened(self, wait: bool = False) -> LoadedScene | None:
-        """Return the scene that has finished opening since the last call, or None if there is no such scene.
+        """Return a newly opened scene, or None if no scene has finished opening since the last call.
 
         If opening has failed, the current scene stays and ``message`` contains the reason.
         """
@@ -165,8 +165,8 @@ class Session:
     def _camera(self, pose: Pose, size: tuple[int, int]) -> Camera:
         """The camera of the current pose.
 
-        While the pose and the size do not change, the result is the same object. Renderers can then reuse their depth
-        order.
+        While the pose and the size do not change, the result is the same object. Renderers reuse their depth order for
+        the same camera object.
         """
         if self._last_camera is None or self._last_camera[0] is not pose or self._last_camera[1] != size:
             self._last_camera = (pose, size, pose.camera(*size))

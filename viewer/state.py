@@ -56,7 +56,7 @@ class ViewerState:
     def defer(self, action: Callable[[], None]) -> None:
         """Run ``action`` after the current image is finished.
 
-        Until then, the panel is still being built, but ``action`` may need to draw.
+        The panel is still being built when :meth:`defer` is called, and ``action`` may draw.
         """
         self._deferred.append(action)
 
@@ -109,9 +109,9 @@ class ViewerState:
         self._write(path, lambda: write_png(path, image))
 
     def toggle_recording(self) -> None:
-        """Start recording the camera path. If a recording is running, stop it and write the path instead.
+        """Start or stop recording the camera path.
 
-        The file is written to the working directory.
+        At the end of a recording, the path is written to a file in the working directory.
         """
         if self.recorder is None:
             self.recorder = PathRecorder()

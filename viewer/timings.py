@@ -46,8 +46,8 @@ class Timings:
     def medians(self) -> dict[str, float]:
         """Median milliseconds per part.
 
-        The median of a part ignores images in which that part did not run. For example, an unchanged scene is not drawn
-        again.
+        The median of a part ignores images in which that part did not run. For example, the part "draw" does not run
+        for an unchanged scene.
         """
         nonzero = [column[column > 0] for column in self._history.T]
         return {

@@ -76,7 +76,7 @@ class Window:
     def set_title(self, text: str) -> None:
         """Set the title if ``text`` differs from the current title.
 
-        An unnecessary change would cause an event, and :meth:`wait_events` would return too early.
+        An unnecessary change of the title would cause an event, and :meth:`wait_events` would return too early.
         """
         if text != self._title:
             self._glfw.set_window_title(self.handle, text)
@@ -111,21 +111,21 @@ class Window:
         from imgui_bundle import imgui
         from OpenGL import GL
 
-        # The backend saves the current shader program and binds it again later. That fails if the program has been
-        # deleted.
+        # The backend later binds the current shader program again, which fails if the shader program has been deleted.
         GL.glUseProgram(0)
         imgui.render()
         self._ui.render(imgui.get_draw_data())
 
     def copy_framebuffer(self, framebuffer: int) -> None:
-        """Copy a framebuffer that has the window's size to the window.
+        """Copy a framebuffer to the window.
 
-        ``framebuffer`` is the framebuffer's OpenGL name. The framebuffer stays bound for reading.
+        The framebuffer must have the window's size. ``framebuffer`` is the framebuffer's OpenGL name. The framebuffer
+        stays bound for reading.
         """
         from OpenGL import GL
 
-        # moderngl's own copy fails here, because its names for the buffers of the default framebuffer are not valid in
-        # OpenGL 3.3.
+        # moderngl cannot copy to the window, because moderngl's names for the buffers of the default framebuffer are
+        # not valid in OpenGL 3.3.
         width, height = self.framebuffer_size
         GL.glBindFramebuffer(GL.GL_READ_FRAMEBUFFER, framebuffer)
         GL.glBindFramebuffer(GL.GL_DRAW_FRAMEBUFFER, 0)

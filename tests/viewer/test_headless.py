@@ -158,7 +158,7 @@ def test_invalid_scenes_raise_one_line_errors(scene: Path, tmp_path: Path, capsy
     with SceneWriter(tmp_path / "bare.4dv", manifest(6, 2)) as writer:
         for index in range(2):
             writer.add_frame(index, random_frame(0, 6, seed=1))
-    assert "expected points in some frame" in error_line(capsys, tmp_path / "bare.4dv", "--screenshot", out)
+    assert "expected points in at least one frame" in error_line(capsys, tmp_path / "bare.4dv", "--screenshot", out)
     assert "got nothing there; check the path" in error_line(capsys, tmp_path / "no.4dv", "--screenshot", out)
     assert "expected a run" in error_line(capsys, tmp_path, "--screenshot", out)
     assert not out.exists()

@@ -26,7 +26,7 @@ class Compositor(Protocol):
 
     @property
     def discs(self) -> Discs:
-        """The disc geometry. Before :meth:`draw`, the caller calls :meth:`Discs.project` of this geometry."""
+        """The disc geometry. The caller must call :meth:`Discs.project` before :meth:`draw`."""
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
         """Composite :attr:`discs` over the background colour of the request and write the result into ``target``."""
@@ -54,7 +54,7 @@ class OverBackground:
 
 
 class SortedBlending:
-    """Blends all discs in one pass, from the farthest to the nearest. It blends all layers, also more than K."""
+    """Blends all discs in one pass, from the farthest to the nearest. The count of layers is not limited to K."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -114,10 +114,10 @@ class DepthPeeling:
 class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): each pass finds one layer from the front and one from the back.
 
-    In each pixel, the first K // 2 passes find up to two layers per pass. If a pixel then still has undiscovered
-    layers, it can have more than K layers in total. In this case, the layers found from the back are dropped. Further
-    passes peel the pixel from the front, until K layers are composited or no further layer is visible. The result has
-    the K nearest layers, as in :class:`DepthPeeling`.
+    In each pixel, the first K // 2 passes find up to two layers per pass. If a pixel has further layers after these
+    passes, the pixel's layers from the back are dropped, because the pixel can have more than K layers. Further passes
+    peel the pixel from the front, until K layers are composited or no further layer is visible. The result has the K
+    nearest layers, as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
@@ -192,8 +192,8 @@ class DualDepthPeeling:
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
         """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        With ``clear_back``, hidden layers count too. In each pixel where the pass has found a layer, the layers
-        composited from the back are then cleared.
+        With ``clear_back``, hidden layers count too. ``clear_back`` also clears the layers composited from the back, in
+        each pixel where the pass has found a layer.
         """
         targets = self._targets
         previous = 1 - index % 2

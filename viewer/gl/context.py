@@ -32,7 +32,7 @@ def driver_info(context: moderngl.Context) -> dict[str, Any]:
     """The names and limits that the driver reports, keyed by the names of the OpenGL constants."""
     info = context.info
     # moderngl also queries limits of newer OpenGL versions. Each limit that the driver does not know sets a GL error.
-    # This loop clears the errors.
+    # The loop clears all GL errors.
     while context.error != "GL_NO_ERROR":
         pass
     return info

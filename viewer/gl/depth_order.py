@@ -43,7 +43,8 @@ class DepthOrders(Protocol):
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
         """Return a depth order for ``request``.
 
-        With ``wait``, the order is computed for this request. Otherwise, the order may be that of an earlier request.
+        With ``wait``, the depth order is computed for ``request``. Without ``wait``, the depth order may be that of an
+        earlier request.
         """
 
     def release(self) -> None:
@@ -58,7 +59,7 @@ class ExactOrders:
         self._last: DepthOrder | None = None
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """The depth order of this request."""
+        """Return the depth order of ``request``."""
         if self._last is None or not self._last.matches(request):
             started = time.perf_counter()
             points = self._sorter.sort(request.frame, request.camera, request.manifest.near)
@@ -73,9 +74,9 @@ class ExactOrders:
 class BackgroundOrders:
     """Sorts the points of the newest request in a thread.
 
-    :meth:`order` may return the depth order of an earlier request. The thread sorts all points inside a larger image,
-    of twice the width and twice the height. A depth order then includes points that enter the image during the next
-    sort.
+    :meth:`order` may return the depth order of an earlier request. The thread sorts all points inside an enlarged image
+    of twice the width and twice the height. The depth order thus includes points that enter the visible image during
+    the next sort.
     """
 
     def __init__(self) -> None:
@@ -89,7 +90,7 @@ class BackgroundOrders:
         self._thread.start()
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """Return the newest depth order. With ``wait``, return the depth order of this request.
+        """Return the newest depth order. With ``wait``, return the depth order of ``request``.
 
         The first call always waits until a depth order exists. Raises RuntimeError when sorting has failed.
         """

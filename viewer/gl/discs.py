@@ -1,4 +1,4 @@
-"""Projects and shades points once per image, and draws them as discs in every pass."""
+"""Projects and shades points once per image, and draws the points as discs in every pass."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Discs:
 
     In nearest-first order, discs are stored in drawing order, and the rank of a disc is its index plus 1. In
     farthest-first order, sprites are stored in the order of the frame's points, and an index buffer contains the
-    drawing order. The vertex shader then reads the textures of the points in sequence. This takes half the time of
-    reading the textures in depth order.
+    drawing order. In farthest-first order, the vertex shader therefore reads the textures of the points in sequence.
+    Reading in sequence takes half the time of reading in depth order.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Discs:
         farthest_first: bool = False,
         as_texture: bool = False,
     ) -> None:
-        """``passes`` maps the name of each pass to the file of its fragment shader. :meth:`draw` accepts these names.
+        """``passes`` maps the name of each pass to the file of its fragment shader.
 
         With ``as_texture``, the discs are also stored in :attr:`texture`, in order of rank, with two texels per disc.
         """
@@ -101,15 +101,15 @@ class Discs:
     def uses_sprites(self) -> bool:
         """Whether the discs are drawn as point sprites.
 
-        Otherwise, the discs are drawn as quads, which need four times the vertices.
+        Discs that are not drawn as sprites are drawn as quads, which need four times the vertices.
         """
         return self._margin is not None
 
     def draw(self, name: str, framebuffer: moderngl.Framebuffer, upright: bool = False, **uniforms: object) -> None:
         """Draw all discs with pass ``name`` and the ``uniforms`` of its shader.
 
-        With ``upright``, row 0 of the image is at the top of the framebuffer, as on screen. Otherwise, row 0 is at the
-        bottom, as in textures.
+        With ``upright``, row 0 of the image is at the top of the framebuffer, as on screen. Without ``upright``, row 0
+        of the image is at the bottom, as in textures.
         """
         if not self._count:
             return
@@ -205,7 +205,8 @@ def _max_radius_depth_ratio(order: NDArray[np.uint32], request: RenderRequest) -
     camera, near = request.camera, request.manifest.near
     depth = (request.frame.xyz @ camera.forward.astype(np.float32)).take(order) + np.float32(camera.translation[2])
     radius = request.frame.radius.take(order).astype(np.float32)
-    # The minimum depth is near / 2, because rounding can make the shader accept points slightly before the near plane.
+    # The minimum depth is near / 2, because after rounding, the shader can accept points slightly nearer than the near
+    # plane.
     ratio = np.where(depth >= near / 2, radius / np.maximum(depth, np.float32(near)), 0)
     return float(ratio.max())
 

@@ -40,7 +40,7 @@ class ArrayTexture:
     def write(self, array: NDArray[np.generic], first: int = 0) -> None:
         """Upload an array of whole texels, starting at texel ``first``.
 
-        The caller must have reserved these texels with :meth:`reserve`.
+        The caller must have reserved the texels with :meth:`reserve`.
         """
         content = np.ascontiguousarray(array).reshape(-1, self._components)
         texture, end = self._texture, first + content.shape[0]
@@ -97,8 +97,8 @@ class FrameTextures:
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
         """``precision`` is the type of the textures that store float16 arrays.
 
-        The precision float32 is the reference in tests and benchmarks. It doubles the memory and the bandwidth of these
-        textures.
+        The precision float32 is the reference in tests and benchmarks. With float32, the textures of float16 arrays
+        need twice the memory and the bandwidth.
         """
         short = "f2" if precision == "float16" else "f4"
         self._float16_dtype = np.float16 if precision == "float16" else np.float32

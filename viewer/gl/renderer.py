@@ -45,7 +45,7 @@ class GLRenderer:
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        With ``wait``, the depth order is computed for this request.
+        With ``wait``, the depth order is computed for ``request``.
         """
         order = self._orders.order(request, wait)
         self._stale_images = 0 if order.matches(request) else self._stale_images + 1

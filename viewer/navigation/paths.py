@@ -1,7 +1,7 @@
 """Camera paths around a captured scene.
 
-A path is a list of cameras, one per image. A looping path ends one step before its first camera. Otherwise, the first
-camera would appear twice in succession, which would look like a pause.
+A path is a list of cameras, one per image. A looping path ends one step before its first camera. If the path ended at
+its first camera, two equal images in succession would look like a pause.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def camera_path(
     *,
     size: tuple[int, int] | None = None,
 ) -> list[Camera]:
-    """A looping path of a kind: "orbit" (:func:`orbit`), "spiral" (:func:`spiral`) or "cameras".
+    """Return the looping path that :func:`orbit`, :func:`spiral` or :func:`interpolate` makes, depending on ``kind``.
 
-    The kind "cameras" passes through all cameras in order of azimuth.
+    The kind "cameras" interpolates through all cameras in order of azimuth.
     """
     if kind == "orbit":
         return orbit(cameras, steps, focus=focus, size=size)
@@ -65,13 +65,14 @@ def orbit(
     Args:
         cameras: cameras of the capture; at least 1.
         steps: count of images, at least 1.
-        focus: (3,) centre of the circle in world units, or None for the result of :func:`estimate_focus`.
-        up: (3,) up direction, or None for the result of :func:`estimate_up`.
+        focus: centre of the circle (3,) in world units, or None for the result of :func:`estimate_focus`.
+        up: up direction (3,), or None for the result of :func:`estimate_up`.
         distance: distance from the focus in world units, or None for the cameras' median distance.
         elevation: degrees above the horizontal plane through the focus, or None for the cameras' median elevation.
-        size: (width, height) of the images in pixels, or None for the size of the first camera.
-        full: True makes a full circle. False makes the path swing back and forth over the arc of the cameras. None
-            makes a full circle unless two neighbouring cameras are more than 120 degrees of azimuth apart.
+        size: width and height of the images in pixels, or None for the size of the first camera.
+        full: whether the path is a full circle. If ``full`` is False, the path swings back and forth over the arc of
+            the cameras. If ``full`` is None, the path is a full circle unless two neighbouring cameras are more than
+            120 degrees of azimuth apart.
     """
     rig = _measure_rig(cameras, steps, focus, up)
     distance = rig.distance if distance is None else distance
@@ -91,14 +92,14 @@ def spiral(
     size: tuple[int, int] | None = None,
     full: bool | None = None,
 ) -> list[Camera]:
-    """A looping path of several turns. The elevation follows one period of a sine.
+    """A looping path of several turns. Along the path, the elevation of the camera follows one period of a sine.
 
-    The arguments that are not listed here are those of :func:`orbit`.
+    The arguments that ``Args`` does not list have the same meaning as in :func:`orbit`.
 
     Args:
         turns: count of full circles or of swings, at least 1.
         swing: amplitude of the elevation around the cameras' median elevation, in degrees. None uses the largest
-            deviation of a camera's elevation from this median, but at least 10 degrees.
+            deviation of a camera's elevation from the median, but at least 10 degrees.
     """
     if turns < 1:
         raise ValueError(f"turns: expected at least 1, got {turns}")
@@ -126,8 +127,8 @@ def interpolate(
     Args:
         cameras: cameras to pass through; at least 1. Equal cameras in succession count once.
         steps: count of images, at least 1.
-        loop: whether the path returns from the last camera to the first. Otherwise, the path ends at the last camera.
-        size: (width, height) of the images in pixels, or None for the size of the first camera.
+        loop: whether the path returns from the last camera to the first. A path without a loop ends at the last camera.
+        size: width and height of the images in pixels, or None for the size of the first camera.
     """
     _check_arguments(cameras, steps)
     width, height = size or (cameras[0].width, cameras[0].height)
@@ -142,7 +143,7 @@ def interpolate(
 def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array | None = None) -> list[int]:
     """Indices of the cameras sorted by azimuth around ``focus``, for :func:`interpolate`.
 
-    The order starts after the widest gap in azimuth. A path through an arc of cameras then follows the arc.
+    The order starts after the widest gap in azimuth, so that a path through an arc of cameras follows the arc.
     """
     rig = _measure_rig(cameras, 1, focus, None)
     order = np.argsort(rig.azimuths, kind="stable")
@@ -155,9 +156,9 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
     """The least-squares intersection of all optical axes, (3,).
 
     The intersection is not used if the axes are nearly parallel, if there is only one camera, or if the intersection is
-    behind at least half of the cameras. The result is then the centre of ``bounds`` (lower, upper). Without bounds, the
-    result is a point in front of the cameras. Its distance from the mean camera centre is three times the spread of the
-    camera centres, or 1 world unit for a single camera.
+    behind at least half of the cameras. If the intersection is not used, the result is the centre of ``bounds`` (lower,
+    upper). Without bounds, the result is a point in front of the cameras. The distance from the mean camera centre to
+    this point is three times the spread of the camera centres, or 1 world unit for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -190,15 +191,15 @@ class _Rig:
     """The cameras in spherical coordinates around the focus.
 
     Attributes:
-        focus: (3,) origin.
-        axes: (3, 3) unit vectors as rows. The first row points towards the first camera in the horizontal plane. The
-            second row points sideways, and the third row points up.
-        azimuths: (C,) azimuths of the cameras in radians.
+        focus: origin of the spherical coordinates (3,), in world units.
+        axes: unit vectors as the rows of a (3, 3) matrix. The first row points towards the first camera in the
+            horizontal plane. The second row points sideways, and the third row points up.
+        azimuths: azimuths of the cameras in radians, (C,).
         distance: the cameras' median distance from the focus in world units.
         elevation: the cameras' median elevation in radians.
         elevation_deviation: largest deviation of a camera from the median elevation, in radians.
         zoom: the cameras' median focal length, in units of the shorter image side.
-        size: (width, height) of the first camera.
+        size: width and height of the first camera's image in pixels.
     """
 
     focus: Array
@@ -305,7 +306,7 @@ def _from_vector(vector: Array, width: int, height: int) -> Camera:
 def _align_signs(knots: Array) -> Array:
     """Negate quaternions so that consecutive quaternions have a positive dot product.
 
-    The spline then interpolates along the shorter rotation.
+    With positive dot products, the spline interpolates along the shorter rotation.
     """
     knots = knots.copy()
     for previous, current in pairwise(knots):

@@ -27,12 +27,13 @@ class Pose:
     """A viewpoint: an eye, and a pivot on the eye's viewing axis. Lengths are in world units.
 
     Attributes:
-        pivot: (3,) point that the eye orbits around.
-        rotation: (3, 3) R_camera_world. The camera's x axis points right, the y axis down and the z axis forward.
+        pivot: point (3,) that the eye orbits around.
+        rotation: matrix R_camera_world (3, 3). The camera's x axis points right, its y axis down and its z axis
+            forward.
         distance: distance from the eye to the pivot, above 0.
         field_of_view: vertical field of view in radians.
-        up: (3,) up direction of the world, a unit vector.
-        offset: (x, y) offset of the principal point from the image centre, in units of the image height.
+        up: up direction of the world, a unit vector (3,).
+        offset: offset (x, y) of the principal point from the image centre, in units of the image height.
     """
 
     pivot: Array
@@ -44,7 +45,7 @@ class Pose:
 
     @property
     def eye(self) -> Array:
-        """(3,) position of the eye."""
+        """Position (3,) of the eye in world units."""
         return self.pivot - self.distance * self.rotation[2]
 
     def camera(self, width: int, height: int) -> Camera:
@@ -95,15 +96,15 @@ class Pose:
         return replace(self, pivot=self.pivot + step)
 
     def with_field_of_view(self, radians: float) -> Pose:
-        """The same pose with another vertical field of view, which is clamped to the allowed range."""
+        """Return the pose with the vertical field of view ``radians``, clamped to the allowed range."""
         return replace(self, field_of_view=float(np.clip(radians, MIN_FIELD_OF_VIEW, MAX_FIELD_OF_VIEW)))
 
 
 def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
     """The pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
-    The pivot is the point of the viewing axis nearest to ``focus``. If that point is not in front of the camera, the
-    pivot is 1 world unit in front of the camera.
+    The pivot is the point of the viewing axis nearest to ``focus``. If the point nearest to ``focus`` is not in front
+    of the camera, the pivot is 1 world unit in front of the camera.
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
@@ -158,7 +159,7 @@ def _rotation_matrix(vector: Array) -> Array:
 def _nearest_rotation(rotation: Array) -> Array:
     """The rotation matrix nearest to ``rotation``.
 
-    This removes the rounding errors that accumulate over thousands of small rotations.
+    The function removes rounding errors that accumulate over thousands of small rotations.
     """
     left, _, right = np.linalg.svd(rotation)
     return left @ right

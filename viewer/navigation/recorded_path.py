@@ -19,7 +19,7 @@ _MAX_BYTES = 256 << 20
 
 @dataclass(frozen=True, eq=False)
 class PathSample:
-    """The pose and the frame index at one time."""
+    """The pose and the frame index of one sample of a path."""
 
     pose: Pose
     frame: int
@@ -56,7 +56,7 @@ class PathRecorder:
         return self._seconds
 
     def advance(self, seconds: float, pose: Pose, frame: int) -> None:
-        """Advance the recording by ``seconds``. ``pose`` and ``frame`` are those of the new time."""
+        """Advance the recording by ``seconds``. ``pose`` and ``frame`` are the values at the end of this time step."""
         self._seconds += seconds
         while len(self._samples) < self._seconds * RECORDED_FPS:
             self._samples.append(PathSample(pose, frame))
@@ -79,7 +79,7 @@ def load_recorded_path(path: Path) -> RecordedPath:
         samples = tuple(PathSample(pose_from_json(item), _frame_index(item["frame"])) for item in content["stops"])
         fps = float(content["fps"])
         if not samples or not 0 < fps <= 1000:
-            raise ValueError("expected at least one entry in stops, and fps above 0 and at most 1000")
+            raise ValueError("expected at least one entry in stops, and an fps value above 0 and up to 1000")
     except OSError as error:
         reason = (error.strerror or "").lower()
         raise UserError(f"{path}: expected a camera path, got '{reason}'; check the file") from error

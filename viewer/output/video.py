@@ -24,9 +24,9 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
 
     Args:
         path: the file, which is written atomically. If ``images`` raises an exception, no file is written.
-        images: RGB images (H, W, 3), uint8 or float in [0, 1], all of one size. The images are read one by one, so a
-            generator needs constant memory. If a side is odd, the last row or column is repeated, because yuv420p needs
-            even sides.
+        images: images (H, W, 3) of one size, with RGB colours as uint8 or as float in [0, 1]. The images are read one
+            by one, so a generator needs constant memory. If a side is odd, the last row or column is repeated, because
+            yuv420p needs even sides.
         fps: images per second, above 0.
         quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
             larger file.
@@ -73,7 +73,7 @@ def _find_encoder(path: Path) -> str:
             return name
     raise UserError(
         f"{path}: expected FFmpeg with an H.264 encoder in PyAV, got none; "
-        "pip install --force-reinstall --only-binary=:all: av, or name a folder to get PNG images"
+        "pip install --force-reinstall --only-binary=:all: av, or give a folder as output to get PNG images"
     )
 
 

@@ -13,9 +13,10 @@ class Playback:
     Attributes:
         frame_count: count of frames, at least 1.
         fps: frames per second at speed 1.
-        speed: factor on ``fps``; negative plays backwards.
+        speed: factor on ``fps``; a negative factor plays backwards.
         is_playing: whether :meth:`advance` moves the clock.
-        is_looping: whether playback wraps around at the first and the last frame. Otherwise, playback pauses there.
+        is_looping: whether playback wraps around at the first and the last frame. Without looping, playback pauses at
+            the first and the last frame.
     """
 
     frame_count: int

@@ -23,7 +23,7 @@ class BakedFrameSource(Protocol):
         """The manifest of the scene."""
 
     def read(self, index: int) -> BakedFrame:
-        """Read a frame, which may take long. Raises UserError if the frame is damaged."""
+        """Read a frame. Reading can take long. Raises UserError if the frame is damaged."""
 
     def close(self) -> None:
         """Close files."""
@@ -36,7 +36,7 @@ class FramePrefetcher:
         """The prefetcher takes ownership of ``source``, and :meth:`close` closes the source.
 
         ``buffer_bytes`` limits the memory of the buffered frames plus the source's background. At least two frames are
-        buffered, even if they exceed this limit.
+        buffered, even if two frames exceed the limit.
         """
         self._source = source
         self._frame_count = source.manifest.frame_count
@@ -46,7 +46,7 @@ class FramePrefetcher:
         self._head, self._direction = 0, 1
         self._has_started = False
         self._largest: int | None = None  # Size in bytes of the largest frame that has been read.
-        self._generation = 0  # Frames that were read for an earlier generation are dropped.
+        self._generation = 0  # Count of invalidations. Frames that were read before the last invalidation are dropped.
         self._is_stopped = False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="frame reader", daemon=True)
@@ -150,8 +150,8 @@ class FramePrefetcher:
     def _capacity(self) -> int:
         """Count of frames that fit into the memory limit.
 
-        Each frame is assumed to be as large as the largest frame that has been read. Evicting one frame then frees
-        enough memory for another frame.
+        Each frame is assumed to be as large as the largest frame that has been read. With this estimate, evicting one
+        frame frees enough memory for another frame.
         """
         if self._largest is None:
             return min(_MIN_FRAMES, self._frame_count)

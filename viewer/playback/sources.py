@@ -110,8 +110,8 @@ def open_frame_source(path: Path) -> BakedFrameSource:
     manifest = source.manifest
     if manifest.frame_count == 0:
         source.close()
-        raise UserError(f"{path}: expected at least one frame, got a scene without frames; export it again")
+        raise UserError(f"{path}: expected at least one frame, got a scene without frames; export the scene again")
     if manifest.points and not any(manifest.points) and manifest.background_nbytes == 0:
         source.close()
-        raise UserError(f"{path}: expected points in some frame, got a scene without points; export it again")
+        raise UserError(f"{path}: expected points in at least one frame, got none; export the scene again")
     return source

@@ -27,7 +27,7 @@ class CPURenderer:
         self._pixels: NDArray[np.uint8] | None = None
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
-        """The rendered image, (H, W, 4) uint8. The next call overwrites this array."""
+        """The rendered image, (H, W, 4) uint8. The next call of :meth:`render` overwrites the image."""
         shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
             self._pixels = np.empty(shape, np.uint8)

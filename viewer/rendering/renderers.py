@@ -51,8 +51,8 @@ class Renderer(Protocol):
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        With ``wait``, the frame and the depth order are those of this request. Otherwise, the frame and the depth order
-        may be those of an earlier request.
+        With ``wait``, the frame and the depth order are those of ``request``. Without ``wait``, the frame and the depth
+        order may be those of an earlier request.
         """
 
     def release(self) -> None:

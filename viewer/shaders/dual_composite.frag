@@ -11,7 +11,7 @@ uniform bool front_only;
 layout(location = 0) out vec4 next_front;
 layout(location = 1) out vec4 next_back;
 
-// Returns the premultiplied colour of the disc with this rank.
+// Returns the premultiplied colour that the disc with this rank has at the fragment.
 vec4 layer(float rank) {
     int texel = 2 * (int(rank) - 1);
     ivec2 at = ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW);

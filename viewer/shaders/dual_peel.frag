@@ -4,7 +4,8 @@
 // same rank.
 #include "alpha.glsl"
 
-// The previous pass stores the negative nearest rank and the farthest rank. In pixels without layers, both are -NONE.
+// The previous pass stores the negative nearest rank and the farthest rank. Both values are -NONE in pixels without
+// layers.
 uniform sampler2D bounds;
 uniform bool front_only;
 
