@@ -12,16 +12,17 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""Smallest visibility weight that counts: a view with a lower weight at a point is ignored there. The threshold bounds
-the ratio between two views' weights, so that a baked scene can store the weights in float16."""
+"""Smallest visibility weight that counts. A view whose weight at a point is lower does not contribute to the point's
+colour. The threshold limits the ratio between two views' weights, so that a baked scene can store the weights in
+float16."""
 
 
 class ImageEncoder(nn.Module):
-    """Feature pyramid over the source images. Its three levels have 8, 16 and 32 channels.
+    """Feature pyramid over the source images. The three levels of the pyramid have 8, 16 and 32 channels.
 
-    It maps (V, 3, H, W) in [0, 1] to (V, image_features, H / stride, W / stride). H and W are multiples of 4 * stride.
-    No layer normalises over the image. A crop therefore has the same features as the whole image, except near the
-    crop's border.
+    The encoder maps V images (V, 3, H, W) in [0, 1] to features (V, image_features, H / stride, W / stride). The image
+    sides H and W are multiples of 4 * stride. No layer normalises its input by statistics of the whole image.
+    Therefore, an image crop has the same features as the whole image, except near the crop's border.
     """
 
     def __init__(self, out_features: int, stride: int) -> None:
@@ -36,7 +37,8 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # The kernel that samples the features reads all channels of a pixel at once, so they are stored together.
+        # The kernel that samples the features reads all channels of a pixel at once, so a pixel's channels are stored
+        # together.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
@@ -49,8 +51,8 @@ class BlendHead(nn.Module):
     """MLP that predicts a blend logit for each point and source view.
 
     The input of the first layer is [point feature, image sample, optional direction]. The part that depends on the
-    point feature alone is computed once for each point instead of once for each view. The result differs only by
-    rounding, because the terms are summed in another order.
+    point feature alone is computed once for each point instead of once for each point and view. This changes the logits
+    only by rounding errors, because the terms are summed in another order.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -91,17 +93,18 @@ class HarmonicsHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> Tensor:
-        """SH coefficients (N, 3, 16) from the output (N, H) of the layer ``first``."""
+        """Compute the SH coefficients (N, 3, 16) from the output (N, H) of the layer ``first``."""
         return self.layers(hidden).reshape(-1, 3, SH_TERMS)
 
 
 def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:
-    """Colours (N, 3) ``base + colour_range * tanh(sh . Y(d))`` from ``sh`` (N, 3, 16) and unit directions d (N, 3)."""
+    """Compute colours (N, 3) from SH coefficients ``sh`` (N, 3, 16) and unit directions d (N, 3). The colour is ``base
+    + colour_range * tanh(sh . Y(d))``, where Y are the 16 SH basis functions."""
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
 def zero_low_visibility(visibility: Tensor) -> Tensor:
-    """Visibility weights in [0, 1], where values below MIN_VISIBILITY are replaced by 0."""
+    """Replace visibility weights below MIN_VISIBILITY by 0. All weights are in [0, 1]."""
     return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 
@@ -110,10 +113,10 @@ def blend(logits: Tensor, visibility: Tensor, colours: Tensor, base: Tensor | No
 
     Args:
         logits: (V, N).
-        visibility: (V, N) in [0, 1]; views below MIN_VISIBILITY get no weight.
+        visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
         colours: (V, N, 3).
-        base: (N, 3) the points' own colours, or None. If they are given, a view with visibility v and colour c
-            contributes v c + (1 - v) base instead of c.
+        base: (N, 3) the points' own colours, or None. With ``base``, a view with visibility v and colour c contributes
+            the colour v c + (1 - v) base instead of c.
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets ``base`` or, without ``base``, the mean of the views'

@@ -7,7 +7,8 @@ from typing import Literal
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise ValueError(message) unless ``condition`` is true. Code that reads config files adds the file and key."""
+    """Raise ValueError(message) unless ``condition`` is true. The code that reads config files adds the file's name and
+    the key to the message."""
     if not condition:
         raise ValueError(message)
 

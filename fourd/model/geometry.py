@@ -17,8 +17,8 @@ class GeometryHead(nn.Module):
     """MLP with two hidden layers that predicts radius and density (4K4D, eq. 1 and supplement).
 
     For the MLP's outputs a and b, ``radius = low + (high - low) * sigmoid(a + offset)`` and ``density = sigmoid(b +
-    5)``. The offset is such that ``a = 0`` gives the configured initial radius. Radii are multiples of the points'
-    spacing.
+    5)``. The offset is chosen so that ``a = 0`` gives the configured initial radius. A radius is a multiple of the
+    spacing between points.
     """
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
@@ -41,7 +41,8 @@ class GeometryHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Radius (N,) in spacings and density (N,) in (0, 1) from the output (N, H) of the layer ``first``."""
+        """Compute radius (N,), as a multiple of the spacing, and density (N,) in (0, 1). The input is the output (N, H)
+        of the layer ``first``."""
         raw_radius, raw_density = self.layers(hidden).unbind(-1)
         share = torch.sigmoid(raw_radius + self.radius_offset)
         radius = self.radius_low + (self.radius_high - self.radius_low) * share

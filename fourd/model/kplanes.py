@@ -16,13 +16,14 @@ class KPlanes(nn.Module):
     """Multi-resolution feature planes over (x, y, z, t) (Fridovich-Keil et al. 2023, sec. 3).
 
     Coordinates are (N, 4) float32 in [-1, 1]. Coordinates outside this range are clamped to it. The first and last
-    samples of each axis lie on the borders (``align_corners=True``). With F frames, the time planes therefore have one
-    row for each frame. Features are differentiable in the planes and the coordinates. Each plane has the shape (rows,
-    columns, features), so that all features of one sample are adjacent in memory.
+    samples of each plane axis are at -1 and 1 (``align_corners=True``). With F frames, the time planes have F rows, one
+    per frame. Features are differentiable in the planes and the coordinates. Each plane has the shape (rows, columns,
+    features), so that all features of one sample are adjacent in memory.
     """
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
-        """``sides`` are the side lengths of the bounds, in any unit. The longest side gets the full resolution."""
+        """``sides`` are the side lengths of the bounds, in any unit. The planes have their full resolution along the
+        longest side of the bounds."""
         super().__init__()
         self.config = config
         pairs = SPACE_PAIRS + (TIME_PAIRS if config.time else ())
@@ -37,8 +38,8 @@ class KPlanes(nn.Module):
 
     @property
     def out_features(self) -> int:
-        """Number of output channels: the sum over all planes and levels for concat, the sum over all levels
-        otherwise."""
+        """Number of output channels. For the reduction "concat", this is the sum of the channels over all planes and
+        levels. For the other reductions, it is the sum of the channels over all levels."""
         planes = len(self.pairs) if self.config.reduction == "concat" else 1
         return self.config.levels * self.config.features * planes
 
@@ -55,7 +56,7 @@ class KPlanes(nn.Module):
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)
         if self.config.reduction == "product":
-            # If all planes were zero, the gradient of the product would be zero. As in K-Planes, time planes start at
-            # one.
+            # Initial values of 0 would make the gradient of the product 0. As in K-Planes, the initial value of time
+            # planes is 1.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)

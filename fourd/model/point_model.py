@@ -24,13 +24,13 @@ RGB = 3
 
 @dataclass(frozen=True)
 class PointFeatures:
-    """Output of each head's first layer for N points, computed from the points' K-Planes features. Each output is (N,
-    H), before the ReLU.
+    """Output of each head's first layer for N points, computed from the points' K-Planes features. Each output has the
+    shape (N, H) and is taken before the ReLU.
 
     Attributes:
         geometry: output of the geometry head's first layer.
-        blend: output of the blend head's first layer; None without image-based colour.
-        harmonics: output of the harmonics head's first layer; None if there is no such head.
+        blend: output of the blend head's first layer; None if the model has no image-based colour.
+        harmonics: output of the harmonics head's first layer; None if the model has no harmonics head.
     """
 
     geometry: Tensor
@@ -47,11 +47,12 @@ class EvaluatedPoints:
         radius: (N,) radii in world units.
         density: (N,) densities in (0, 1).
         spacing: (N,) distance between neighbouring points in world units.
-        displacement: (N, 3) displacement by the residual field, contained in ``xyz``; None without a residual field.
-        features: hidden features of the heads.
-        explicit_sh: (N, 48) optimised SH coefficients; None where an MLP gives them.
-        rgb: (N, 3) the points' own colours, passed to ``blend`` as ``base``: the lower a view's visibility weight at a
-            point, the more the own colour replaces the view's colour. None uses the views' colours only.
+        displacement: (N, 3) displacement by the residual field, which ``xyz`` already includes; None if the model has
+            no residual field.
+        features: outputs of the first layers of the heads.
+        explicit_sh: (N, 48) optimised SH coefficients; None if an MLP predicts the SH coefficients.
+        rgb: (N, 3) the points' own colours, or None to use the views' colours only. A view's colour is mixed with the
+            point's own colour according to the view's visibility weight; see ``base`` of ``blend``.
     """
 
     xyz: Tensor
@@ -65,10 +66,10 @@ class EvaluatedPoints:
 
 
 class PointModel(nn.Module):
-    """The networks that all frames share. Points are stored for each frame, outside this model.
+    """The networks of the point model, which all frames share. The points of each frame are stored outside this model.
 
-    Points are (N, 3) float32 in world units. Time is in [0, 1]. ``shadow`` is the field of the foreground's shadows on
-    the background; only the model of a background has it.
+    Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. ``shadow`` is the field
+    of the foreground's shadows on the background. Only the model of a background has a shadow field.
     """
 
     lower: Tensor
@@ -91,8 +92,8 @@ class PointModel(nn.Module):
             upper: (3,) upper corner of the bounds.
             spacing: mean distance between neighbouring points in world units.
             frame_count: number of frames of the whole capture, which is the number of rows of the time planes.
-            contraction: function that maps unbounded space into the volume of the planes; with None, the planes cover
-                the bounds only.
+            contraction: function that maps unbounded space into the volume of the planes. If it is None, the planes
+                cover the scene's bounds only.
         """
         super().__init__()
         self.config = config
@@ -122,14 +123,14 @@ class PointModel(nn.Module):
 
     @property
     def sh_base(self) -> float:
-        """Constant colour to which the SH part is added: mid grey for colour from SH alone, 0 with image-based
+        """Constant to which the colour from SH is added: 0.5 (mid grey) if colour is SH alone, 0 with image-based
         colour."""
         return 0.5 if self.config.appearance == "sh" else 0.0
 
     @property
     def sh_range(self) -> float:
-        """Maximum absolute value of the SH part. For colour from SH alone it is 0.75, so that all colours are in
-        range."""
+        """Maximum absolute value of the colour from SH. If colour is SH alone, this maximum is 0.75, so that every
+        colour in [0, 1] can be reached."""
         return 0.75 if self.config.appearance == "sh" else self.config.sh_range
 
     def evaluate(
@@ -141,16 +142,16 @@ class PointModel(nn.Module):
         explicit_sh: Tensor | None = None,
         rgb: Tensor | None = None,
     ) -> EvaluatedPoints:
-        """Compute positions, radii and densities of points at ``time``. :meth:`colour` computes their colours for a
-        viewer.
+        """Compute positions, radii and densities of points at ``time``. :meth:`colour` then computes the points'
+        colours for a viewing camera.
 
         The result is differentiable. The positions ``xyz`` get no gradient through the K-Planes features of geometry
         and appearance.
 
         Args:
             xyz: (N, 3) optimised positions in world units.
-            spacing: (N,) distance between neighbouring points in world units; radii are multiples of it.
-            time: in [0, 1].
+            spacing: (N,) distance between neighbouring points in world units. Radii are proportional to this distance.
+            time: time of the frame in [0, 1].
             explicit_sh: (N, 48) optimised SH coefficients; see :class:`EvaluatedPoints`.
             rgb: (N, 3) the points' own colours; see :class:`EvaluatedPoints`.
         """
@@ -175,11 +176,11 @@ class PointModel(nn.Module):
         Args:
             points: the output of :meth:`evaluate`.
             viewer: the viewing camera.
-            sources: the N' views nearest to the viewer; None if colour is SH alone.
-            shadow: factors by which the image-based colours are multiplied. An exported scene stores the factors as
-                bytes and applies them to image-based colours, too.
-            train_encoder: whether the image encoder gets a gradient. A step without this gradient takes a third less
-                time.
+            sources: the source views nearest to the viewing camera; None if colour is SH alone.
+            shadow: factors by which the image-based colours are multiplied. An exported scene stores the same factors
+                as bytes.
+            train_encoder: whether the image encoder gets a gradient. A training step without this gradient takes a
+                third less time.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:
@@ -209,12 +210,13 @@ class PointModel(nn.Module):
         return torch.cat([space, torch.full_like(space[:, :1], 2 * time - 1)], dim=1)
 
     def encode_images(self, images: Tensor) -> Tensor | None:
-        """Features (V, image_features, H / stride, W / stride) of images (V, 3, H, W); None without image-based
-        colour."""
+        """Features (V, image_features, H / stride, W / stride) of V images (V, 3, H, W). The result is None if the
+        model has no image-based colour."""
         return None if self.image_encoder is None else self.image_encoder(images)
 
     def harmonics(self, points: EvaluatedPoints) -> Tensor | None:
-        """SH coefficients (N, 3, 16), predicted by the MLP or explicit; None if colour has no SH part."""
+        """SH coefficients (N, 3, 16) of the points, from the MLP or from ``explicit_sh``; None if the model uses no
+        SH."""
         if self.config.appearance == "ibr":
             return None
         if self.harmonics_head is not None:
@@ -226,8 +228,8 @@ class PointModel(nn.Module):
     def blend_logits(
         self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None
     ) -> Tensor:
-        """Blend logits (V, N) of the source views. ``viewer`` is used by continuous blending only and may otherwise be
-        None."""
+        """Blend logits (V, N) of the source views. Only continuous blending uses ``viewer``; without continuous
+        blending, ``viewer`` may be None."""
         assert self.blend_head is not None
         assert points.features.blend is not None
         directions = None
@@ -253,8 +255,8 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """(V, N, 4) difference (3) between viewing direction and source direction, and the cosine (1) of their angle (as in
-    IBRNet)."""
+    """Viewing direction relative to the source directions, (V, N, 4), as in IBRNet. The first three numbers are the
+    viewing direction minus the source direction. The last number is the cosine of the angle between them."""
     target = unit_directions(xyz, viewer)
     parts = []
     for camera in cameras:

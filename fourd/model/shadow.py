@@ -18,9 +18,10 @@ MARGIN = 0.5
 """Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
 FADE = 0.25
 """Width of the zone at the field's border in which shadows fade out, as a share of the distance from border to centre.
-Without this zone, shadows would end in a sharp edge."""
+Without this zone, shadows would end in a sharp edge at the border."""
 GAIN = 3.0
-"""Factor on the MLP's output. It speeds up learning. This is necessary because only few steps render each frame."""
+"""Factor by which the MLP's output is multiplied so that the field learns faster. Each frame is rendered in only a few
+training steps, which is too few for slow learning."""
 STRENGTH = 127 / 128
 """Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store this range in units of 1/128."""
 
@@ -30,21 +31,21 @@ class Shadow:
     """The shadow on N points at one time.
 
     Attributes:
-        factor: (N,) factor in (0, 2) on image-based colours; 1 where there is no shadow. It is differentiable in the
-            field's parameters.
-        is_inside: (N,) bool, whether the point lies within the field.
+        factor: (N,) factor in (0, 2) by which image-based colours are multiplied; 1 where there is no shadow. The
+            factor is differentiable in the parameters of the shadow field.
+        is_inside: (N,) bool, whether the point is inside the shadow field.
     """
 
     factor: Tensor
     is_inside: Tensor
 
     def apply(self, colour: Tensor) -> Tensor:
-        """Image-based colours (N, 3) times the shadow factor. Inside the field, the gradient reaches the factor but not
-        ``colour``, as in :meth:`detach_inside`."""
+        """Image-based colours (N, 3) times the shadow factor. For points inside the field, the shadow factor gets a
+        gradient but ``colour`` does not, as in :meth:`detach_inside`."""
         return self.detach_inside(colour) * self.factor[:, None]
 
     def detach_inside(self, colour: Tensor) -> Tensor:
-        """The same colours (N, 3), detached from the gradient inside the field.
+        """Return ``colour`` (N, 3) unchanged, but without gradient for points inside the field.
 
         Inside the field, clean plates train the background's colours, and frames train only the shadow.
         """
@@ -55,8 +56,8 @@ class ShadowField(nn.Module):
     """Small K-Planes with time planes, followed by a small MLP. The field covers the foreground's bounds, extended by a
     margin.
 
-    ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0. Hence
-    the factor is exactly 1 before training, and it stays 1 wherever the planes never get a gradient.
+    ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0.
+    Therefore, the factor is exactly 1 before training. It remains 1 wherever the planes never get a gradient.
     """
 
     lower: Tensor

@@ -1,5 +1,5 @@
-"""Linear layers over the same input, computed as one matrix product. The input is then read once instead of once for
-each layer."""
+"""Several linear layers over the same input, computed as one matrix product. The single product reads the input only
+once."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from torch.autograd.function import once_differentiable
 
 
 def shared_linear(features: Tensor, layers: Sequence[nn.Linear]) -> list[Tensor]:
-    """Outputs of all ``layers`` for ``features`` (N, F). Each output is (N, width of its layer), a view of one array.
+    """Outputs of all ``layers`` for ``features`` (N, F). The output of a layer of width M is a view (N, M) of the array
+    that contains all outputs.
 
-    The outputs equal those of separate layers up to the order of the sums. They are differentiable once in features,
-    weights and biases.
+    The outputs equal the outputs of separate layers, up to rounding errors from the order of summation. The outputs are
+    differentiable once in features, weights and biases.
     """
     parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]
     return list(_SharedLinear.apply(features, *parameters))

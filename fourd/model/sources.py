@@ -12,8 +12,9 @@ from fourd.ops.sources import op as ops
 from fourd.ops.sources import reference
 
 OCCLUSION_FALLOFF_SPACINGS = 1.0
-"""Decay length of an occluded point's visibility weight, in spacings. The weight decays exponentially with the point's
-depth behind the surface. The decay starts at a depth of two decay lengths."""
+"""Decay length of an occluded point's visibility weight, in multiples of the distance between neighbouring points. The
+weight decays exponentially with the point's depth behind the nearest surface. The decay starts two decay lengths behind
+that surface."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,8 @@ class SourceViews:
         mattes: (V, H, W) float32 in [0, 1]; 1 where the object covers the pixel.
         depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there is no surface; None
             if occlusion is not tested.
-        cameras: the V cameras of the crops.
-        encoded: (V, C, h, w) cached features of the image encoder; None if the encoder must run.
+        cameras: the V cameras of the cropped or padded images.
+        encoded: (V, C, h, w) cached features of the image encoder; None if the features are not cached.
     """
 
     images: Tensor
@@ -42,8 +43,8 @@ class SourceSamples:
 
     Attributes:
         channels: (V, N, C) image features followed by RGB (the last three channels), differentiable.
-        visibility: (V, N) visibility weights in [0, 1], without gradient: the squared matte times the decay due to
-            occlusion.
+        visibility: (V, N) visibility weights in [0, 1], without gradient. A weight is the squared matte times the
+            occlusion factor.
     """
 
     channels: Tensor
@@ -58,18 +59,19 @@ class SourceSamples:
 def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor) -> SourceSamples:
     """Project points into every source view and sample the views bilinearly.
 
-    The matte is squared because a pixel on the silhouette contains background colour: the visibility weight must fall
-    faster than the coverage. For float32 inputs, one fused kernel computes projection and samples, on the CPU or, if
-    the CUDA kernels are compiled, on a CUDA device.
+    A point's visibility weight in a view is the squared matte times the occlusion factor. The matte is squared because
+    pixels on the silhouette contain background colour, so that their weight must be lower than their coverage. For
+    float32 inputs, one fused kernel projects the points and samples the views. This kernel runs on the CPU or, if the
+    CUDA kernels are compiled, on a CUDA device.
 
     Args:
-        xyz: (N, 3) points in world units. Gradients flow through the projection.
-        sources: the views.
-        features: (V, C, h, w) features of the same views from the image encoder, at the encoder's resolution; None for
-            RGB alone.
+        xyz: (N, 3) points in world units. They get gradients through the projection.
+        sources: the source views.
+        features: (V, C, h, w) features of ``sources`` from the image encoder, at the encoder's resolution; None to
+            sample RGB alone.
         softness: (N,) decay length of a point's visibility weight, in world units. The weight decays exponentially with
-            the point's depth behind the view's surface. The decay starts at a depth of two decay lengths. ``softness``
-            gets no gradient.
+            the point's depth behind the nearest surface in the view. The decay starts two decay lengths behind that
+            surface. ``softness`` gets no gradient.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)
@@ -78,9 +80,9 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
 
 
 def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Tensor]:
-    """Project world points (N, 3) into V cameras. Returns pixels (V, N, 2) and depths (V, N) in world units.
+    """Project world points (N, 3) into V cameras. Returns pixel coordinates (V, N, 2) and depths (V, N) in world units.
 
-    Points at or behind a camera get pixels far outside its image.
+    A point at or behind a camera gets pixel coordinates far outside the camera's image.
     """
     return reference.project_points(xyz, _pack_cameras(cameras))
 

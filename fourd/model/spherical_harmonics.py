@@ -14,7 +14,7 @@ def sh_basis(directions: Tensor) -> Tensor:
     """The 16 real spherical harmonics up to degree 3 at given directions.
 
     Args:
-        directions: (..., 3) unit vectors. They are not normalised here.
+        directions: (..., 3) unit vectors. This function does not normalise the vectors.
 
     Returns:
         (..., 16) values, differentiable in ``directions``. The functions are orthonormal over the sphere.
