@@ -1,8 +1,8 @@
 """Access to the CUDA kernels for torch tensors: the native module, the stream and scratch memory.
 
-No function here synchronizes with the GPU. For CPU tensors the same functions run the CUDA sources in a slow emulator,
-which runs one CUDA thread after another. The emulator serves to test the kernels on machines without a GPU. The
-operators use the emulator if FOURD_SIMD=emulated is set.
+No function of this module waits for the GPU. For CPU tensors, these functions run the CUDA sources in a slow emulator,
+which executes one CUDA thread after another. The emulator is for tests of the kernels on machines without a GPU. The
+operators use the emulator if the environment variable FOURD_SIMD is "emulated".
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Gpu:
     """The kernels of one device.
 
     Attributes:
-        kernels: ``fourd._cuda``, or ``fourd._emulated`` for the CPU.
+        kernels: native module: ``fourd._cuda``, or ``fourd._emulated`` for the CPU.
         estimator: native object that predicts the number of (point, tile) pairs of the next image on this device.
         device: device that the kernels run on.
     """
@@ -36,11 +36,11 @@ class Gpu:
 
     @property
     def stream(self) -> int:
-        """Handle of torch's current stream; 0 for the emulator."""
+        """Handle of torch's current CUDA stream; 0 for the emulator."""
         return torch.cuda.current_stream(self.device).cuda_stream if self.device.type == "cuda" else 0
 
     def activate(self) -> AbstractContextManager[Any]:
-        """Return a context manager that makes this the device on which kernels are launched."""
+        """Return a context manager in which kernels are launched on ``device``."""
         return torch.cuda.device(self.device) if self.device.type == "cuda" else nullcontext()
 
     def allocate(self, size: int) -> Tensor:
@@ -53,7 +53,7 @@ class Gpu:
 
 @cache
 def load_gpu(device: torch.device) -> Gpu:
-    """Load the kernels for a device. The CPU gets the emulated kernels.
+    """Load the kernels for a device. For the CPU, the emulated kernels are loaded.
 
     Raises:
         ImportError: if the kernels are not built.
@@ -67,7 +67,7 @@ def load_gpu(device: torch.device) -> Gpu:
 
 @cache
 def cuda_unavailable_reason() -> str:
-    """Return why the CUDA kernels cannot be loaded, or '' if they can."""
+    """Return the reason why the CUDA kernels cannot be loaded, or '' if they can be loaded."""
     try:
         import_module("fourd._cuda")
     except ImportError as cause:
@@ -76,10 +76,11 @@ def cuda_unavailable_reason() -> str:
 
 
 def uses_gpu_kernels(tensor: Tensor) -> bool:
-    """Return whether operators run CUDA kernels on this tensor: it is on a CUDA device, or FOURD_SIMD is "emulated"."""
+    """Return whether operators run CUDA kernels on this tensor. CUDA kernels run if the tensor is on a CUDA device or
+    if the environment variable FOURD_SIMD is "emulated"."""
     return tensor.device.type == "cuda" or simd_name() == "emulated"
 
 
 def contiguous(tensor: Tensor) -> Tensor:
-    """Return the detached tensor in contiguous memory. The data is copied only if it is not contiguous."""
+    """Return the detached tensor in contiguous memory. A tensor that is already contiguous is not copied."""
     return tensor.detach().contiguous()

@@ -12,7 +12,7 @@ def load_native() -> ModuleType:
     """Import and return ``fourd._native``.
 
     Raises:
-        ImportError: if the module cannot be loaded. The message names the cause and the fix.
+        ImportError: if the module cannot be loaded. The error message names the cause and the fix.
     """
     try:
         return import_module("fourd._native")
@@ -24,14 +24,15 @@ def load_native() -> ModuleType:
 
 
 def as_array(tensor: Any) -> Any:
-    """Return a CPU tensor as a contiguous NumPy array. The data is copied only if the tensor is not contiguous."""
+    """Return a CPU tensor as a contiguous NumPy array. A tensor that is already contiguous is not copied."""
     return tensor.detach().contiguous().numpy()
 
 
 def thread_count(threads: int, default: int | None = None) -> int:
-    """Return the number of threads.
+    """Return the number of threads that a kernel uses.
 
-    This is the first of these that is set: ``threads`` if positive, FOURD_THREADS, ``default``, all available cores.
+    A positive ``threads`` comes first, then the environment variable FOURD_THREADS, then ``default``. If none of these
+    is set, a kernel uses all available cores.
 
     Raises:
         ValueError: for a negative ``threads`` or an invalid FOURD_THREADS.

@@ -1,6 +1,6 @@
 """The differentiable point renderer: :func:`render_points` and :func:`point_visibility`.
 
-torch is loaded on the first use of one of these names, not on import.
+The package loads torch on the first use of one of these two functions, not when the package is imported.
 """
 
 from __future__ import annotations

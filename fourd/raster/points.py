@@ -22,10 +22,10 @@ class PointRender:
     """A rendered image.
 
     Attributes:
-        features: (H, W, C) composited features. They include the background if one is given.
+        features: (H, W, C) composited features, including the background if a background is given.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) mean camera depth of the composited points, weighted by transmittance times alpha, in world units;
-            0 where the image's alpha is 0.
+        depth: (H, W) weighted mean camera depth of the composited points in world units. The weight of a point is the
+            transmittance in front of it times its alpha. The depth is 0 where ``alpha`` is 0.
     """
 
     features: Tensor
@@ -49,33 +49,38 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    Point i has camera depth z_i, projected centre q_i and a radius of rho_i = K[1, 1] * radius_i / z_i pixels. At pixel
-    centre p its opacity is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0). The points with alpha_i(p) > 0
-    are sorted by z, and points of equal z by index. The first ``layers`` of them are composited over the background.
+    Point i has camera depth z_i, projected centre q_i and a radius of rho_i = K[1, 1] * radius_i / z_i pixels, where K
+    is the intrinsic matrix. At pixel centre p, the opacity of point i is alpha_i(p) = density_i * max(1 - |q_i - p|^2 /
+    rho_i^2, 0). The points with alpha_i(p) > 0 are sorted by depth, and points of equal depth by index. The first
+    ``layers`` points are composited over the background.
 
-    All three outputs are differentiable in xyz, features, radius, density and background. The selection of the points
-    is treated as constant. On the CPU, the bits of results and gradients do not depend on the number of threads.
+    The rendered features, alpha and depth are differentiable in xyz, features, radius, density and background. The
+    gradient treats the selection of the points at each pixel as constant. On the CPU, results and gradients are
+    bit-identical for any number of threads.
 
     Args:
         xyz: (N, 3) positions, world units.
-        features: (N, C) colours or other features, with C from 1 to 32. Values are not checked: NaN and infinity
-            propagate to the pixels that composite the point.
+        features: (N, C) colours or other features, with C from 1 to 32. Values are not checked. NaN and infinity
+            propagate to all pixels that composite the point.
         radius: (N,) radii, world units.
         density: (N,) opacity at the centre, in [0, 1]. Larger values are clamped to 1.
         camera: a pinhole camera without lens distortion.
-        layers: K, the maximum number of points that a pixel composites.
+        layers: maximum number of points that a pixel composites.
         near: camera depth, in world units, below which points are culled. Points are also culled if their radius or
             density is not positive, or if their position, radius, density or projection is not finite. Culled points
             have zero gradients.
-        background: (C,) or (H, W, C) features behind the points, weighted by 1 - alpha. None for zeros.
+        background: (C,) or (H, W, C) features behind the points, weighted by 1 - alpha. None means a background of
+            zeros.
         backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
             "auto" for the kernel of the tensors' device.
-        transmittance_min: transmittance below which compositing of a pixel stops. 0 is exact and required for
-            gradients; 1e-4 is faster. The "reference" backend ignores it and is always exact.
-        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
+        transmittance_min: transmittance below which compositing of a pixel stops. With 0, the result is exact;
+            gradients require 0. The value 1e-4 is faster. The "reference" backend ignores this argument and is always
+            exact.
+        threads: number of threads of the "cpu" backend. 0 means FOURD_THREADS if that is set, else
+            torch.get_num_threads().
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
         RuntimeError: if the backend is not built.
     """
     arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}

@@ -14,19 +14,20 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
     """Compute ``5 tanh((out . relu(point + weight sample) + bias) / 5)`` for every point and source view.
 
-    This is the blend MLP of 4K4D (sec. 3.2). The part of the first layer that depends only on the point is an input,
-    because it is the same for all views. Float32 inputs on the CPU use a kernel that does not store the hidden layer.
-    Other inputs use :func:`fourd.ops.blend.reference.blend_logits_reference`.
+    The function is the blend MLP of 4K4D (sec. 3.2). The argument ``point`` is the part of the first layer that depends
+    only on the point, which is the same for all views. Float32 inputs on the CPU use a kernel that does not store the
+    hidden layer. Other inputs use :func:`fourd.ops.blend.reference.blend_logits_reference`.
 
     Args:
         point: (N, H) contribution of each point to the hidden layer, with H from 1 to 256.
-        samples: (V, C, N) image features and colours sampled from each view at each point, with C from 1 to 64.
+        samples: (V, C, N) image features and colours of each view, sampled at each point's projection, with C from 1 to
+            64.
         weight: (H, C) weights from the samples to the hidden layer.
         out: (H,) weights from the hidden layer to the output.
         bias: (1,) bias of the output.
 
     Returns:
-        (V, N) logits in [-5, 5]. Differentiable in all arguments. The gradient's bits do not depend on the number of
+        (V, N) logits in [-5, 5]. Differentiable in all arguments. The gradient is bit-identical for any number of
         threads.
 
     Raises:
@@ -59,7 +60,7 @@ def _logits_backward(
     point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor, logits: Tensor, gradient: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     gradients = _empty_gradients(point, samples, weight, out, bias)
-    # The kernel takes the transposed weight matrix and returns the transposed gradient of the weights.
+    # The kernel expects the transposed weight matrix and returns the transposed gradient of the weights.
     grad_weight = weight.new_empty(weight.shape[1], weight.shape[0])
     targets = [gradients[0], gradients[1], grad_weight, gradients[3], gradients[4]]
     load_native().blend_logits_backward(

@@ -18,28 +18,28 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
     """Interpolate every level of a hash grid trilinearly and concatenate the features.
 
     This is the encoding of Instant-NGP, with the same constants (Mueller et al. 2022, Instant Neural Graphics
-    Primitives with a Multiresolution Hash Encoding, sec. 3). A level has s = resolution + 1 samples per
-    side. If it has at most 2^log2_entries samples in total, the sample with indices (x, y, z) is in row
-    x + y s + z s^2 of the level. Otherwise this sample is in row (x xor 2654435761 y xor 805459861 z) mod
-    2^log2_entries, computed in 32 bits.
+    Primitives with a Multiresolution Hash Encoding, sec. 3). A level of the grid has s = resolution + 1 samples per
+    side. If a level has at most 2^log2_entries samples in total, the sample with indices (x, y, z) is in row x + y s +
+    z s^2 of the level. In a level with more samples, the sample (x, y, z) is in row (x xor 2654435761 y xor 805459861
+    z) mod 2^log2_entries, computed in 32 bits.
 
     Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built. Other inputs use
     :func:`fourd.ops.hashgrid.reference.encode_hash_grid_reference`.
 
     Args:
         coordinates: (N, 3) x, y, z in [0, 1], float32 or float64. Values outside [0, 1] are clamped; NaN counts as 0.
-            The first and last samples of a level lie at 0 and 1.
+            The first and last samples of a level are at 0 and 1.
         table: (shape.total_entries, shape.features) features, with the dtype and device of the coordinates.
         shape: sizes of the grid.
 
     Returns:
-        (N, shape.out_features), coarsest level first. Differentiable once in the table and in the coordinates; clamped
-        coordinates have a gradient of 0. Only required gradients are computed. On the CPU the gradient's bits do not
-        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU the gradient's last
-        bits vary between calls.
+        (N, shape.out_features), coarsest level first. The features are differentiable once in the table and in the
+        coordinates. Clamped coordinates have a gradient of 0. Gradients are computed only if autograd requests them. On
+        the CPU, the gradient is bit-identical for any number of threads (FOURD_THREADS, else torch.get_num_threads()).
+        On a GPU, the gradient's last bits vary between calls.
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
     """
     check_hash_grid(coordinates, table, shape)
     device = coordinates.device.type
@@ -129,7 +129,7 @@ def _backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, Tensor | None,
     needs_coordinates, needs_table = (bool(needed) for needed in ctx.needs_input_grad[:2])
     grid = (*ctx.saved_tensors, ctx.resolutions, ctx.log2_entries)
     grad_coordinates, grad_table = _encode_backward(*grid, gradient, needs_coordinates, needs_table)
-    # resolutions and log2_entries have no gradient.
+    # The arguments resolutions and log2_entries have no gradient.
     return grad_coordinates if needs_coordinates else None, grad_table if needs_table else None, None, None
 
 
@@ -143,7 +143,7 @@ def _empty_rows(coordinates: Tensor, table: Tensor, resolutions: Sequence[int]) 
 def _empty_gradients(
     coordinates: Tensor, table: Tensor, needs_coordinates: bool, needs_table: bool
 ) -> tuple[Tensor, Tensor]:
-    """Allocate the gradients. A gradient that is not needed is empty."""
+    """Allocate the gradients of coordinates and table. A gradient that is not needed is an empty tensor."""
     return (
         coordinates.new_empty(coordinates.shape[0] if needs_coordinates else 0, 3),
         table.new_empty(table.shape[0] if needs_table else 0, table.shape[1]),

@@ -32,11 +32,11 @@ def _level(positions: Tensor, values: Tensor, resolution: int) -> Tensor:
 
 
 def _entry_index(sample: Tensor, resolution: int, entries: int) -> Tensor:
-    """Return the index (N,) of each sample (N, 3) in a level that stores ``entries`` values."""
+    """Return the row index (N,) of each sample (N, 3) in a level that stores ``entries`` values."""
     x, y, z = sample.unbind(dim=1)
     side = resolution + 1
     if side**3 <= entries:
         return x + y * side + z * side**2
-    # ``entries`` is a power of two of at most 2^24. The mask keeps at most the 24 lowest bits, which are the same for
-    # 64-bit products as for 32-bit products.
+    # ``entries`` is a power of two of at most 2^24, so the mask ``entries - 1`` keeps at most the 24 lowest bits. These
+    # bits of a 64-bit product are equal to those of the 32-bit product.
     return (x * PRIMES[0] ^ y * PRIMES[1] ^ z * PRIMES[2]) & (entries - 1)

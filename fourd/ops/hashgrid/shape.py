@@ -13,29 +13,31 @@ MAX_LEVELS = 32
 MAX_FEATURES = 8
 LOG2_ENTRIES_RANGE = (4, 24)
 ROW_ALIGNMENT = 16
-"""The first row of every level is a multiple of this number, so that levels start at a cache line."""
+"""The index of the first table row of every level is a multiple of this number, so that levels start at a cache
+line."""
 MAX_RESOLUTION = 2**20
-"""Maximum number of cells per side. Up to this size, float32 resolves at least 16 positions within a cell."""
+"""Maximum number of cells per side. With at most this number, float32 resolves at least 16 positions within a cell."""
 
 
 @dataclass(frozen=True)
 class HashGridShape:
-    """Sizes of a hash grid. The symbols of Mueller et al. 2022 are in brackets.
+    """Sizes of a hash grid. The symbols of Mueller et al. 2022 are in brackets at the fields.
 
     Raises:
-        ValueError: for an invalid field. The message names the field and the expected value.
+        ValueError: for an invalid field. The error message names the field and the expected value.
     """
 
     levels: int = 16
-    """Number of levels, which are grids of different resolutions, 1 to 32 (L)."""
+    """Number of levels (L), 1 to 32. Each level is a grid with its own resolution."""
     features: int = 2
-    """Number of features per sample, 1 to 8 (F)."""
+    """Number of features per sample (F), 1 to 8."""
     log2_entries: int = 19
-    """Log2 of the maximum number of stored entries per level, 4 to 24 (log2 T). Levels with more samples are hashed."""
+    """Base-2 logarithm of the maximum number of stored entries per level (log2 T), 4 to 24. Levels with more samples
+    are hashed."""
     coarsest: int = 16
-    """Cells per side of the first level (N_min)."""
+    """Number of cells per side of the first, coarsest level (N_min)."""
     finest: int = 2048
-    """Cells per side of the last level, at most 2^20 (N_max)."""
+    """Number of cells per side of the last, finest level (N_max), at most 2^20."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -51,17 +53,17 @@ class HashGridShape:
 
     @property
     def resolutions(self) -> tuple[int, ...]:
-        """Cells per side of every level: a geometric progression from coarsest to finest.
+        """Number of cells per side of every level: a geometric progression from ``coarsest`` to ``finest``.
 
-        If there is only one level, it has the coarsest resolution.
+        If the grid has only one level, the level has ``coarsest`` cells per side.
         """
         growth = math.log(self.finest / self.coarsest) / max(self.levels - 1, 1)
-        # Without 1e-6, rounding could reduce the last level to one cell less than the finest resolution.
+        # The term 1e-6 prevents rounding errors from making the last level one cell smaller than ``finest``.
         return tuple(int(self.coarsest * math.exp(growth * level) + 1e-6) for level in range(self.levels))
 
     @property
     def entries(self) -> tuple[int, ...]:
-        """Number of stored entries of every level: the number of samples, but at most 2^log2_entries."""
+        """Number of stored entries of every level, which is the number of samples, but at most 2^log2_entries."""
         return tuple(min((side + 1) ** 3, 2**self.log2_entries) for side in self.resolutions)
 
     @property
@@ -85,7 +87,7 @@ def check_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) ->
     """Check the shapes, dtypes and devices of the arguments.
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
     """
     if coordinates.ndim != 2 or coordinates.shape[1] != 3:
         raise ValueError(f"coordinates: expected shape (N, 3), got {tuple(coordinates.shape)}")

@@ -25,18 +25,18 @@ def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[
         coordinates: (N, 4) x, y, z, t in [-1, 1], float32 or float64. Values outside [-1, 1] are clamped; NaN counts as
             -1.
         planes: tensors of shape (rows, columns, F) with the dtype of the coordinates, and with at least 2 rows and 2
-            columns. F is the same for all planes, from 1 to 64. The first and last samples lie at -1 and 1
-            (align_corners).
-        axes: two indices of coordinates per plane, from 0 to 3. The first coordinate selects the column of the plane,
-            the second the row.
+            columns. All planes have the same number F of features, from 1 to 64. The first and last samples of a plane
+            are at -1 and 1 (align_corners).
+        axes: two coordinate indices per plane, from 0 to 3. The first coordinate selects the column of the plane, and
+            the second coordinate selects the row.
 
     Returns:
-        (N, F * len(planes)). Differentiable in the planes and the coordinates. On the CPU the gradient's bits do not
-        depend on the number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU the gradient's last
-        bits vary between calls.
+        (N, F * len(planes)) features, differentiable in the planes and the coordinates. On the CPU, the gradient is
+        bit-identical for any number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU, the gradient's
+        last bits vary between calls.
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
     """
     _check(coordinates, planes, axes)
     device = coordinates.device.type
@@ -143,6 +143,6 @@ def _empty_samples(coordinates: Tensor, planes: Sequence[Tensor]) -> Tensor:
 def _empty_gradients(
     coordinates: Tensor, planes: Sequence[Tensor], needs_coordinates: bool
 ) -> tuple[list[Tensor], Tensor]:
-    """Allocate the gradients. The coordinates' gradient is empty unless it is needed."""
+    """Allocate the gradients. If the coordinates need no gradient, their gradient is an empty tensor."""
     grad_planes = [torch.empty_like(plane, memory_format=torch.contiguous_format) for plane in planes]
     return grad_planes, coordinates.new_empty(coordinates.shape if needs_coordinates else (0, 4))

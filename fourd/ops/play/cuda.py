@@ -27,16 +27,17 @@ def draw_points_gpu(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     out: Tensor | None = None,
 ) -> Tensor:
-    """Draw the image of :meth:`fourd.ops.play.op.PointPlayer.draw` on the tensors' device; bytes differ by at most 1.
+    """Draw the image of :meth:`fourd.ops.play.op.PointPlayer.draw` on the tensors' device, with a difference of at most
+    1 per byte.
 
-    Float16 arrays are passed as int16 tensors with the same bits. All tensors must be contiguous. The work is queued on
-    torch's current stream; this call does not wait for it. For CPU tensors, the emulated kernels run.
+    Pass float16 arrays as int16 tensors with the same bits. All tensors must be contiguous. The kernels are queued on
+    torch's current stream, and the call returns before they finish. For CPU tensors, the emulated kernels run.
 
     Returns:
-        (H, W, 4) uint8 on the device; this is ``out`` if it is given.
+        (H, W, 4) uint8 image on the device. If ``out`` is given, ``out`` itself is returned.
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
     """
     check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
     gpu = load_gpu(xyz.device)

@@ -1,7 +1,7 @@
 """Drawing and depth-sorting of baked points by the CPU kernels, for NumPy arrays.
 
-Both classes keep a workspace in native memory between calls. A native object supports only one call at a time, so each
-object has a lock that serializes calls from several threads.
+:class:`PointPlayer` and :class:`PointSorter` keep a workspace in native memory between calls. The native object
+supports only one call at a time. A lock therefore serializes calls from several threads to one object.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from fourd.ops.points.validation import check_points, pack_camera
 from fourd.ops.shade.shading import Shading
 
 MIN_TRANSMITTANCE = 1e-3
-"""Compositing of a pixel ends when its transmittance falls below this value.
+"""Compositing of a pixel ends when the pixel's transmittance falls below this value.
 
-The value is a quarter of an 8-bit step, so that the remaining points are not visible.
+The value is a quarter of an 8-bit step, so that the points that are not composited would not be visible.
 """
 
 
 class PointPlayer:
-    """Shades and composites baked points to an 8-bit image in one native call.
+    """Shades baked points and composites them to an 8-bit image in one native call.
 
-    Several threads may use one instance; a lock serializes their calls.
+    Several threads may use one instance, because a lock serializes their calls.
     """
 
     def __init__(self) -> None:
@@ -51,25 +51,26 @@ class PointPlayer:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw N points, which have a colour in each of V source views.
+        """Draw an image of N points. Each point has one colour per source view.
 
         Args:
             xyz: (N, 3) positions, world units.
-            radius: (N,) world units.
-            density: (N,) in [0, 1].
+            radius: (N,) radii, world units.
+            density: (N,) opacities at the centre, in [0, 1].
             sh, blend_weights, rgb, shading: inputs of :func:`fourd.ops.shade.op.shade_points`.
             camera: a pinhole camera without lens distortion.
-            layers: K, the maximum number of points that a pixel composites.
+            layers: maximum number of points that a pixel composites.
             near: camera depth below which points are culled, in world units.
             background: red, green and blue behind the points, in [0, 1].
             threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
-            out: C-contiguous (H, W, 4) uint8 array to draw into. None for a new array.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. With None, a new array is allocated.
 
         Returns:
-            (H, W, 4) uint8: RGB over the background, then alpha. This is ``out`` if it is given.
+            (H, W, 4) uint8 image. Its channels are RGB, composited over the background, and alpha. If ``out`` is given,
+            ``out`` itself is returned.
 
         Raises:
-            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+            TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
         out = _check_canvas(out, (camera.height, camera.width, 4))
@@ -103,7 +104,7 @@ def _check_canvas(out: NDArray[np.uint8] | None, shape: tuple[int, int, int]) ->
 
 
 class PointSorter:
-    """Sorts points by depth. Several threads may use one instance; a lock serializes their calls."""
+    """Sorts points by depth. Several threads may use one instance, because a lock serializes their calls."""
 
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
@@ -120,22 +121,23 @@ class PointSorter:
         *,
         threads: int = 0,
     ) -> NDArray[np.uint32]:
-        """Return the indices of the points in the image of ``camera``, nearest first, and by index at equal depths.
+        """Return the indices of the points in the image of ``camera``, sorted by depth with the nearest point first.
+        Points of equal depth are sorted by index.
 
         Occluded points are included. Points that :func:`fourd.raster.render_points` does not draw are omitted: points
-        nearer than ``near``, points outside the image, points with a radius or density that is not positive, and
-        points at a position that is not finite.
+        nearer than ``near``, points outside the image, points whose radius or density is not positive, and points whose
+        position is not finite.
 
         Args:
             xyz: (N, 3) positions, world units.
-            radius: (N,) world units, finite.
-            density: (N,) in [0, 1].
+            radius: (N,) finite radii, world units.
+            density: (N,) opacities at the centre, in [0, 1].
             camera: a pinhole camera without lens distortion.
             near: camera depth below which points are culled, in world units, above 0.
             threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
 
         Raises:
-            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+            TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, 1, near)
         order = np.empty(len(xyz), np.uint32)

@@ -13,9 +13,9 @@ from fourd.ops.shade.shading import Shading
 
 MAX_FLOAT32 = np.finfo(np.float32).max
 RADIUS_MARGIN = 1 + 1e-6
-"""The kernels enlarge discs by this factor before they search for covered pixels.
+"""The kernels enlarge the disc of a point by this factor before they search for the pixels that the disc covers.
 
-Rounding errors then do not omit a pixel.
+The factor makes sure that rounding errors do not omit a covered pixel.
 """
 
 
@@ -36,7 +36,8 @@ def draw_points_reference(
     """Compute the image of :meth:`fourd.ops.play.op.PointPlayer.draw` without early termination.
 
     Returns:
-        (H, W, 4) float32 in [0, 1]: RGB over the background, then alpha. Values are not rounded to bytes.
+        (H, W, 4) float32 image in [0, 1]. Its channels are RGB, composited over the background, and alpha. The values
+        are not rounded to bytes.
     """
     colours = shade_points_reference(xyz, sh, blend_weights, rgb, shading)
     rendered = render_points_reference(
@@ -62,7 +63,7 @@ def sort_points_reference(
 ) -> NDArray[np.uint32]:
     """Compute the result of :meth:`fourd.ops.play.op.PointSorter.sort` with a stable sort of float32 depths.
 
-    The float32 operations are the same, in the same order, as in ``csrc/points/maths.h``.
+    The function computes the same float32 operations in the same order as ``csrc/points/maths.h``.
     """
     k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
     radius_float, density_float = radius.astype(np.float32), density.astype(np.float32)

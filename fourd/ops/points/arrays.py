@@ -29,7 +29,8 @@ def render_points_numpy(
 ) -> tuple[Floats, Floats, Floats]:
     """Render points given as float32 arrays.
 
-    The arguments are those of :func:`fourd.raster.render_points`. The results have the same bits as on its CPU backend.
+    The arguments are those of :func:`fourd.raster.render_points`. The results are bit-identical to the results of that
+    function's CPU backend.
 
     With ``threads`` = 0, the number of threads is FOURD_THREADS if that is set, else all cores.
 
@@ -37,7 +38,7 @@ def render_points_numpy(
         features (H, W, C), alpha (H, W) and depth (H, W), float32.
 
     Raises:
-        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
     """
     arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}
     check_points(arrays, camera, layers, near)
@@ -72,7 +73,7 @@ def point_visibility_numpy(
     near: float = 0.01,
     threads: int = 0,
 ) -> Floats:
-    """Compute the (N,) float32 weights of :func:`fourd.raster.point_visibility`, from the same arguments."""
+    """Compute the (N,) float32 weights of :func:`fourd.raster.point_visibility`, which has the same arguments."""
     arrays: dict[str, Any] = {"xyz": xyz, "radius": radius, "density": density}
     check_points(arrays, camera, layers, near)
     out = np.empty(radius.shape, np.float32)

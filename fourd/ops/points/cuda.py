@@ -9,7 +9,8 @@ from torch import Tensor
 from fourd.ops.gpu import Gpu, contiguous, load_gpu
 
 MAX_LAYERS_BACKWARD = 64
-"""Maximum number of layers of the gradient kernel, which stores a pixel's layers in the memory of one thread."""
+"""Maximum number of depth layers per pixel of the gradient kernel. Each thread of this kernel stores the layers of one
+pixel in its own memory."""
 
 
 def render(
@@ -70,7 +71,7 @@ def visibility(
     near: float,
     out: Tensor,
 ) -> None:
-    """Write every point's largest compositing weight over all pixels, (N,), to ``out``.
+    """Write each point's maximum compositing weight over all pixels to ``out`` (N,).
 
     ``size`` is (width, height) in pixels.
     """

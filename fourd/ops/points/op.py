@@ -1,6 +1,6 @@
-"""Compositing of points: the operators ``torch.ops.fourd.render_points``, its gradient, and ``point_visibility``.
+"""Compositing of points: the operators ``torch.ops.fourd.render_points`` (with its gradient) and ``point_visibility``.
 
-:mod:`fourd.raster.points` is the public API: it checks the arguments and selects the backend. The operators support
+The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.points`. The operators support
 autograd and ``torch.library.opcheck``, and ``torch.compile`` through fake implementations.
 """
 
@@ -30,7 +30,7 @@ def render(
     transmittance_min: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Render features (H, W, C), alpha (H, W) and depth (H, W); ``camera`` comes from ``pack_camera``."""
+    """Render features (H, W, C), alpha (H, W) and depth (H, W). ``camera`` is the result of ``pack_camera``."""
     out = _empty_image(features, width, height)
     if uses_gpu_kernels(xyz):
         gpu.render((xyz, features, radius, density), camera, layers, near, transmittance_min, out)
@@ -74,7 +74,7 @@ def render_backward(
     near: float,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute the gradients of xyz, features, radius and density from the gradients of the images."""
+    """Compute the gradients of xyz, features, radius and density from the gradients of the rendered images."""
     inputs = (xyz, features, radius, density)
     out = _empty_gradients(*inputs)
     if uses_gpu_kernels(xyz):
@@ -152,7 +152,7 @@ def visibility(
     near: float,
     threads: int,
 ) -> Tensor:
-    """Compute every point's largest compositing weight over all pixels, (N,)."""
+    """Compute each point's maximum compositing weight over all pixels, (N,)."""
     out = torch.empty_like(radius, memory_format=torch.contiguous_format)
     if uses_gpu_kernels(xyz):
         gpu.visibility((xyz, radius, density), camera, (width, height), layers, near, out)
@@ -179,7 +179,7 @@ def _(
 
 
 def _check_layers(xyz: Tensor, layers: int) -> None:
-    """Check that the GPU's gradient kernel can store ``layers`` layers per pixel."""
+    """Check that the gradient kernel on the GPU can store ``layers`` depth layers per pixel."""
     if uses_gpu_kernels(xyz) and layers > gpu.MAX_LAYERS_BACKWARD:
         expected = f"at most {gpu.MAX_LAYERS_BACKWARD} where gradients are required on a GPU"
         raise ValueError(f"layers: expected {expected}, got {layers}; backend='reference' takes any number")

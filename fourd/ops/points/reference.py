@@ -1,8 +1,9 @@
-"""The reference point renderer in plain torch. It is slow and simple; other backends are tested against it.
+"""The reference point renderer in plain torch, which is slow and simple. Tests compare the other backends with this
+renderer.
 
-It works in float32 and float64 on any device and is differentiable by autograd. In float32 it uses the same operations
-in the same order as ``csrc/points/maths.h`` for depth, projection and alpha, so that the kernels and the reference
-composite the same points at every pixel.
+The renderer works in float32 and float64 on any device and is differentiable by autograd. In float32, it computes
+depth, projection and alpha by the same operations in the same order as ``csrc/points/maths.h``. The kernels and the
+reference therefore composite the same points at every pixel.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CHUNK = 1 << 23
-"""Maximum number of pixels times points per chunk, which limits memory to about 100 MB."""
+"""Maximum product of the number of pixels and the number of points per chunk. This maximum limits memory to about 100
+MB."""
 
 
 class Splats(NamedTuple):
-    """Points projected to the image, (M,) each. ``inverse_square`` is 1 / radius_px^2."""
+    """M points projected to the image. Each array has the shape (M,). ``inverse_square`` is 1 / radius_px^2."""
 
     u: Tensor
     v: Tensor
@@ -29,9 +31,9 @@ class Splats(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """Indices of the splats that P pixels composite, (P, K), nearest first.
+    """Indices of the splats that each of P pixels composites in its K depth layers, (P, K), nearest first.
 
-    Where a pixel has fewer than K splats, ``valid`` is False and ``splat`` is 0.
+    A pixel may have fewer than K splats. In the unused layers of such a pixel, ``valid`` is False and ``splat`` is 0.
     """
 
     splat: Tensor
@@ -69,7 +71,8 @@ def point_visibility_reference(
 
 @torch.no_grad()
 def _cull(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera, near: float) -> Tensor:
-    """Return the indices of the points that are not culled, nearest first; equal depths are ordered by index."""
+    """Return the indices of the points that are not culled, nearest first. Points of equal depth are sorted by
+    index."""
     u, v, inverse_square, _, z = _project(xyz, radius, density, camera)
     keep = (z >= torch.as_tensor(near, dtype=xyz.dtype)) & (radius > 0) & (density > 0) & (inverse_square > 0)
     for value in (z, radius, density, u, v, inverse_square):
@@ -92,8 +95,8 @@ def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Sp
 def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
     """Return density * (1 - distance_px^2 / radius_px^2), not clamped.
 
-    The arrays of ``splats`` are (P, K), or (1, M) to evaluate all splats at every pixel. ``pixels`` are the pixel
-    centres, (P, 2).
+    The arrays of ``splats`` have the shape (P, K), or (1, M) to evaluate all M splats at every pixel. ``pixels`` are
+    the pixel centres, (P, 2).
     """
     dx = splats.u - pixels[:, :1]
     dy = splats.v - pixels[:, 1:]
@@ -101,7 +104,8 @@ def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
 
 
 def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Tensor, Layers]]:
-    """Return chunks of pixel centres (P, 2), in row-major order, with the points that each pixel composites."""
+    """Split the image into chunks. Return each chunk's pixel centres (P, 2), in row-major order, and the points that
+    each pixel composites."""
     rows = torch.arange(camera.height, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     columns = torch.arange(camera.width, dtype=splats.z.dtype, device=splats.z.device) + 0.5
     pixels = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).reshape(-1, 2)
@@ -110,7 +114,8 @@ def _pixel_chunks(splats: Splats, camera: Camera, layers: int) -> list[tuple[Ten
 
 @torch.no_grad()
 def _choose(splats: Splats, pixels: Tensor, layers: int) -> Layers:
-    """Select the nearest ``layers`` splats with positive alpha at every pixel. ``splats`` are sorted by depth."""
+    """Select the nearest ``layers`` splats with positive alpha at every pixel. The input ``splats`` are sorted by
+    depth."""
     count = len(splats.z)
     hit = _alpha(Splats(*(value[None] for value in splats)), pixels) > 0
     order = torch.where(hit, torch.arange(count, device=hit.device), count)
@@ -127,9 +132,9 @@ def _composite(
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
-    # Depths are averaged relative to the nearest depth, which is a constant in autograd. This changes neither the mean
-    # nor its gradient. In pixels with one layer it avoids a rounding error, which dividing by a small weight would
-    # amplify.
+    # Depths are averaged relative to the nearest depth, which is a constant in autograd. The subtraction of the nearest
+    # depth changes neither the mean nor its gradient. In pixels with one layer, the subtraction avoids a rounding error
+    # that division by a small weight would amplify.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

@@ -13,7 +13,8 @@ MAX_POINTS = 2**31 - 1
 MAX_SIDE_PX = 2**18
 """Maximum width or height of an image.
 
-The kernels count tiles of 16 x 16 pixels in 32 bits; the limit leaves a safety factor of 8.
+The kernels count tiles of 16 x 16 pixels in signed 32-bit integers. The largest allowed image has an eighth of the
+tiles that such an integer can count.
 """
 
 
@@ -24,8 +25,8 @@ def check_points(
 
     Args:
         arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32, all on one
-            device and of one dtype out of ``dtypes``. Values are not checked: the renderers cull points whose values
-            are not finite.
+            device and of one dtype out of ``dtypes``. Values are not checked, because the renderers cull points whose
+            values are not finite.
         camera: must be a pinhole camera without lens distortion.
         layers: must be an integer of at least 1.
         near: must be finite and positive.
@@ -33,7 +34,7 @@ def check_points(
 
     Raises:
         TypeError: for a wrong type or dtype.
-        ValueError: for a wrong shape or range. Both messages name the argument and the expected value.
+        ValueError: for a wrong shape or range. The error message names the argument and the expected value.
     """
     for name, array in arrays.items():
         if not hasattr(array, "shape") or not hasattr(array, "dtype"):
@@ -59,7 +60,8 @@ def check_background(background: Any, camera: Camera, channels: int) -> None:
 
 
 def pack_camera(camera: Camera) -> list[float]:
-    """Return the camera as the kernels expect it: 21 numbers, which are K row by row, R row by row, and T."""
+    """Return the camera as the 21 numbers that the kernels expect: the rows of the intrinsic matrix, the rows of the
+    rotation, and the translation."""
     return [*camera.intrinsics.ravel(), *camera.rotation.ravel(), *camera.translation]
 
 

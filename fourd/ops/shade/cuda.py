@@ -12,8 +12,8 @@ from fourd.ops.shade.shading import Shading
 def shade_points_gpu(xyz: Tensor, sh: Tensor, blend_weights: Tensor, rgb: Tensor, shading: Shading) -> Tensor:
     """Compute the colours of :func:`fourd.ops.shade.op.shade_points`, (N, 3) float32, on the tensors' device.
 
-    ``sh`` and ``blend_weights`` are int16 tensors with the bits of float16. All tensors must be contiguous. The work is
-    queued on torch's current stream. For CPU tensors, the emulated kernel runs.
+    Pass ``sh`` and ``blend_weights`` as int16 tensors with the bits of float16 numbers. All tensors must be contiguous.
+    The kernel is queued on torch's current stream. For CPU tensors, the emulated kernel runs.
     """
     gpu = load_gpu(xyz.device)
     out = torch.empty_like(xyz)

@@ -1,6 +1,6 @@
 """Real spherical harmonics up to degree 3, in the order and with the constants of PlenOctrees and 3DGS.
 
-``csrc/shade/maths.h`` has the same table for the kernels.
+``csrc/shade/maths.h`` contains the same functions for the kernels.
 """
 
 from __future__ import annotations
@@ -9,17 +9,18 @@ from typing import Any
 
 SH_TERMS = 16
 SH_CONSTANT = 0.28209479177387814
-"""Term 0, which is constant over all directions."""
+"""Spherical harmonic 0, which is the same for all directions."""
 
 
 def directional_terms(x: Any, y: Any, z: Any) -> list[Any]:
-    """Evaluate terms 1 to 15 at unit vectors (x, y, z).
+    """Evaluate spherical harmonics 1 to 15 at unit vectors (x, y, z).
 
     Args:
-        x, y, z: NumPy arrays or torch tensors of equal shape. This function does not normalize them.
+        x, y, z: NumPy arrays or torch tensors of equal shape. This function does not normalize the vectors.
 
     Returns:
-        15 arrays of that shape. Together with term 0, :data:`SH_CONSTANT`, they are an orthonormal basis on the sphere.
+        15 arrays with the shape of ``x``. These functions and spherical harmonic 0, :data:`SH_CONSTANT`, are an
+        orthonormal basis on the sphere.
     """
     xx, yy, zz = x * x, y * y, z * z
     return [

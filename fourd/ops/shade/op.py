@@ -20,20 +20,20 @@ def shade_points(
 ) -> NDArray[np.float32]:
     """Blend the colours of the selected source views and add spherical harmonics (4K4D, sec. 3.2).
 
-    Let d be the unit vector from the camera to the point, and Y(d) the 16 spherical harmonics in this direction.
+    Let d be the unit vector from the camera to the point. Let Y(d) be the 16 spherical harmonics in this direction.
     The colour is ``sum_v w_v rgb_v / sum_v w_v + sh_base + sh_range * tanh(sh . Y(d))``. The sums are over the views v
-    in ``shading.views``. If all these weights of a point are 0, the views get equal weights.
+    in ``shading.views``. If the weights of a point are 0 in all these views, the views get equal weights.
 
     Args:
         xyz: (N, 3) positions, world units.
         sh: (N, 3, 16) spherical harmonics coefficients of red, green and blue.
         blend_weights: (N, V) blend weights, 0 or more.
-        rgb: (N, V, 3) uint8, the points' colours in the source views. The formula uses rgb / 255.
-        shading: the viewpoint and the indices of the views to blend, below V.
+        rgb: (N, V, 3) uint8, the points' colours in the source views. The formula above uses rgb / 255.
+        shading: the viewpoint and the indices, from 0 to V - 1, of the views to blend.
         threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
 
     Returns:
-        (N, 3) float32 RGB, not clamped. The result's bits do not depend on the number of threads.
+        (N, 3) float32 RGB, not clamped. The result is bit-identical for any number of threads.
 
     Raises:
         ImportError: if the native module is not built.

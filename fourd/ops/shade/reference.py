@@ -42,7 +42,7 @@ def sh_basis(directions: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _normalize(weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scale each row to a sum of 1. In a row of zeros, all values become equal."""
+    """Scale each row of weights to a sum of 1. In a row of zeros, all weights become equal."""
     total = weights.sum(axis=1, keepdims=True)
     uniform = np.float32(1 / weights.shape[1])
     return np.where(total > 0, weights / np.where(total > 0, total, 1), uniform)

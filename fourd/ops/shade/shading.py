@@ -1,4 +1,4 @@
-"""Inputs of shading other than the points: the viewpoint and constants."""
+"""Inputs of shading apart from the points: the viewpoint, the source views and the constants of the colour model."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ class Shading:
     """The viewpoint, the source views and the constants of the colour model.
 
     Attributes:
-        views: (N',) int32 indices of the source views to blend. Empty if the colour is spherical harmonics only.
+        views: (N',) int32 indices of the source views to blend. The array is empty if the colour is spherical harmonics
+            only.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.
@@ -25,5 +26,5 @@ class Shading:
     sh_base: float
 
     def arguments(self) -> tuple[NDArray[np.int32], NDArray[np.float64], float, float]:
-        """Return the fields in the order of the native kernels' arguments."""
+        """Return the fields in the order in which the native kernels expect them."""
         return self.views, self.centre, self.sh_range, self.sh_base

@@ -1,4 +1,5 @@
-"""Structural similarity as a loss: the operator ``torch.ops.fourd.similarity``, value and gradient in one pass."""
+"""Structural similarity as a loss: the operator ``torch.ops.fourd.similarity``, which computes value and gradient in
+one pass."""
 
 from __future__ import annotations
 
@@ -15,13 +16,13 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
     """Compute :func:`fourd.ops.similarity.reference.structural_similarity_reference` of two (H, W, C) images.
 
     Float32 images on the CPU use a kernel if the target requires no gradient. The kernel computes value and gradient
-    together; their bits do not depend on the number of threads. Other inputs use the reference.
+    together. Both are bit-identical for any number of threads. Other inputs use the reference.
 
     Returns:
-        A scalar, differentiable in both images.
+        The similarity as a scalar, differentiable in both images.
 
     Raises:
-        ValueError: in the same cases as the reference.
+        ValueError: for different shapes, integer images, or an image smaller than the window.
     """
     fits = prediction.ndim == 3 and prediction.shape == target.shape and min(prediction.shape[:2]) >= WINDOW_PX
     has_kernel = all(tensor.dtype == torch.float32 and tensor.device.type == "cpu" for tensor in (prediction, target))
@@ -33,7 +34,8 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
 
 @torch.library.custom_op("fourd::similarity", mutates_args=(), device_types="cpu")
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    """Return the similarity and its gradient (H, W, C) in the prediction. The gradient is empty unless requested."""
+    """Return the similarity and its gradient (H, W, C) in the prediction. Without ``with_gradient``, the gradient is an
+    empty tensor."""
     gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())
     out = as_array(gradient) if with_gradient else None

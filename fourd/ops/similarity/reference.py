@@ -15,14 +15,14 @@ C2 = 0.03**2
 def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tensor:
     """Compute structural similarity (Wang et al. 2004) with an 11 x 11 Gaussian window of sigma 1.5 and data range 1.
 
-    The mean is taken over channels and over the pixels whose window lies inside the image, as in
+    The result is the mean over channels and over the pixels whose window is entirely inside the image, as in
     ``skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)``.
 
     Args:
         prediction, target: floating-point images (..., H, W, C) of equal shape; H and W are at least 11 pixels.
 
     Returns:
-        A scalar, which is 1 for equal images. Differentiable in both images.
+        The similarity as a scalar, which is 1 for equal images. Differentiable in both images.
 
     Raises:
         ValueError: for different shapes, integer images, or an image smaller than the window.
@@ -35,8 +35,8 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         )
     x, y = _to_planes(prediction), _to_planes(target)
     planes = x.shape[1]
-    # The target needs no gradient in a loss. Its two means are filtered in a separate call, so that the backward pass
-    # skips this call.
+    # In a loss, the target needs no gradient. The two window means of the target are computed in a separate call, so
+    # that the backward pass skips this call.
     mean_x, square_x, product = _blur(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
     mean_y, square_y = _blur(torch.cat([y, y * y], dim=1)).split(planes, dim=1)
     covariance = product - mean_x * mean_y
@@ -56,14 +56,16 @@ def check_image_pair(prediction: Tensor, target: Tensor) -> None:
 
 
 def _to_planes(images: Tensor) -> Tensor:
-    """(..., H, W, C) -> (1, B*C, H, W): one plane per channel, for a single grouped convolution."""
+    """Reshape images from (..., H, W, C) to (1, B*C, H, W). Each channel becomes a plane for one grouped
+    convolution."""
     height, width, channels = images.shape[-3:]
     planes = images.reshape(-1, height, width, channels).permute(0, 3, 1, 2)
     return planes.reshape(1, -1, height, width)
 
 
 def _blur(planes: Tensor) -> Tensor:
-    """Filter (1, P, H, W) -> (1, P, H-10, W-10): only pixels whose window lies inside the image."""
+    """Filter planes (1, P, H, W) by the Gaussian window. The result (1, P, H-10, W-10) contains only the pixels whose
+    window is entirely inside the image."""
     count = planes.shape[1]
     offsets = torch.arange(WINDOW_PX, dtype=planes.dtype, device=planes.device) - WINDOW_PX // 2
     window = torch.softmax(-offsets.square() / (2 * SIGMA_PX**2), dim=0)

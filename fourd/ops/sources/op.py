@@ -23,28 +23,29 @@ def sample_sources(
     cameras: list[float],
     softness: Tensor,
 ) -> tuple[Tensor, Tensor]:
-    """Project points into every source view and sample the view bilinearly.
+    """Project points into every source view, and sample the view bilinearly at the projected points.
 
     Float32 inputs use a kernel on the CPU, and on a CUDA device if the CUDA kernels are built and
     there are at most 16 views. Other inputs use :func:`fourd.ops.sources.reference.sample_sources_reference`.
 
     Args:
         xyz: (N, 3) world points.
-        features: (V, C, h, w) image features, or None. Their resolution may differ from that of ``images``. They are
-            copied unless they have torch's channels_last format.
+        features: (V, C, h, w) image features, or None. The resolution of the features may differ from that of
+            ``images``. Features in torch's channels_last format are not copied.
         images: (V, 3, H, W) colours in [0, 1]. Not differentiable.
         mattes: (V, H, W) opacity in [0, 1], 1 where the object covers the pixel. Not differentiable.
-        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. None disables
-            the occlusion test. Not differentiable.
+        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. With None,
+            occlusion is not tested. Not differentiable.
         cameras: concatenated results of :func:`fourd.ops.points.validation.pack_camera` for all views.
-        softness: (N,) decay lengths in world units, above 0. The occlusion factor of a point is 1 up to two decay
-            lengths behind the surface, and decays exponentially with depth from there. Not differentiable.
+        softness: (N,) decay lengths of the points in world units, above 0. A point's occlusion factor is 1 up to two
+            decay lengths behind the surface. At greater depths, the factor decays exponentially. Not differentiable.
 
     Returns:
-        channels (V, C + 3, N), features followed by RGB, differentiable in ``xyz`` and ``features``; and visibility
-        weights (V, N) in [0, 1], not differentiable. A weight is the squared matte times the occlusion factor.
-        Points behind the camera have weight 0. The matte is squared because the colour of a silhouette pixel contains
-        background, so that the weight must be less than the pixel's coverage.
+        The pair (channels, visibility). The channels (V, C + 3, N) are the features followed by RGB, differentiable in
+        ``xyz`` and ``features``. The visibility weights (V, N) are in [0, 1] and not differentiable. A visibility
+        weight is the squared matte times the occlusion factor. Points behind the camera have weight 0. The matte is
+        squared because pixels on the silhouette contain background colour, so that their weight must be lower than
+        their coverage.
 
     Raises:
         ValueError: if shapes do not match.
@@ -111,7 +112,8 @@ def _sample_backward(
     gradient: Tensor,
     needs_features: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of ``xyz`` and ``features``. The gradient of ``features`` is empty unless it is needed."""
+    """Compute the gradients of ``xyz`` and ``features``. Without ``needs_features``, the gradient of ``features`` is an
+    empty tensor."""
     grad_xyz, grad_features = _empty_gradients(xyz, features, needs_features)
     feature_rows = _channels_last(grad_features) if needs_features else None
     if uses_gpu_kernels(xyz):
@@ -180,7 +182,7 @@ def _optional_array(tensor: Tensor | None) -> Any:
 
 
 def _channels_last(features: Tensor | None) -> Tensor | None:
-    """(V, C, h, w) -> (V, h, w, C), the memory order of torch's channels_last."""
+    """View features (V, C, h, w) as (V, h, w, C), the memory order of torch's channels_last format."""
     return None if features is None else features.permute(0, 2, 3, 1)
 
 
