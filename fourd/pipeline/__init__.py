@@ -1,1 +1,2 @@
-"""Stages from videos or a capture to a scene, the graph that orders them, and the runner that caches them."""
+"""The pipeline from videos or a capture to a scene: its stages, the graph that orders the stages, and the runner that
+executes them and skips finished stages."""

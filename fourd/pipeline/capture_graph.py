@@ -1,4 +1,4 @@
-"""The stages up to a capture with mattes and plates. They need no training packages."""
+"""The stages that produce a capture with mattes and plates. These stages do not need the packages for training."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ MASKS = "masks"
 
 
 def has_masks(capture: Path) -> bool:
-    """Whether a capture has its own masks in masks/."""
+    """Whether a capture contains the user's own masks in the folder masks/."""
     return bool(camera_folders(capture / MASKS))
 
 
 def is_usable(source: Path) -> bool:
-    """Whether a folder is a capture that needs no import. The folder must contain masks, or be writable so that mattes
-    can be stored in it."""
+    """Whether a folder is a capture that needs no import. A capture without masks must be writable, because mattes are
+    stored in it."""
     is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 
 
 def stages_to_capture(source: Path, imported: Path) -> tuple[AnyStage, ...]:
-    """Stages from any source to a capture in the folder ``imported``; empty if ``source`` is a usable capture."""
+    """Stages that import ``source`` as a capture into the folder ``imported``. The result is empty if ``source`` is
+    already a usable capture."""
     return () if is_usable(source) else (import_stage(source, imported),)
 
 
 def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that make mattes and plates. Mattes are not made if the capture has its own masks."""
+    """Stages that make mattes and plates. If the capture has the user's own masks, no stage makes mattes."""
     stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
     if plates:
         stages.append(capture_plates_stage(capture, settings))

@@ -1,7 +1,7 @@
-"""The graph of stages. It selects the stages that an input needs and puts them in the order of their dependencies.
+"""The graph of stages: the selection of the stages that an input needs, in the order of their dependencies.
 
-The order is import, check, mattes, plates, adjust, carve (or points), background, train, bake. The config (object or
-full scene, adjusted cameras, given points) and the contents of the capture decide which stages are needed.
+The order of the stages is import, check, mattes, plates, adjust, carve (or points), background, train, bake. The config
+(object or full scene, adjusted cameras, given points) and the contents of the capture decide which stages are needed.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ class RunRequest:
         capture: the capture's folder.
         run: the run's folder.
         train: the training config.
-        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points; None to carve.
-        lpips_weights: file or folder with the weights of LPIPS. None: the default locations, see
+        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points. With None, the
+            points are carved.
+        lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
     """
 
@@ -46,11 +47,12 @@ class RunRequest:
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages from a capture with masks or mattes to all inputs of training.
+    """Stages that compute all inputs of training from a capture with masks or mattes.
 
     Args:
         request: the run.
-        plates: whether the run makes missing plates. False if another stage of the graph makes them.
+        plates: whether to include the stage that makes missing plates for the run. Pass False if another stage of the
+            graph makes the plates.
     """
     capture, run, train = request.capture, request.run, request.train
     selection, adjusted = DataSelection.of(train), train.refine.cameras
@@ -71,13 +73,14 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
 
 
 def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages from a capture with masks or mattes to a trained run; ``plates`` as in :func:`stages_to_first_points`."""
+    """Stages that train a run from a capture with masks or mattes. For ``plates``, see
+    :func:`stages_to_first_points`."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
     return (*stages_to_first_points(request, plates=plates), train_stage(files, request.train))
 
 
 def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> tuple[AnyStage, ...]:
-    """Stages from a capture to the scene file ``scene``."""
+    """Stages that produce the scene file ``scene`` from a capture."""
     train = request.train
     made: tuple[AnyStage, ...] = ()
     if not has_masks(request.capture):

@@ -1,4 +1,4 @@
-"""Entry points that run the graph and make a scene file, or a run that is ready to train."""
+"""Functions that run the graph of stages to produce a scene file, or a run that is ready for training."""
 
 from __future__ import annotations
 
@@ -33,22 +33,23 @@ def make_scene(
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
-    Intermediate results are kept beside ``out``: for ``scene.4dv`` in ``scene.work/``, which contains ``capture/`` (if
-    ``source`` needs an import), ``run/`` and ``stages.json``. After a change of an input or a setting, the stages that
-    depend on it run again. An interrupted stage resumes.
+    Intermediate results are kept in a folder beside ``out``. For ``scene.4dv``, this folder is ``scene.work/``. The
+    folder contains ``run/``, ``stages.json`` and, if ``source`` needs an import, ``capture/``. After a change of an
+    input or a setting, the next call repeats the stages that depend on the changed value. An interrupted stage resumes.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read.
         out: the .4dv file to write.
         train: the training config.
-        mattes: settings of the mattes, used if the capture has no masks.
+        mattes: settings of the mattes, which are made if the capture has no masks.
         context: console and number of processes.
         points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
-        lpips_weights: file or folder with the weights of LPIPS. None: the default locations, see
+        lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
 
     Raises:
-        UserError: for wrong input, and if the folder of intermediate results was not created by ``fourd make``.
+        UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
+            make``.
     """
     work = out.with_suffix(".work")
     if not (work / RECORD).exists() and not is_unused(work):
@@ -70,17 +71,18 @@ def make_scene(
 def create_run(
     capture: Path, folder: Path, train: TrainConfig, points_from: Path | None = None, context: Context | None = None
 ) -> Run:
-    """Run all stages before training and write the run's config.yaml. An interrupted call resumes.
+    """Run all stages that come before training, and write the run's config.yaml. A second call resumes an interrupted
+    call.
 
     Args:
         capture: the capture's folder, with masks or mattes.
-        folder: the run's folder: new, empty, or left by an interrupted call.
+        folder: the run's folder, which must be new, empty, or left by an interrupted call.
         train: the training config.
         points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
-        context: console and number of processes. None: no output and one process.
+        context: console and number of processes. With None, the stages use one process and print nothing.
 
     Raises:
-        UserError: for wrong input, and if ``folder`` is already a run or contains other files.
+        UserError: for invalid input, and if ``folder`` is already a run or contains other files.
     """
     require_new_run(folder)
     Runner(context or Context()).run(stages_to_first_points(RunRequest(capture, folder, train, points_from)))
@@ -90,6 +92,8 @@ def create_run(
 def require_new_run(folder: Path) -> None:
     """Raise UserError unless training can start in ``folder``."""
     if (folder / CONFIG_NAME).exists():
-        raise UserError(f"{folder}: expected a new folder, got a run; add --resume to continue it, or name another")
+        raise UserError(
+            f"{folder}: expected a new folder, got a run; add --resume to continue the run, or name another folder"
+        )
     if folder.exists() and (not folder.is_dir() or any(entry.name not in PREPARATION for entry in folder.iterdir())):
-        raise UserError(f"{folder}: expected a new or empty folder, got one that is not a run; name another with --out")
+        raise UserError(f"{folder}: expected a new or empty folder, got other files; name another folder with --out")

@@ -1,4 +1,4 @@
-"""The runner executes stages, skips those that are up to date, and resumes interrupted ones."""
+"""The runner executes stages, skips stages that are up to date, and resumes interrupted stages."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def run_here(stage: AnyStage, context: Context) -> None:
 class Runner:
     """Runs stages in order.
 
-    With a record file, the runner prints the state of each stage and skips a stage if its key is unchanged and its
-    outputs exist. Before a stage with a new key starts, the runner removes the files that were written with the old
-    key. Without a record file, the runner executes every stage and prints nothing itself. The work of each stage then
-    detects and keeps finished files.
+    With a record file, the runner prints the state of each stage. The runner skips a stage whose key is unchanged and
+    whose outputs exist. Before a stage with a new key starts, the runner removes the files that were written with the
+    old key. Without a record file, the runner executes every stage and prints nothing, and the work of each stage
+    itself detects and keeps finished files.
     """
 
     def __init__(self, context: Context, record: Path | None = None, execute: Execute = run_here) -> None:
@@ -33,10 +33,10 @@ class Runner:
 
         Args:
             context: console and number of processes for the stages' work.
-            record: JSON file with the key of each started and each finished stage. It is written atomically after each
-                change.
-            execute: function that runs the work of one stage and returns when the outputs are written. Replace it to
-                execute stages in other processes or on a cluster.
+            record: JSON file with the key of each started and each finished stage. The runner writes the file
+                atomically after each change.
+            execute: function that runs the work of one stage and returns when the outputs are written. Pass another
+                function to execute stages in other processes or on a cluster.
         """
         self._context = context
         self._record = record
@@ -45,7 +45,7 @@ class Runner:
         self._keys: dict[str, str] = {}
 
     def run(self, stages: Sequence[AnyStage]) -> None:
-        """Run ``stages`` in the given order. Each must come after the stages that it depends on."""
+        """Run ``stages`` in the given order. Each stage must come after the stages that it depends on."""
         for stage in stages:
             self._run_stage(stage)
 
@@ -56,7 +56,8 @@ class Runner:
             self._report(f"{stage.name}: up to date{result}")
             return
         if self._record is not None and self._known.get(_started(stage)) != key:
-            # Delete the keys first: if the removal is interrupted, no key may match the remaining files.
+            # The keys are deleted before the files. If the removal of the files is interrupted, no key then matches the
+            # remaining files.
             self._write({stage.name: None, _started(stage): None})
             for leftovers in stage.leftovers:
                 leftovers.remove()
@@ -67,7 +68,7 @@ class Runner:
         self._report(f"{stage.name}: finished{result}")
 
     def _write(self, changes: Mapping[str, str | None]) -> None:
-        """Change entries of the record; None removes an entry."""
+        """Change entries of the record file. The value None removes an entry."""
         if self._record is None:
             return
         entries = {**self._known, **changes}
@@ -80,12 +81,13 @@ class Runner:
 
 
 def _started(stage: AnyStage) -> str:
-    """Name of the record's entry for the key of a stage that has started."""
+    """Name of the record file's entry that stores the key of a started stage."""
     return f"{stage.name} started"
 
 
 def _read_record(record: Path | None) -> dict[str, str]:
-    """The keys in a record file. They are empty if the file is missing or damaged, so that all stages run."""
+    """Read the keys from a record file. If the file is missing or damaged, there are no keys, so that all stages
+    run."""
     if record is None:
         return {}
     try:

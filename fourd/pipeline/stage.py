@@ -23,7 +23,7 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class Context:
-    """Runtime context of a stage: console and worker count. The context does not affect results.
+    """Runtime context of a stage: console and number of processes. The context does not affect the results of a stage.
 
     Attributes:
         console: console for progress and log lines.
@@ -46,10 +46,10 @@ class Context:
 
 @dataclass(frozen=True)
 class Artefact:
-    """Files that a stage reads. Their names, sizes and modification times identify their version.
+    """Files that a stage reads. The names, sizes and modification times of the files identify their version.
 
     Attributes:
-        path: a file, or the folder that ``patterns`` are relative to.
+        path: a file, or a folder to which ``patterns`` are relative.
         patterns: glob patterns; empty if ``path`` is a file.
     """
 
@@ -57,7 +57,8 @@ class Artefact:
     patterns: tuple[str, ...] = ()
 
     def fingerprint(self) -> str:
-        """A hash of the path and of every file's name, size and modification time. Contents are not read."""
+        """A hash of the path and of every file's name, size and modification time. The contents of the files are not
+        read."""
         files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
         if not self.patterns and self.path.exists():
             files = [self.path]
@@ -70,18 +71,19 @@ class Artefact:
 
 @dataclass(frozen=True)
 class Leftovers:
-    """Files from a run of the stage with another key. They are removed before the stage starts with a new key.
+    """Files that a stage wrote with an older key. The runner removes these files before the stage starts with a new
+    key.
 
     Attributes:
-        folder: the folder to empty. It may be missing.
-        keep: names of entries that belong to other stages.
+        folder: the folder to empty. The folder may be missing.
+        keep: names of files and subfolders to keep, because they belong to other stages.
     """
 
     folder: Path
     keep: tuple[str, ...] = ()
 
     def remove(self) -> None:
-        """Delete all entries except those in ``keep``."""
+        """Delete all files and subfolders of ``folder`` except those in ``keep``."""
         if not self.folder.exists():
             return
         for entry in self.folder.iterdir():
@@ -95,19 +97,21 @@ class Leftovers:
 
 @dataclass(frozen=True)
 class Stage(Generic[Files, Settings]):
-    """One step of the pipeline. It is picklable, so a runner can execute it in another process or on another machine.
+    """One step of the pipeline. A stage is picklable, so a runner can execute it in another process or on another
+    machine.
 
     Attributes:
-        name: unique within a graph.
+        name: name of the stage, unique within a graph.
         work: a module-level function that reads and writes ``files`` according to ``settings``. A second call with the
             same arguments resumes an interrupted call.
         files: dataclass with the paths that ``work`` reads and writes.
-        settings: dataclass with all parameters that affect the result, apart from the content of files. They are part
-            of the key.
-        inputs: artefacts that ``work`` reads. Their fingerprints are part of the key.
-        outputs: paths that ``work`` writes. All exist when the stage is finished.
+        settings: dataclass with all parameters that affect the result, apart from the content of files. The settings
+            are part of the key.
+        inputs: artefacts that ``work`` reads. The fingerprints of the artefacts are part of the key.
+        outputs: paths that ``work`` writes. All outputs exist when the stage is finished.
         leftovers: files to remove before ``work`` starts with a new key.
-        after: names of stages that must finish first. Their keys are part of the key.
+        after: names of stages that must finish before this stage. The keys of these stages are part of this stage's
+            key.
     """
 
     name: str
@@ -120,10 +124,10 @@ class Stage(Generic[Files, Settings]):
     after: tuple[str, ...] = ()
 
     def key(self, keys: Mapping[str, str]) -> str:
-        """A hash of everything that the result depends on.
+        """A hash of everything that the result of the stage depends on.
 
         Args:
-            keys: keys of earlier stages, by name. Names in ``after`` that are missing here are ignored.
+            keys: keys of earlier stages, by name. A name in ``after`` that is missing in ``keys`` is ignored.
         """
         parts = [
             self.name,
@@ -138,7 +142,7 @@ class Stage(Generic[Files, Settings]):
         return all(path.exists() for path in self.outputs)
 
     def run(self, context: Context | None = None) -> None:
-        """Execute the work. Without a context, the work uses one process and prints nothing."""
+        """Execute the work of the stage. Without a context, the work uses one process and prints nothing."""
         self.work(self.files, self.settings, context or Context())
 
 

@@ -1,1 +1,1 @@
-"""Time offsets between cameras without a common trigger."""
+"""Estimation of time offsets between cameras without a common trigger."""

@@ -19,14 +19,14 @@ Grey = NDArray[np.uint8]
 
 NOISE_SIGMAS = 3.0
 ENERGY_FLOOR = 0.1
-"""Constant added to the energy before the logarithm, as a share of the median energy.
+"""Constant that is added to the motion energy before its logarithm is taken, as a share of the median energy.
 
-It limits the steps of the logarithm at frames without motion.
+The constant limits the steps of the logarithm at frames without motion.
 """
 FINE_SIGMA_FRAMES, COARSE_SIGMA_FRAMES = 1.0, 6.0
 """Standard deviations in frames of the two Gaussians whose difference is the band-pass filter."""
 MAX_SIGNAL = 4.0
-"""Clipping level of the band-passed signal in robust standard deviations.
+"""Level, in robust standard deviations, at which the band-passed signal is clipped.
 
 Clipping limits the effect of cuts and flashes that occur in one camera only.
 """
@@ -34,7 +34,7 @@ PEAK_RADIUS_FRAMES = 3
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 NOISE_CORRELATION = 4.0
-"""Numerator of the noise level of a correlation; the denominator is the square root of the number of frames.
+"""Numerator of the noise level of a correlation. The denominator is the square root of the number of frames.
 
 The noise level is the maximum correlation of two independent signals over some tens of lags.
 """
@@ -47,18 +47,18 @@ INK, GRID, WARNING = (40, 40, 40), (215, 215, 215), (60, 60, 200)
 class Offsets:
     """Time offset of each camera's video relative to the first camera's video.
 
-    An event at frame f of the first camera's video is at frame f + o of the video of a camera with offset o. A camera
-    that starts to record 7 frames after the first camera has o = -7.
+    Let o be the offset of a camera. An event at frame f of the first camera's video is at frame f + o of that camera's
+    video. A camera that starts to record 7 frames after the first camera has o = -7.
 
     Attributes:
         frames: offsets in whole frames; 0 for the first camera.
-        subframes: offsets in frames with fractions, from parabolas through the correlations' peaks.
-        confidence: confidence of each camera's offset in [0, 1]. Values above 0.3 are good; below 0.1 the offset is
-            unreliable. For a pair of cameras, p1 is the peak of the correlation, p2 is the highest correlation more
-            than 3 frames away from the peak, and c = 4 / sqrt(frames) is the noise level. The pair's confidence is
-            the smaller of (p1 - c) / (1 - c) and 2 (p1 - p2). It is 0 if the pair's lag differs by more than one frame
-            from the difference of the two cameras' offsets. A camera's confidence is the mean over the better half of
-            its pairs.
+        subframes: offsets in frames, with fractions, from parabolas through the peaks of the correlations.
+        confidence: confidence of each camera's offset in [0, 1]. Values above 0.3 are good. With a confidence below
+            0.1, the offset is unreliable. For a pair of cameras, let p1 be the peak of the correlation of their
+            signals. Let p2 be the highest correlation more than 3 frames away from the peak, and let c = 4 /
+            sqrt(frames) be the noise level. The pair's confidence is the smaller of (p1 - c) / (1 - c) and 2 (p1 - p2).
+            The pair's confidence is 0 if the pair's lag differs by more than one frame from the difference of the two
+            cameras' offsets. A camera's confidence is the mean confidence of the better half of its pairs.
     """
 
     frames: tuple[int, ...]
@@ -67,14 +67,14 @@ class Offsets:
 
 
 def motion_energy(pictures: Iterable[Grey]) -> Array:
-    """Compute the motion energy (F,): the mean absolute difference of consecutive images in grey levels.
+    """Compute the motion energy (F,) of F images: the mean absolute difference of consecutive images in grey levels.
 
     Changes of the whole image, such as exposure flicker, are fitted by a gain and an offset and removed. Differences
-    below 3 standard deviations of the noise count as 0; the noise is estimated from the median difference. The first
-    image has the energy of the second.
+    below 3 standard deviations of the noise count as 0. The noise is estimated from the median difference. The first
+    image gets the energy of the second image.
 
     Args:
-        pictures: F grey images (H, W) uint8, read one at a time; a width of 200 pixels is enough.
+        pictures: F grey images (H, W) uint8, which are read one at a time. A width of 200 pixels is enough.
 
     Raises:
         ValueError: if the images differ in size.
@@ -100,7 +100,7 @@ def _difference(before: NDArray[np.float32], now: NDArray[np.float32]) -> float:
 
 
 def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tuple[float, float]:
-    """Fit ``now = gain * before + offset`` by linear regression, repeated without the pixels that move."""
+    """Fit ``now = gain * before + offset`` by linear regression. Repeat the fit without the pixels that show motion."""
     gain, offset = 1.0, float(np.median(now - before))
     for _ in range(3):
         error = np.abs(now - gain * before - offset)
@@ -117,21 +117,22 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
 
 
 def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
-    """Estimate each camera's time offset relative to the first camera from their motion energies.
+    """Estimate each camera's time offset relative to the first camera from the motion energies of all cameras.
 
-    The logarithm of each energy is band-passed by a difference of Gaussians, which removes gains and slow trends.
-    These signals are correlated for every pair of cameras. The pairs' lags give the offsets by iteratively reweighted
-    least squares, which approximates least absolute deviations. Pairs with a flat, ambiguous or inconsistent
-    correlation therefore have little weight.
+    The logarithm of each motion energy is band-passed by a difference of Gaussians, which removes gains and slow
+    trends. The band-passed signals are correlated for every pair of cameras, which gives one lag per pair. The offsets
+    are fitted to the lags by iteratively reweighted least squares, which approximates least absolute deviations. Pairs
+    with a flat, ambiguous or inconsistent correlation have little weight in this fit.
 
-    Each camera records a different part of the motion. For slow and smooth motion the best lag can therefore be wrong
-    by some frames, and the confidence does not show this. The error was up to 3 frames at 60 Hz for a balancing man
-    recorded from four sides. For sudden motion, such as claps or steps, the estimate is exact. An offset of up to 3
+    Each camera records a different part of the motion. For slow and smooth motion, the best lag can therefore be wrong
+    by some frames. The confidence does not reveal this error. For a balancing man recorded from four sides, the error
+    was up to 3 frames at 60 Hz. For sudden motion, such as claps or steps, the estimate is exact. An offset of up to 3
     frames does not prove that the cameras lack a common trigger.
 
     Args:
-        energies: :func:`motion_energy` (F,) of each camera; F may differ between cameras.
-        max_offset: largest offset in frames, at least 1; at least 12 frames must overlap.
+        energies: :func:`motion_energy` (F,) of each camera. The number of frames F may differ between cameras.
+        max_offset: largest offset in frames, at least 1. With this offset, at least 12 frames of two videos must
+            overlap.
 
     Raises:
         ValueError: if there is no camera, or there are too few frames for ``max_offset``.
@@ -159,13 +160,15 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
 
 
 def _confidence(weights: Sequence[float]) -> float:
-    """A camera's confidence: the mean of the larger half of its pairs' weights; 1 for a single camera."""
+    """Confidence of a camera: the mean of the larger half of the weights of its pairs, or 1 if there is only one
+    camera."""
     better = sorted(weights, reverse=True)[: (len(weights) + 1) // 2]
     return float(np.mean(better)) if better else 1.0
 
 
 def _bandpass(energy: Array) -> Array:
-    """Compute the band-passed, normalised and clipped log energy (F,); zeros if the energy is constant."""
+    """Compute the band-passed, normalised and clipped logarithm (F,) of the motion energy. The result is 0 if the
+    energy is constant."""
     level = ENERGY_FLOOR * float(np.median(energy)) + 1e-3 * float(np.max(energy, initial=0)) + 1e-9
     logarithm = np.log(energy + level)
     band = gaussian_filter1d(logarithm, FINE_SIGMA_FRAMES) - gaussian_filter1d(logarithm, COARSE_SIGMA_FRAMES)
@@ -178,7 +181,7 @@ def _estimate_lag(first: Array, second: Array, max_lag: int) -> tuple[float, flo
     """Find the lag in frames, with fraction, at which ``second[f + lag]`` correlates best with ``first[f]``.
 
     Returns:
-        The lag, and its weight in [0, 1].
+        The lag, and the weight in [0, 1] of the pair of cameras.
     """
     scores = np.array([_correlation(first, second, lag) for lag in range(-max_lag, max_lag + 1)])
     top = int(scores.argmax())
@@ -206,7 +209,7 @@ def _correlation(first: Array, second: Array, lag: int) -> float:
 
 
 def _solve(pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, count: int) -> Array:
-    """Fit one offset per camera, shape (count,), to the lags of the pairs; the first camera's offset is 0.
+    """Fit one offset per camera, shape (count,), to the lags of the pairs. The first camera's offset is 0.
 
     A camera whose pairs all have weight 0 gets offset 0.
     """
@@ -226,10 +229,11 @@ def _solve(pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, c
 
 
 def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Array], offsets: Offsets) -> None:
-    """Write a PNG plot of all energies atomically: as recorded on the left, shifted by the offsets on the right.
+    """Write a PNG plot of all motion energies atomically. The left panel shows the energies as recorded, and the right
+    panel shows them shifted by the offsets.
 
-    Each camera has a row with its name, offset and confidence; confidences below 0.1 are red. Each row has its own
-    vertical scale. The grey lines mark the same frame numbers on both sides.
+    Each camera has a row with its name, offset and confidence. Confidences below 0.1 are red. Each row has its own
+    vertical scale. The grey lines mark the same frame numbers in both panels.
     """
     height = 3 * MARGIN + ROW * len(names) + MARGIN
     canvas = np.full((height, LABEL + 2 * (PANEL + MARGIN) + MARGIN, 3), 255, np.uint8)
@@ -267,7 +271,7 @@ def _draw_curve(canvas: Grey, energy: Array, shift: int, left: int, top: int, lo
 
 
 def _tick_frames(longest: int) -> int:
-    """Number of frames between grey lines: 1, 2 or 5 times a power of ten, which gives about ten lines."""
+    """Number of frames between two grey lines: 1, 2 or 5 times a power of ten, so that the plot has about ten lines."""
     rough = max(longest / 10, 1)
     power = 10 ** int(np.floor(np.log10(rough)))
     return int(next(power * step for step in (1, 2, 5, 10) if power * step >= rough))

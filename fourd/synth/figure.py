@@ -1,6 +1,7 @@
-"""The figure: rounded parts on a skeleton whose joint angles are smooth, periodic functions of time.
+"""The synthetic figure: rounded parts on a skeleton whose joint angles are smooth, periodic functions of time.
 
-The world is in metres with z up. The figure is at the origin and faces +x, with +y to its left.
+World units are metres, and +z points up. The figure is at the origin and faces +x. The axis +y points to the figure's
+left.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """The convex hull of two spheres (a rounded cone), scaled along the part's own axes.
+    """A part of the figure: the convex hull of two spheres (a rounded cone), scaled along the part's own axes.
 
     Attributes:
-        frame: (3, 3) rotation R_world_part.
+        frame: (3, 3) rotation R_world_part from part axes to world axes.
         origin: (3,) centre of the first sphere in the world, in metres.
         stretch: (3,) scale factors along the part's axes.
-        length: distance in metres along +z from the first to the second sphere's centre before scaling; 0 for an
-            ellipsoid.
-        radii: radii in metres of the first and the second sphere before scaling.
+        length: distance in metres along +z from the first sphere's centre to the second sphere's centre, before
+            scaling. With a length of 0, the part is an ellipsoid.
+        radii: radii in metres of the first and the second sphere, before scaling.
         pattern: colours of the surface.
     """
 
@@ -38,7 +39,8 @@ class Part:
     pattern: Pattern
 
     def spheres(self) -> list[tuple[Array, float]]:
-        """Two spheres, centre (3,) and radius in metres in the world, whose convex hull contains the part."""
+        """Two spheres whose convex hull contains the part. Each sphere is a centre (3,) in the world and a radius, in
+        metres."""
         scale = float(self.stretch.max())
         end = self.origin + self.frame[:, 2] * (self.length * self.stretch[2])
         return [(self.origin, self.radii[0] * scale), (end, self.radii[1] * scale)]
@@ -68,7 +70,7 @@ class Figure:
 
 
 def make_figure(seed: int) -> Figure:
-    """Create the figure that belongs to a random seed."""
+    """Create a figure with random properties. The same seed gives the same figure."""
     rng = np.random.default_rng(seed)
     return Figure(
         leg=float(rng.uniform(0.94, 1.06)),
@@ -82,9 +84,9 @@ def make_figure(seed: int) -> Figure:
 
 
 def pose_figure(figure: Figure, phase: float) -> list[Part]:
-    """Compute the parts of the figure at ``phase`` of the gait.
+    """Compute the parts of the figure at the gait phase ``phase``.
 
-    The phase is in cycles. One cycle has two steps, each with a leap.
+    The phase is in gait cycles. One cycle consists of two steps, and each step includes a leap.
     """
     p = 2 * np.pi * (phase + figure.start)
     hips = _rotation_z(0.45 * np.sin(p) + 0.2 * np.sin(2 * p))
@@ -182,7 +184,7 @@ def _make_head(figure: Figure, rotation: Array, chest: Array, waist: Array, p: f
 
 
 def _make_ponytail(rotation: Array, root: Array, p: float, pattern: Pattern) -> list[Part]:
-    """Create the three links of the ponytail; each link swings later than the link before it."""
+    """Create the three links of the ponytail. Each link swings later than the previous link."""
     parts = []
     frame = rotation @ _rotation_y(1.1)
     for link, (thin, thick) in enumerate(((0.03, 0.047), (0.047, 0.043), (0.043, 0.018))):
@@ -206,14 +208,14 @@ def _cone(
 
 
 def _limb(frame: Array, joint: Array, length: float, first: float, second: float, pattern: Pattern) -> Part:
-    """Create a part that extends from ``joint`` along the frame's -z axis."""
+    """Create a part that extends from ``joint`` along the -z axis of ``frame``."""
     return _cone(frame @ np.diag([1.0, -1.0, -1.0]), joint, length, first, second, pattern)
 
 
 def _lowest_height(parts: Sequence[Part]) -> float:
-    """Approximate height in metres of the figure's lowest point: a soft minimum over the parts' spheres.
+    """Approximate height in metres of the lowest point of ``parts``: a soft minimum over the spheres of the parts.
 
-    The soft minimum makes the height smooth over time when the other foot becomes the lower one.
+    The soft minimum keeps the height smooth over time, even when the lowest point changes from one foot to the other.
     """
     heights = np.array([centre[2] - radius for part in parts for centre, radius in part.spheres()])
     softness = 0.02

@@ -1,4 +1,4 @@
-"""Writing of a synthetic capture: cameras, images, mattes, true depth, true clean plates and settings."""
+"""Generation of a synthetic capture: cameras, images, mattes, true depth, true clean plates and settings."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CYCLE_FRAMES = 24
 RING_RADIUS = 3.6
 RING_HEIGHTS = (1.35, 0.75, 2.15)
 FILL = 0.9
-"""Largest extent in an image of the figure over a whole gait cycle, as a share of the image's side."""
+"""Largest extent of the figure in any image over a whole gait cycle, as a share of the image's side."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class SynthSettings:
     Attributes:
         frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each,
             so that the capture can be played in a loop.
-        cameras: number of cameras, 3 to 100. They are evenly spaced on a ring with a radius of 3.6 m, at three
+        cameras: number of cameras, 3 to 100. The cameras are evenly spaced on a ring with a radius of 3.6 m, at three
             heights.
         size: width and height of the images, 32 to 4096 pixels.
-        seed: random seed, at least 0. It determines the clothes, the proportions and the gait's phase in frame 0.
+        seed: random seed, at least 0. The seed determines the clothes, the proportions and the gait phase in frame 0.
         gloss: strength of the highlights, 0 to 1.
 
     Raises:
-        UserError: if a value is out of range; the message contains the option's name.
+        UserError: if a value is out of range. The error message contains the option's name.
     """
 
     frames: int = 24
@@ -72,9 +72,9 @@ def make_synthetic(
 
     The capture contains images/CAM/FRAME.jpg, masks/CAM/FRAME.png (soft mattes, 255 = figure), intri.yml, extri.yml,
     truth/depth/CAM/FRAME.png (uint16 camera depth in millimetres at pixel centres, 0 = background), truth/bgs/CAM.png
-    (the empty studio) and synth.json (the settings). The world is in metres with z up. The same settings give the same
-    bytes. If ``out`` has a finished capture with these settings, it is kept. A synthetic capture with other settings is
-    replaced.
+    (the empty studio) and synth.json (the settings). World units are metres, and +z points up. The same settings give
+    bit-identical files. A finished synthetic capture with the same settings in ``out`` is kept. A synthetic capture
+    with other settings is replaced.
 
     Args:
         out: folder that does not exist, is empty, or contains a synthetic capture.
@@ -118,7 +118,7 @@ def is_finished(out: Path | str, settings: SynthSettings) -> bool:
 
 
 def _read_settings(out: Path) -> dict[str, object] | None:
-    """Content of synth.json; None if the file is missing or invalid."""
+    """Read the content of synth.json. Returns None if the file is missing or invalid."""
     try:
         content = json.loads((out / SETTINGS_NAME).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -132,7 +132,8 @@ def _write_settings(out: Path, settings: SynthSettings, *, finished: bool) -> No
 
 
 def _prepare_folder(out: Path) -> None:
-    """Create the folder, and remove an older synthetic capture so that its frames do not mix with the new ones."""
+    """Create the folder ``out``. Remove an older synthetic capture, so that its frames do not mix with the new
+    frames."""
     if out.exists() and not out.is_dir():
         raise UserError(f"{out}: expected a folder, got a file; name another folder")
     if out.is_dir() and any(out.iterdir()) and _read_settings(out) is None:
@@ -147,12 +148,14 @@ def _prepare_folder(out: Path) -> None:
 
 
 def _phase(frame: int, frames: int) -> float:
-    """Phase of the gait in cycles; the capture has whole cycles, so that it can be played in a loop."""
+    """Gait phase of a frame in cycles. The capture covers a whole number of cycles, so that it can be played in a
+    loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 
 def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
-    """Cameras that face the figure, with the longest common focal length that keeps the figure in all images."""
+    """Create cameras that face the figure. All cameras have the longest common focal length at which the figure is
+    inside all images."""
     unit = np.eye(3)
     poses = [pose_figure(figure, step / 48) for step in range(48)]
     target, up = np.array([0.0, 0.0, 0.88]), np.array([0.0, 0.0, 1.0])

@@ -1,4 +1,4 @@
-"""Surface colours as functions of the position in a part's coordinates, so that they move with the part."""
+"""Surface colours as functions of the position in a part's own coordinates, so that the colours move with the part."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Pattern:
     """Two colours and the rule that mixes them.
 
     Attributes:
-        kind: stripes are oblique to the part's axis, hoops are perpendicular to the axis, checks and dots repeat along
-            and around the axis, noise varies smoothly, plain has the first colour only.
+        kind: kind of pattern. Stripes are oblique to the part's axis. Hoops are perpendicular to the axis. Checks and
+            dots repeat along and around the axis. Noise varies smoothly. A plain pattern has the first colour only.
         first: first colour, RGB in [0, 1].
         second: second colour, RGB in [0, 1].
         period: period along the part's axis in metres.
         around: number of repetitions around the axis for checks and dots.
         phase: shift of the pattern in radians.
-        badge: radius in metres of a disc on the front and the back; 0 for no disc.
+        badge: radius in metres of a coloured disc on the front and the back of the part; 0 for no disc.
         badge_height: height of the disc's centre along the axis in metres.
         badge_colour: colour of the disc, RGB in [0, 1].
     """
@@ -57,7 +57,7 @@ class Pattern:
         return colours * self._brightness(xyz)[:, None]
 
     def _second_weight(self, xyz: Array) -> Array:
-        """Weight (N,) in [0, 1] of the second colour."""
+        """Weight (N,) in [0, 1] of the second colour at positions ``xyz`` (N, 3)."""
         frequency = 2 * np.pi / self.period
         x, y, z = xyz.T
         if self.kind == "plain":
@@ -81,12 +81,13 @@ class Pattern:
 
 
 def _sharpen(waves: Array) -> Array:
-    """Turn a sine in [-1, 1] into a square wave in [0, 1] with soft edges about a tenth of the period wide."""
+    """Turn a sine wave in [-1, 1] into a square wave in [0, 1]. The soft edges of the square wave are about a tenth of
+    the period wide."""
     return np.clip(0.5 + 2.5 * waves, 0, 1)
 
 
 def hsv(hue: float, saturation: float, value: float) -> Colour:
-    """Convert HSV to RGB in [0, 1]; the hue has period 1."""
+    """Convert HSV to RGB in [0, 1]. The hue is periodic with period 1."""
     return colorsys.hsv_to_rgb(hue % 1.0, saturation, value)
 
 
@@ -109,7 +110,7 @@ class Wardrobe:
 
 
 def choose_wardrobe(rng: np.random.Generator) -> Wardrobe:
-    """Choose random patterns for clothes in three matching hues, and for skin and hair."""
+    """Choose random patterns for the clothes, the skin and the hair. The clothes have three matching hues."""
     hue = float(rng.uniform())
     warm, cool, third = hsv(hue, 0.72, 0.9), hsv(hue + 0.45, 0.75, 0.55), hsv(hue + 0.17, 0.7, 0.95)
     pale = hsv(hue + 0.08, 0.12, 0.97)

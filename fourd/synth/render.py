@@ -15,10 +15,11 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 SAMPLES = 3
-"""Number of rays along each side of a pixel; it is odd, so that one ray passes through the centre and gives depth."""
+"""Number of rays along each side of a pixel. The number is odd, so that one ray passes through the pixel centre and
+gives the depth."""
 
 BAND_SAMPLES = 1 << 20
-"""Approximate number of rays that are traced at once; this bounds the memory for large images."""
+"""Approximate number of rays that are traced at once. This number limits the memory use for large images."""
 
 KEY_LIGHT = np.array([0.45, 0.35, 0.82]) / np.linalg.norm([0.45, 0.35, 0.82])
 FILL_LIGHT = np.array([-0.7, -0.5, 0.35]) / np.linalg.norm([-0.7, -0.5, 0.35])
@@ -31,8 +32,8 @@ class RenderedFigure:
 
     Attributes:
         rgb: (H, W, 3) uint8 colours.
-        mask: (H, W) uint8 share of a pixel's rays that hit the figure; 255 = all rays.
-        depth: (H, W) uint16 camera depth at the pixel centre in millimetres; 0 = background.
+        mask: (H, W) uint8 share of each pixel's rays that hit the figure; 255 means all rays.
+        depth: (H, W) uint16 camera depth at the pixel centre in millimetres; 0 means background.
     """
 
     rgb: NDArray[np.uint8]
@@ -96,8 +97,8 @@ def _trace(
     """Trace the rays of a band of pixels.
 
     Returns:
-        For each ray: premultiplied colour (h, w, 3), 1 for a hit or 0 for a miss (h, w), and camera depth (h, w) in
-        metres.
+        Premultiplied colour (h, w, 3), hit (h, w) and camera depth (h, w) in metres of each ray. A hit is 1 if the ray
+        meets the figure, otherwise 0.
     """
     left, top, right, bottom = band
     u, v = _pixel_rays(
@@ -127,10 +128,11 @@ def _trace(
 
 
 def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
-    """Camera depths (len(v), len(u)) at which rays (u, v, 1) enter the part; infinite for rays that miss it.
+    """Camera depths (len(v), len(u)) at which rays (u, v, 1) enter the part. The depth is infinite for rays that miss
+    the part.
 
-    In the part's unscaled axes the part is a convex rounded cone. A ray's entry point is the first of its entry points
-    into the two spheres and the lateral surface.
+    In its unscaled axes, the part is a convex rounded cone. A ray enters the part where the ray first meets one of the
+    two spheres or the lateral surface.
     """
     to_part = (part.frame / part.stretch).T
     eye = to_part @ (camera.centre - part.origin)
@@ -161,13 +163,13 @@ def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
 
 
 def _enter_sphere(square: Array, across: Array, excess: float) -> Array:
-    """The smaller root t of ``square t^2 + 2 across t + excess = 0``; infinite if there is no real root."""
+    """The smaller root t of ``square t^2 + 2 across t + excess = 0``, or infinity if there is no real root."""
     root = across * across - square * excess
     return np.where(root > 0, (-across - np.sqrt(np.maximum(root, 0))) / square, np.inf)
 
 
 def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> Array:
-    """RGB colours (N, 3) of the part at the points ``eye + t direction``, where rays enter it."""
+    """RGB colours (N, 3) of the part at the points ``eye + t direction``, where rays enter the part."""
     local = (eye - part.origin + direction * t[:, None]) @ part.frame
     normal = _normals(part, local / part.stretch) / part.stretch @ part.frame.T
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -182,9 +184,10 @@ def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> 
 
 
 def _normals(part: Part, local: Array) -> Array:
-    """Outward normals (N, 3) of the unscaled part, not normalised.
+    """Outward normals (N, 3) of the unscaled part at surface points ``local`` (N, 3), not normalised.
 
-    Each is the vector to the surface point from the centre of the inscribed sphere that touches the surface there.
+    For each surface point, an inscribed sphere touches the surface at this point. The normal is the vector from the
+    centre of this sphere to the surface point.
     """
     normal = local.copy()
     if part.length > 0:
@@ -197,7 +200,8 @@ def _normals(part: Part, local: Array) -> Array:
 def _bounding_box(part: Part, camera: Camera) -> Box:
     """Pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
 
-    ``right`` and ``bottom`` are exclusive. The bounds of each sphere's projection are exact.
+    The bounds ``right`` and ``bottom`` are exclusive. All four bounds are computed from the exact bounds of the part's
+    two projected spheres.
     """
     k = camera.intrinsics
     edges: list[list[float]] = [[], []]
@@ -215,7 +219,7 @@ def _bounding_box(part: Part, camera: Camera) -> Box:
 def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
     """Bounds (2, 2) of the parts' projection in units of the focal length.
 
-    Row 0 has the minimum and maximum of x, row 1 those of y.
+    Row 0 contains the minimum and maximum of x, and row 1 contains the minimum and maximum of y.
     """
     spans = []
     for part in parts:
@@ -228,16 +232,16 @@ def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
 
 
 def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """The rays (u, v, 1) of pixels in camera axes: u for each column x, and v for each row y.
+    """Rays (u, v, 1) through pixels, in camera axes. Returns u for each column x, and v for each row y.
 
-    The parameter along such a ray is the camera depth.
+    The parameter along a ray (u, v, 1) is the camera depth.
     """
     k = camera.intrinsics
     return (x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1]
 
 
 def _average_samples(samples: Array) -> Array:
-    """Average the S x S rays of each pixel: from shape (h S, w S, ...) to (h, w, ...)."""
+    """Average the S x S rays of each pixel. The shape changes from (h S, w S, ...) to (h, w, ...)."""
     height, width = samples.shape[0] // SAMPLES, samples.shape[1] // SAMPLES
     tiles: Array = samples.reshape(height, SAMPLES, width, SAMPLES, *samples.shape[2:])
     return np.asarray(tiles.mean(axis=(1, 3)), dtype=np.float64)

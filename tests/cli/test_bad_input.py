@@ -61,7 +61,7 @@ def test_other_folders_are_not_used_as_runs(
     """Catches checkpoints that are written into a folder with a user's own files."""
     (tmp_path / "thesis.tex").write_text("mine")
     line = error_line(capsys, "train", ball_capture, "--out", tmp_path, "--max-steps", 1)
-    assert "expected a new or empty folder, got one that is not a run; name another with --out" in line
+    assert "expected a new or empty folder, got other files; name another folder with --out" in line
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
     assert "expected a run (a folder with config.yaml), got none" in error_line(capsys, "eval", tmp_path)
 

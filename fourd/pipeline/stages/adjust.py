@@ -28,7 +28,7 @@ TILT = 12
 
 @dataclass(frozen=True)
 class AdjustFiles:
-    """Capture folder and run folder. The cameras are written to ``calibration/start/`` in the run folder."""
+    """Capture folder and run folder. The adjusted cameras are written to ``calibration/start/`` in the run folder."""
 
     capture: Path
     run: Path
@@ -48,7 +48,7 @@ class AdjustSettings:
 
     @classmethod
     def of(cls, selection: DataSelection, refine: RefineConfig) -> AdjustSettings:
-        """Settings from a training config."""
+        """Take the settings from the selection and from the section ``refine`` of a training config."""
         return cls(
             selection,
             refine.poses,
@@ -74,9 +74,10 @@ def adjust_stage(capture: Path, run: Path, settings: AdjustSettings) -> Stage[Ad
 
 
 def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -> None:
-    """Bundle-adjust the training cameras from matched features and write them. An existing result is kept.
+    """Bundle-adjust the training cameras from matched features, and write the adjusted cameras. Adjusted cameras that
+    already exist are kept.
 
-    Held-out cameras are not used and not changed.
+    Held-out cameras are neither used nor changed.
     """
     if (files.run / CALIBRATION / START / INTRINSICS_NAME).exists():
         return
@@ -103,7 +104,8 @@ def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -
 
 
 def _prior(capture: Capture, training: list[int], settings: AdjustSettings) -> Prior:
-    """Prior of the adjustment: for each camera, the standard deviations of the given calibration's errors."""
+    """Prior of the adjustment: for each camera, the expected standard deviations of the errors in the given
+    calibration."""
     given = [capture.cameras[index] for index in training]
     focus = viewing_centre(given)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])

@@ -1,4 +1,4 @@
-"""Background: initial points of the static background of a full scene, from clean plates."""
+"""Background: compute the initial points of the static background of a full scene from clean plates."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 
 @dataclass(frozen=True)
 class BackgroundFiles:
-    """Inputs and output of background seeding.
+    """Inputs and output of the stage that computes the initial background points.
 
     Attributes:
         capture: the capture's folder.
-        run: the run's folder. The points are written to ``background/points.ply`` in it.
-        seeds: the user's own PLY file of background points. None: the points are computed from the plates.
+        run: the run's folder. The points are written to ``background/points.ply`` in this folder.
+        seeds: the user's own PLY file of background points. With None, the points are computed from the plates.
         adjusted: whether the run has adjusted cameras.
     """
 
@@ -56,7 +56,7 @@ class BackgroundSettings:
 
     @classmethod
     def of(cls, train: TrainConfig) -> BackgroundSettings:
-        """Settings from a training config."""
+        """Take the settings from a training config."""
         config = train.background
         return cls(DataSelection.of(train), config.points, config.seeding, config.radiance, train.seed)
 
@@ -81,7 +81,7 @@ def background_stage(
 
 
 def run_background(files: BackgroundFiles, settings: BackgroundSettings, context: Context) -> None:
-    """Compute and write the points. An existing file is kept. Held-out views are not used."""
+    """Compute and write the background points. An existing file of points is kept. Held-out views are not used."""
     target = files.run / BACKGROUND / POINTS
     if target.exists():
         return
@@ -108,7 +108,7 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
 def _log_unstable(shares: dict[str, float], log: Log) -> None:
     """Warn about cameras whose background changes over time.
 
-    ``shares`` maps the name of each such camera to the share of changing pixels.
+    ``shares`` maps the name of each of these cameras to the share of changing pixels.
     """
     if not shares:
         return
@@ -131,7 +131,7 @@ def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, co
 
 
 def _read_seeds(path: Path, count: int, seed: int) -> ColouredPoints:
-    """Read the user's own points. If there are more than ``count``, keep a uniform random sample."""
+    """Read the user's own points. If the file has more than ``count`` points, keep a uniform random sample."""
     xyz, rgb = read_ply(path)
     if len(xyz) == 0:
         raise UserError(f"{path}: expected points of the background, got none; use another PLY")

@@ -12,7 +12,7 @@ from fourd.training.run import load_run
 
 @dataclass(frozen=True)
 class BakeFiles:
-    """The run's folder and the scene file to write."""
+    """The folder of the run, and the scene file to write."""
 
     run: Path
     scene: Path
@@ -32,5 +32,5 @@ def bake_stage(files: BakeFiles, settings: BakeSettings) -> Stage[BakeFiles, Bak
 
 
 def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None:
-    """Load the newest checkpoint and write every frame."""
+    """Load the newest checkpoint and write every frame to the scene file."""
     bake_run(load_run(files.run), files.scene, context.console, settings.layers, settings.fps)

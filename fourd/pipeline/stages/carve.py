@@ -21,8 +21,8 @@ class CarveFiles:
 
     Attributes:
         capture: the capture's folder.
-        hull: folder for FRAME.ply and bounds.json.
-        run: run folder with adjusted cameras. None: the cameras of the capture.
+        hull: folder to which FRAME.ply and bounds.json are written.
+        run: run folder with adjusted cameras. With None, the cameras of the capture are used.
     """
 
     capture: Path
@@ -37,10 +37,10 @@ class CarveStageSettings:
     Attributes:
         selection: views and frames. Held-out views are not used.
         points: maximum number of points per frame.
-        agreement: minimum share in (0, 1]. A point is kept if at least this share of the views that see it contain it
-            in their mattes.
-        least_views: minimum share in (0, 1] of all views that must see a point.
-        seed: random seed of the order of the points.
+        agreement: minimum share in (0, 1]. Of the views that see a point, at least this share must have the point in
+            their mattes.
+        least_views: minimum share in (0, 1]. At least this share of all views must see a point.
+        seed: random seed for the order of the points.
     """
 
     selection: DataSelection
@@ -65,7 +65,8 @@ def carve_stage(capture: Path, hull: Path, settings: CarveStageSettings) -> Stag
 def carve_run_stage(
     capture: Path, run: Path, settings: CarveStageSettings, adjusted: bool
 ) -> Stage[CarveFiles, CarveStageSettings]:
-    """Create the stage that carves ``capture`` for a run. With ``adjusted``, it uses the run's adjusted cameras."""
+    """Create the stage that carves ``capture`` for a run. With ``adjusted``, the stage uses the run's adjusted
+    cameras."""
     return Stage(
         "carve",
         run_carve,
@@ -79,7 +80,7 @@ def carve_run_stage(
 
 
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
-    """Carve every frame. Frames that an earlier call with the same settings finished are kept."""
+    """Carve every frame. Keep the frames that an earlier call with the same settings has finished."""
     capture = _open_training_views(files, settings.selection)
     if not capture.has_masks:
         raise UserError(
@@ -100,7 +101,7 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:
-    """Open the capture without the held-out views, which must not influence the scene that they evaluate."""
+    """Open the capture without the held-out views. Held-out views evaluate the scene, so they must not influence it."""
     if not selection.test_views and files.run is None:
         views = None if selection.views is None else list(selection.views)
         return _open(files.capture, selection, views)

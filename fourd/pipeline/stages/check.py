@@ -11,7 +11,7 @@ from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Stage
 
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
-"""Glob patterns of the input files of a capture, without derived files."""
+"""Glob patterns that match the input files of a capture, but not the files that fourd derives from them."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class CheckFiles:
 
 @dataclass(frozen=True)
 class CheckSettings:
-    """A check has no settings."""
+    """Empty class, because the check stage has no settings."""
 
 
 def check_stage(capture: Path) -> Stage[CheckFiles, CheckSettings]:
@@ -39,7 +39,7 @@ def check_stage(capture: Path) -> Stage[CheckFiles, CheckSettings]:
 
 
 def run_check(files: CheckFiles, settings: CheckSettings, context: Context) -> None:
-    """Index the videos and check all files. Raises UserError with the first problem."""
+    """Index the videos and check all files of the capture. Raises a UserError that describes the first problem."""
     track = context.track
     index_capture(files.capture, None, track)
     problems = check_capture(files.capture, track=track).problems

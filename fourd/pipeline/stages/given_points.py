@@ -1,4 +1,4 @@
-"""Given points: the user's own FRAME.ply files replace carving."""
+"""Given points: use the points of the user's own FRAME.ply files instead of carved points."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
 @dataclass(frozen=True)
 class GivenPointFiles:
-    """Capture folder, folder of the user's points, and run folder. The points are written to ``hull/`` in the run."""
+    """Capture folder, folder of the user's points, and run folder. The points are written to ``hull/`` in the run
+    folder."""
 
     capture: Path
     source: Path
@@ -53,7 +54,8 @@ def given_points_stage(
 
 
 def run_given_points(files: GivenPointFiles, settings: GivenPointSettings, context: Context) -> None:
-    """Copy a uniform random sample of each frame's points, and write the bounds of all points, padded by 5%."""
+    """Copy a uniform random sample of each frame's points. Write the bounds of the points of all frames, padded by
+    5%."""
     capture = open_run_views(files.capture, settings.selection).capture
     rng = np.random.default_rng(settings.seed)
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)

@@ -14,7 +14,7 @@ PATTERNS = ("*", "*/*", "*/*/*")
 
 @dataclass(frozen=True)
 class ImportFiles:
-    """``source`` is a file or folder that ``fourd import`` can read; ``capture`` is the folder to write."""
+    """``source`` is a file or folder that ``fourd import`` can read. ``capture`` is the folder of the new capture."""
 
     source: Path
     capture: Path
@@ -34,7 +34,7 @@ def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOption
 
 
 def run_import(files: ImportFiles, options: ImportOptions, context: Context) -> None:
-    """Detect the format of the source and import it."""
+    """Detect the format of the source and import the source."""
     log = context.log
     picked = pick_format(None, files.source)
     log(f"{files.source}: {picked.name}, {picked.summary}")

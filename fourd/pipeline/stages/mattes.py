@@ -1,4 +1,4 @@
-"""Mattes: foreground masks of all images, and a contact sheet to check them."""
+"""Mattes: make foreground masks of all images, and a contact sheet for checking the masks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 @dataclass(frozen=True)
 class MatteFiles:
-    """The capture's folder. The mattes are written to ``.fourd/mattes/`` in it."""
+    """The capture's folder. The mattes are written to ``.fourd/mattes/`` in this folder."""
 
     capture: Path
 
@@ -31,7 +31,8 @@ class MatteStageSettings:
 
 
 def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
-    """Create the stage that makes mattes for ``capture``, which must not have its own masks/."""
+    """Create the stage that makes mattes for ``capture``. The capture must not contain the user's own masks in
+    masks/."""
     return Stage(
         "mattes",
         run_mattes,
@@ -43,7 +44,7 @@ def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFile
 
 
 def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
-    """Make the missing mattes, then the contact sheet. Files of an earlier call with the same settings are kept."""
+    """Make the missing mattes, then the contact sheet. Mattes of an earlier call with the same settings are kept."""
     selection = Selection(files.capture, settings.views, settings.frames)
     index_capture(files.capture, settings.views, context.track)
     made = make_mattes(selection, settings.mattes, context.workers, context.track)

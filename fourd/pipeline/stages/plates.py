@@ -1,4 +1,4 @@
-"""Plates: an image of the background without the subject for each camera, from images and mattes."""
+"""Plates: compute an image of the background without the subject for each camera, from images and mattes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")
 RUN_KEY = "run"
-"""Cache key of the plates in a run folder. It is constant, but the key of the plates in a capture's folder depends on
-the settings of the mattes."""
+"""Cache key of the plates in a run folder. This key is constant, whereas the key of the plates in a capture folder
+depends on the settings of the mattes."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class RunPlateFiles:
 
 
 def capture_plates_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
-    """Create the stage that makes the plates of ``capture`` in its folder ``.fourd/plates``."""
+    """Create the stage that makes the plates of ``capture`` in the capture's subfolder ``.fourd/plates``."""
     return Stage(
         "plates",
         make_capture_plates,
@@ -46,7 +46,7 @@ def capture_plates_stage(capture: Path, settings: MatteStageSettings) -> Stage[M
 
 
 def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
-    """Make missing plates. Plates that were made from the same mattes are kept."""
+    """Make missing plates. Existing plates are kept if they were made from the same mattes."""
     index_capture(files.capture, settings.views, context.track)
     selection = Selection(files.capture, settings.views, settings.frames)
     key = matte_key(selection.open(), settings.mattes)
@@ -68,7 +68,8 @@ def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stag
 
 
 def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Context) -> None:
-    """Make plates unless the capture has one for every training view. Held-out views are not used."""
+    """Make plates for the training views, unless the capture has a plate for each of them. Held-out views are not
+    used."""
     folder = files.run / BACKGROUND
     folder.mkdir(parents=True, exist_ok=True)
     names = open_run_views(files.capture, selection).training_names

@@ -21,7 +21,8 @@ from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATIO
 
 @dataclass(frozen=True)
 class TrainFiles:
-    """Capture folder, run folder, and the weights of LPIPS (None: the default locations, see :func:`load_lpips`)."""
+    """Capture folder, run folder, and path of the LPIPS weights. With None, the default locations are searched; see
+    :func:`load_lpips`."""
 
     capture: Path
     run: Path
@@ -42,7 +43,7 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
 
 
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
-    """Start the run, or resume it from its newest checkpoint. Only the budget of a resumed run may change."""
+    """Start the run, or resume the run from its newest checkpoint. On a resumed run, only the budget may change."""
     lpips = load_lpips(files.lpips_weights)
     run = open_run(files.run) if (files.run / CONFIG_NAME).exists() else start_run(files.capture, files.run, config)
     if lpips is None:
