@@ -49,14 +49,12 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    Point i has camera depth z_i, projected centre q_i and a radius of rho_i = K[1, 1] * radius_i / z_i pixels, where K
-    is the intrinsic matrix. At pixel centre p, the opacity of point i is alpha_i(p) = density_i * max(1 - |q_i - p|^2 /
-    rho_i^2, 0). The points with alpha_i(p) > 0 are sorted by depth, and points of equal depth by index. The first
-    ``layers`` points are composited over the background.
+    With intrinsics K, point i has depth z_i, projected centre q_i and radius rho_i = K[1, 1] * radius_i / z_i in
+    pixels. The opacity of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0). Points with
+    alpha_i(p) > 0 are sorted by depth, and by index at equal depth. The first ``layers`` points are composited.
 
-    The rendered features, alpha and depth are differentiable in xyz, features, radius, density and background. The
-    gradient treats the selection of the points at each pixel as constant. On the CPU, results and gradients are
-    bit-identical for any number of threads.
+    The results are differentiable in xyz, features, radius, density and background. The gradient treats the selection
+    of points as constant. On the CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
         xyz: (N, 3) positions, world units.
@@ -69,15 +67,12 @@ def render_points(
         near: camera depth, in world units, below which points are culled. Points are also culled if their radius or
             density is not positive, or if their position, radius, density or projection is not finite. Culled points
             have zero gradients.
-        background: (C,) or (H, W, C) features behind the points, weighted by 1 - alpha. None means a background of
-            zeros.
+        background: (C,) or (H, W, C) features behind the points, weighted by 1 - alpha. None means zeros.
         backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
             "auto" for the kernel of the tensors' device.
-        transmittance_min: transmittance below which compositing of a pixel stops. With 0, the result is exact;
-            gradients require 0. The value 1e-4 is faster. The "reference" backend ignores this argument and is always
-            exact.
-        threads: number of threads of the "cpu" backend. 0 means FOURD_THREADS if that is set, else
-            torch.get_num_threads().
+        transmittance_min: transmittance below which compositing of a pixel stops. Gradients require the exact value 0.
+            The value 1e-4 is faster. The "reference" backend ignores this argument.
+        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
