@@ -106,7 +106,7 @@ def test_the_run_s_config_is_saved(ball_capture: Path, tmp_path: Path) -> None:
 def test_folders_in_use_are_refused(ball_capture: Path, tmp_path: Path) -> None:
     """Catches a run that overwrites a user's files, or another run."""
     (tmp_path / "diary.txt").write_text("mine")
-    with pytest.raises(UserError, match="expected a new or empty folder, got one that is not a run"):
+    with pytest.raises(UserError, match="expected a new or empty folder, got other files"):
         create_run(ball_capture, tmp_path, SMALL)
     create_run(ball_capture, tmp_path / "run", SMALL)
     with pytest.raises(UserError, match="got a run; add --resume"):
