@@ -75,7 +75,7 @@ def main(arguments: Arguments) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     plot(series, picture)
     base_text = f"{base[0]:,} points, {base[1][0]} x {base[1][1]}, K = {base[2]}"
-    caption = "All times are in milliseconds. Each table varies one number. The other numbers keep these base values:"
+    caption = "Times are in milliseconds. Each table varies one number and keeps the other numbers at these values:"
     text = f"# Scaling\n\n{this_machine()}\n\n{caption}\n{base_text}.\n\n"
     write_text_atomically(page, text + "\n".join(table(item) for item in series))
     print(f"{picture}, {page}")

@@ -45,11 +45,11 @@ class ModelConfig:
     hidden: int = 64
     """Width of every MLP."""
     appearance: Literal["both", "ibr", "sh"] = "both"
-    """Parts of a point's colour. The value ibr uses a colour blended from source images. The value sh uses a colour
-    from spherical harmonics. The value both adds these two colours."""
+    """Parts of a point's colour: `ibr` is a colour blended from source images, `sh` is a colour from spherical
+    harmonics, and `both` is the sum of `ibr` and `sh`."""
     sh: Literal["mlp", "explicit"] = "mlp"
-    """Source of the SH coefficients. The value mlp predicts the coefficients from the point's feature. The value
-    explicit optimises 48 coefficients for each point of each frame."""
+    """Source of the SH coefficients. With `mlp`, an MLP predicts the coefficients from the point's feature. With
+    `explicit`, training optimises 48 coefficients for each point of each frame."""
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH when this colour is added to the image-based colour."""
     continuous: bool = False

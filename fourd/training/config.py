@@ -70,8 +70,8 @@ class BackgroundConfig:
     """Maximum number of background points. The coarse shell of points in directions that no plate shows is not
     counted."""
     seeding: Literal["ngp", "sfm"] = "ngp"
-    """Source of the background points. The value ngp takes the points from a radiance field that is fitted to the plates
-    and to stereo depths. The value sfm takes the points from stereo alone."""
+    """Source of the background points. With `ngp`, the points come from a radiance field that is fitted to the plates
+    and to stereo depths. With `sfm`, the points come from stereo alone."""
     seeds: Path | None = None
     """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
@@ -95,8 +95,8 @@ class BackgroundConfig:
     grazing angle are not composited. The gradient then enlarges the discs, and even more points are left out. The
     image becomes blurred."""
     encoder_every: int = 8
-    """The background's image encoder is updated only in steps on a clean plate. The step number must also be a multiple
-    of this value."""
+    """The background's image encoder is updated only in steps on a clean plate whose step number is divisible by this
+    value."""
     shadow: bool = False
     """Learn the shadows and the reflected light that the foreground casts on the background in each frame. This option
     needs a model with image-based colour."""
@@ -192,8 +192,8 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
     scene: Literal["object", "full"] = "object"
-    """Part of the images to reconstruct. The value object reconstructs only the foreground in the mattes, on black. The
-    value full reconstructs the whole image, with a static background."""
+    """Part of the images to reconstruct. With `object`, only the foreground in the mattes is reconstructed, on black.
+    With `full`, the whole image is reconstructed, with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Settings of the background of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
@@ -210,8 +210,8 @@ class TrainConfig:
     layers. Training with a small K produces surfaces that are opaque in few layers. Full scenes use
     `background.least_layers` instead of this key."""
     crop: Literal["mask", "full"] = "mask"
-    """Part of each image that is used for training. The value mask selects the matte's bounding box with a margin. The
-    value full selects the whole image."""
+    """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
+    selects the whole image."""
     random_background: bool = True
     """Composite prediction and ground truth on a random colour in each step. On a black background, holes in dark
     surfaces would cause no loss."""
