@@ -13,7 +13,7 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CONTRACTED_RADIUS = 2.0
-"""Radius of the ball: points at infinity map to it. The contraction is the identity within radius 1."""
+"""Radius of the ball, to whose surface points at infinity map. The contraction is the identity within radius 1."""
 
 
 @dataclass(frozen=True)

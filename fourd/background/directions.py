@@ -74,8 +74,8 @@ def summarize_cells(
 
     Returns:
         known: (count,) bool, whether the cell has points.
-        inverse: (count,) inverse of the cell's distance, which is the FAR_QUANTILE of its points' distances; 0 without
-            points.
+        inverse: (count,) inverse of the cell's distance; 0 in cells without points. The distance of a cell is the
+            FAR_QUANTILE of the distances of its points.
         rgb: (count, 3) mean colour of the points at or beyond the cell's distance.
     """
     order = np.lexsort((distance, cells))
@@ -99,8 +99,8 @@ def interpolate_harmonic(
 
     Args:
         grid: the grid of directions.
-        known: (cells,) bool, whether a cell's value is given; given values are kept.
-        values: (cells, C) values; those of unknown cells are ignored.
+        known: (cells,) bool, whether a cell's value is given. Given values do not change.
+        values: (cells, C) values. The values of unknown cells are ignored.
         horizontal_weight: weight of horizontal neighbours; vertical neighbours have weight 1.
     """
     number = np.arange(grid.rows * grid.columns).reshape(grid.rows, grid.columns)

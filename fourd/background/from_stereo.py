@@ -30,15 +30,16 @@ def seed_from_stereo(
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
-    """Create coloured points of a static background with an even density in the plates.
+    """Create coloured points of a static background, evenly spread over the plates' images.
 
-    COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The features
-    and the dominant planes through them initialise the depth map of each plate, which PatchMatch optimises. A depth is
-    kept if another plate confirms it and no plate contradicts it. The same input and seed give the same points.
+    COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The depth map
+    of each plate is initialised from these features and from the dominant planes through them. PatchMatch then
+    optimises the depth map. A depth is kept if another plate confirms it and no plate contradicts it. The same input
+    and seed give the same points.
 
     Args:
         plates: clean plates of at least two cameras.
-        points: requested number of points, at least 1. Plates with few visible pixels give fewer.
+        points: requested number of points, at least 1. Plates with few visible pixels give fewer points.
         fill: whether to extrapolate depth into areas without a stereo match.
         seed: random seed.
         workers: number of processes.
@@ -46,7 +47,7 @@ def seed_from_stereo(
         track: progress callback.
 
     Returns:
-        the points in random order, so that the first N are a uniform sample for every N.
+        the points in random order. For every N, the first N points are a uniform sample of all points.
 
     Raises:
         ValueError: if there are fewer than two plates or ``points`` is less than 1.
@@ -73,6 +74,6 @@ def seed_from_stereo(
 
 def _overlap_error(minimum: str, got: str) -> UserError:
     return UserError(
-        f"plates: expected at least {minimum} to match between two of them, got {got}; depths cannot be triangulated "
-        "on walls without texture or with cameras far apart; provide your own points with --background FILE.ply"
+        f"plates: expected at least {minimum} to match between two plates, got {got}; depths cannot be triangulated on "
+        "walls without texture or if cameras are far apart; provide your own points with --background FILE.ply"
     )

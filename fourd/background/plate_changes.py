@@ -34,7 +34,7 @@ def find_changing_backgrounds(
         plates: clean plates.
 
     Returns:
-        the changed share of the background in [0, 1] by camera name, in the frame with the largest change.
+        by camera name, the share in [0, 1] of the background that changed, in the frame with the largest change.
     """
     shares = {
         plate.name: max(

@@ -1,4 +1,4 @@
-"""Clean plates for background seeding, which the user provides or ``fourd matte`` makes."""
+"""Clean plates for background seeding. The user provides the plates, or ``fourd matte`` makes them."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ def read_plates(
 ) -> tuple[PlateView, ...]:
     """Read the plates of some of a capture's cameras; undistort and resize them to match ``capture.cameras``.
 
-    A plate of the user, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, has priority. It has the full size and the lens distortion
-    of the frames, and pixels that are not opaque are holes. Otherwise ``.fourd/plates/CAM.png`` is read, which has the
-    format of fourd.matting.plates.
+    A plate from the user, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, has priority. The user's plate must have the full size
+    and the lens distortion of the frames. Pixels of this plate that are not opaque are holes. If the user provides no
+    plate, ``.fourd/plates/CAM.png`` is read. Files of this kind are written by :mod:`fourd.matting.plates`.
 
     Args:
         capture: the capture.
@@ -134,7 +134,7 @@ def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """An image in memory that is read as the only frame of a camera."""
+    """An image in memory that the frame reader treats as a video with one frame."""
 
     path: Path
     picture: Picture
@@ -151,14 +151,15 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
     rgb, opaque = decode_rgb(file.path), decode_alpha(file.path)
     height, width = opaque.shape
     if (width, height) != (lens.width, lens.height):
-        fix = f"remove it and run: fourd matte {capture.path}" if file.made else "export it again at that size"
+        again = "export the plate again at the size of the frames"
+        fix = f"remove this plate and run: fourd matte {capture.path}" if file.made else again
         raise UserError(
             f"{file.path}: expected {lens.width} x {lens.height} pixels like the frames of camera '{name}', "
             f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # In plates made by fourd, pixels outside the lens's field of view are black and opaque. Undistortion of an
-        # opaque matte finds them.
+        # In plates made by fourd, pixels outside the lens's field of view are black and opaque. To find these pixels,
+        # an opaque matte is undistorted.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)

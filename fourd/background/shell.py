@@ -47,12 +47,13 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
     chosen = _select_cells(sphere, known)
-    # The rim of the shell lies behind known points. Without this overlap, other viewpoints would show a slit.
+    # The rim of the shell is placed behind known points. Without this overlap between the shell and the known points, a
+    # slit between them would be visible from other viewpoints.
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Shell points nearer to the centre than the median camera are dropped. Some cameras see this space, so gaps in it
-    # come from sparse points and need no shell.
+    # Shell points nearer to the centre than the median camera are dropped. Some cameras see the space near the centre.
+    # Gaps there are only gaps between sparse points and need no shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
@@ -83,7 +84,7 @@ def viewing_centre(cameras: Sequence[Camera]) -> Array:
 def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Select the cells that get a shell point: unknown cells and a rim of known cells.
 
-    The density is even over the sphere, but lower far from known cells.
+    The selected cells are evenly dense over the sphere, but sparser far from known cells.
     """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
@@ -100,8 +101,8 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
 
 
 def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
-    """Known cells (rows, columns) after closing small gaps, and each cell's angle (degrees) to the nearest known
-    cell."""
+    """Close small gaps between known cells. Returns the known cells (rows, columns) and the angle in degrees between
+    each cell and the nearest cell that was known before."""
     known = _dilate_rows(sphere, known)
     # Three copies side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
@@ -112,8 +113,8 @@ def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArra
 
 
 def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Known cells (rows, columns), dilated along rows by one degree on the sphere, since cells narrow towards the
-    poles."""
+    """Known cells (rows, columns), dilated along rows by one degree on the sphere. Near the poles, one degree spans
+    more cells."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):
         elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
@@ -139,7 +140,8 @@ def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.
 
 
 def _depth_cells(xyz: Array, camera: Camera, columns: int) -> tuple[NDArray[np.intp], Array]:
-    """The cell of a coarse depth map to which each point projects (N,), -1 outside the image; and the depths (N,)."""
+    """Cell (N,) of a coarse depth map to which each point projects, or -1 outside the image, and depth (N,) of each
+    point."""
     pixels, depth = camera.project(xyz)
     inside = (depth > 1e-6) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
     place = np.where(inside[:, None], pixels / DEPTH_CELL_PX, 0).astype(np.intp)

@@ -1,9 +1,9 @@
-"""The table of a baked frame's arrays. The manifest, the reader and writer of files, combining and the OpenGL upload
-use it.
+"""The table of a baked frame's arrays. This table is used by the manifest, the scene reader and writer, the combination
+of frames and the upload to OpenGL.
 
-To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True`` and a field of the same name to
-:class:`fourd.baking.scene.BakedFrame`, and compute it in :mod:`fourd.baking.bake`. Scenes without the attribute
-stay readable. Programs that do not know the attribute skip it.
+To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True``. Add a field of the same name to
+:class:`fourd.baking.scene.BakedFrame`, and compute the attribute in :mod:`fourd.baking.bake`. Scenes without the new
+attribute stay readable. Older programs skip attributes that they do not know.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Values = Literal["any", "finite", "nonnegative", "unit"]
 """Valid values of an attribute. "unit" means [0, 1]. Every kind except "any" excludes NaN and infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
-"""How the background's array is appended to that of the dynamic points: unchanged, or multiplied by the shadow."""
+"""How the background's array is appended to the array of the dynamic points: unchanged, or multiplied by the shadow."""
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,11 @@ class Attribute:
     """One array of a frame, as stored in the file.
 
     Attributes:
-        name: name of the field of BakedFrame, of the array's file inside the ZIP, and of its key in the manifest.
+        name: name of the field of BakedFrame. The array's file inside the ZIP and the array's key in the manifest have
+            the same name.
         dtype: little-endian NumPy dtype.
-        shape: side lengths, where "points" and "views" stand for the numbers of points and of source views.
+        shape: side lengths of the array. "points" stands for the number of points and "views" for the number of source
+            views.
         values: the valid values, see :data:`Values`.
         combine: how the background's array is appended to that of the dynamic points, see :data:`Combine`.
         is_optional: whether a scene may lack this attribute.
@@ -50,14 +52,14 @@ class Attribute:
 
     @property
     def numbers(self) -> int:
-        """Numbers stored per point, or per point and view if :attr:`is_per_view`."""
+        """How many numbers the array stores per point, or per point and view if :attr:`is_per_view`."""
         count = 1
         for side in self.shape:
             count *= side if isinstance(side, int) else 1
         return count
 
     def resolve_shape(self, points: int, views: int) -> tuple[int, ...]:
-        """The array's shape for these numbers of points and source views."""
+        """The array's shape for the given numbers of points and source views."""
         counts = {"points": points, "views": views}
         return tuple(counts[side] if isinstance(side, str) else side for side in self.shape)
 
@@ -69,7 +71,7 @@ class Attribute:
         return count * np.dtype(self.dtype).itemsize
 
     def check(self, array: NDArray[Any], points: int, views: int) -> None:
-        """Check the array's shape and dtype. Raises ValueError, which names the attribute."""
+        """Check the array's shape and dtype. Raises a ValueError that names the attribute."""
         shape, dtype = self.resolve_shape(points, views), np.dtype(self.dtype)
         if array.shape != shape or array.dtype != dtype:
             raise ValueError(
@@ -97,7 +99,7 @@ ATTRIBUTES = (
     Attribute("blend_weights", "<f2", ("points", "views"), values="nonnegative"),
     Attribute("rgb", "|u1", ("points", "views", 3), values="any", combine="cast_shadow"),
 )
-"""All attributes, in the order of the file's members and of the native kernels' arguments."""
+"""All attributes, in the order of the scene file's members and of the native kernels' arguments."""
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
@@ -110,6 +112,6 @@ def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # The bits of infinity and NaN are 0x7C00 or more, and those of negative values 0x8000 or more. Both exceed the
-    # limit. -0 has the bits 0x8000 and is valid.
+    # The bits of infinity and NaN are 0x7C00 or more, and the bits of negative values are 0x8000 or more. All of these
+    # exceed the limit. -0 has the bits 0x8000 and is valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

@@ -29,11 +29,13 @@ from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
 
 GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
-"""Returns the source view of a camera index for the given points, with a depth map if occlusion is tested."""
+"""Function that returns a camera's source view for the given points. The view has a depth map if occlusion is
+tested."""
 
 BAKED_LAYERS = 12
 MAX_BAKED_WEIGHT = 1024.0
-"""Each point's blend weights are scaled to this maximum, so that small weights do not underflow in fp16."""
+"""Maximum blend weight of each point after scaling. Weights are scaled so that small weights do not underflow in
+fp16."""
 
 
 def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float = 30.0) -> None:
@@ -42,7 +44,7 @@ def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAK
     Blend weights (fp16) and colours (uint8) are baked for every training view.
 
     Args:
-        layers: the scene's K, the maximum number of points that a pixel composites.
+        layers: maximum number of points that a pixel composites, stored in the scene.
         fps: playback rate, frames per second.
 
     Raises:
@@ -74,7 +76,7 @@ def select_baked_views(run: Run) -> list[int]:
 
 
 def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
-    """Return the manifest of a run's scene, without the numbers of points, which the writer sets."""
+    """Return the manifest of a run's scene. The numbers of points are missing, because the writer sets them."""
     run, background = trained.run, trained.renderer.background
     sources = select_baked_views(run)
     others = [index for index in range(len(run.capture.names)) if index not in sources]
@@ -99,7 +101,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate one frame's dynamic points: everything that does not depend on the viewer.
+    """Evaluate all properties of one frame's dynamic points that do not depend on the viewer.
 
     ``sources`` are the camera indices from :func:`select_baked_views`.
     """
@@ -114,7 +116,8 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
 
 
 def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:
-    """Evaluate the static background points, with clean plates as source views. None if the run has no background."""
+    """Evaluate the static background points, with clean plates as source views. Returns None if the run has no
+    background."""
     background = trained.renderer.background
     if background is None:
         return None
@@ -128,7 +131,7 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
 
 
 def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
-    """Evaluate a frame's shadow factors, (M,) uint8 in units of 1/128. None if the run has no shadow model."""
+    """Evaluate a frame's shadow factors, (M,) uint8 in units of 1/128. Returns None if the run has no shadow model."""
     background = trained.renderer.background
     if background is None or background.model.shadow is None:
         return None

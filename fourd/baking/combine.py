@@ -8,17 +8,18 @@ from numpy.typing import NDArray
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, make_frame
 
 _ROWS = 2048
-"""Number of points whose colours are multiplied by the shadow at a time; their data fits in the L2 cache."""
+"""Number of points whose colours are multiplied by the shadow at a time. The data of these points fits in the L2
+cache."""
 
 
 def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> BakedFrame:
     """Concatenate dynamic and background points, in this order, into one frame with new read-only arrays.
 
-    The result refers to ``background``, so that a renderer can recognize a background that it has already uploaded.
+    The combined frame refers to ``background``, so that a renderer can recognize a background that is already uploaded.
 
     Args:
-        dynamic: the frame's own N points.
-        background: the M background points, with the source views and attributes of ``dynamic``.
+        dynamic: the N dynamic points of the frame.
+        background: the M background points. They must have the same source views and attributes as ``dynamic``.
         shadow: (M,) uint8 factors that multiply the background's colours, in units of 1/128. None leaves the colours
             unchanged.
 
@@ -47,7 +48,7 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
 def _cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> None:
     """Multiply colours (M, V, 3) by factors (M,) in place. Results are rounded half up and clipped at 255.
 
-    Most factors are 1; their points are skipped.
+    Points with factor 1 are skipped. Most factors are 1.
     """
     points, views, channels = rgb.shape
     rows = rgb.reshape(points, views * channels)

@@ -1,9 +1,10 @@
-"""The `.4dv` file: a ZIP64 with manifest.json and one member, a file inside the ZIP, per frame and attribute.
+"""The `.4dv` file: a ZIP64 with manifest.json and one member per frame and attribute. A member is a file inside the
+ZIP.
 
-A full scene also stores its background's attributes, once, and optionally one shadow per frame.
+A full scene also stores the attributes of its background once. It can store one shadow per frame.
 
 Members are stored uncompressed, so that a seek or an HTTP range request can read one frame. The reader treats the file
-as untrusted: it compares member sizes with the manifest before it allocates memory. It skips unknown members.
+as untrusted: before it allocates memory, it compares the members' sizes with the manifest. It skips unknown members.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from fourd.files import atomic_path
 MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 64 << 20
 BACKGROUND = "background"
-"""Folder inside the ZIP that contains the background's members."""
+"""Folder inside the ZIP that contains the arrays of the background."""
 SHADOW = "shadow"
 _TIMESTAMP = (1980, 1, 1, 0, 0, 0)
 _ENCRYPTED = 0x1
@@ -57,8 +58,8 @@ def member_name(frame: int, attribute: str) -> str:
 class SceneWriter:
     """Writes a scene frame by frame. Memory use does not grow with the number of frames.
 
-    Use it as a context manager: the complete file appears at ``path`` when the block ends. If the block raises an
-    exception, an existing file at ``path`` is kept and no partial file remains.
+    Use the writer as a context manager: the complete file appears at ``path`` when the block ends. If the block raises
+    an exception, an existing file at ``path`` is kept and no partial file remains.
 
     Args:
         path: path of the `.4dv`. A missing folder is created.
@@ -67,18 +68,18 @@ class SceneWriter:
 
     Raises:
         UserError: if the disk is full or the path cannot be written.
-        ValueError: if frames are not added in order, do not match the manifest or each other, or contain values that
-            :data:`fourd.baking.attributes.ATTRIBUTES` excludes, or if a full scene's background is not added exactly
-            once.
+        ValueError: if frames are not added in order, if they do not match the manifest or each other, if they contain
+            values that :data:`fourd.baking.attributes.ATTRIBUTES` excludes, or if the background of a full scene is not
+            added exactly once.
     """
 
     def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
         self.path = Path(path)
         self.manifest = manifest
         self._points: list[int] = []
-        self._background: int | None = None  # point count; None until it is added
-        self._shadow: int | None = None  # length of the frames' shadows; None if there are none
-        self._optional: tuple[str, ...] | None = None  # names; None until points are added
+        self._background: int | None = None  # number of points; None until the background is added
+        self._shadow: int | None = None  # length of the frames' shadows; None without shadows
+        self._optional: tuple[str, ...] | None = None  # attribute names; None until points are added
         self._stack = ExitStack()
         self._zip: zipfile.ZipFile | None = None
 
@@ -99,7 +100,7 @@ class SceneWriter:
         """
         if index != len(self._points) or index >= self.manifest.frame_count:
             raise ValueError(
-                f"index: expected frame {len(self._points)} of {self.manifest.frame_count} as the next one, got {index}"
+                f"index: expected frame {len(self._points)} of {self.manifest.frame_count} next, got {index}"
             )
         self._check(f"frame {index}", frame)
         if shadow is not None or self._shadow is not None:
@@ -113,12 +114,12 @@ class SceneWriter:
     def add_background(self, frame: BakedFrame) -> None:
         """Add the static points of a full scene.
 
-        Call it exactly once, at any time before, between or after the frames.
+        Call this method exactly once. The background may be added before, between or after the frames.
         """
         if self.manifest.kind != "full":
-            raise ValueError(f'background: expected none in a scene of kind "{self.manifest.kind}", got one')
+            raise ValueError(f'expected no background in a scene of kind "{self.manifest.kind}", got one')
         if self._background is not None:
-            raise ValueError("background: expected one, got a second")
+            raise ValueError("background: expected one background, got a second one")
         self._check("background", frame)
         if self._shadow not in (None, frame.point_count):
             raise ValueError(
@@ -147,7 +148,7 @@ class SceneWriter:
         if manifest.kind == "object":
             return replace(manifest, version=OBJECT_VERSION)
         if self._background is None:
-            raise ValueError('background: expected one in a scene of kind "full", got none; call add_background')
+            raise ValueError('expected a background in a scene of kind "full", got none; call add_background')
         background = SceneBackground(self._background, shadow=self._shadow is not None)
         return replace(manifest, background=background, version=FULL_VERSION)
 
@@ -163,17 +164,19 @@ class SceneWriter:
             raise ValueError(f"{what}, {invalid}: expected finite numbers (radius and weights >= 0, density in [0, 1])")
 
     def _check_shadow(self, index: int, shadow: NDArray[np.uint8] | None) -> None:
-        where = f"frame {index}, shadow"
         if self.manifest.kind != "full":
-            raise ValueError(f'{where}: expected none in a scene of kind "{self.manifest.kind}", got one')
+            raise ValueError(f'frame {index}: expected no shadow in a scene of kind "{self.manifest.kind}", got one')
         if shadow is None:
-            raise ValueError(f"{where}: expected one, as for the previous frames, got none")
+            raise ValueError(f"frame {index}: expected a shadow, because the previous frames have one, got none")
         if self._shadow is None and index > 0:
-            raise ValueError(f"{where}: expected none, as for the previous frames, got one")
+            raise ValueError(f"frame {index}: expected no shadow, because the previous frames have none, got one")
         length = self._shadow if self._background is None else self._background
         if shadow.dtype != np.uint8 or shadow.ndim != 1 or length not in (None, len(shadow)):
             points = "M" if length is None else length
-            raise ValueError(f"{where}: expected uint8 of shape ({points},), got {shadow.dtype} of {shadow.shape}")
+            raise ValueError(
+                f"frame {index}, shadow: expected uint8 of shape ({points},), "
+                f"got {shadow.dtype} of shape {shadow.shape}"
+            )
 
     def _write_arrays(self, folder: str, frame: BakedFrame) -> None:
         arrays = frame.arrays
@@ -193,13 +196,14 @@ class SceneWriter:
 
 
 class SceneReader:
-    """Reads a `.4dv`. Every call reads its frame from the file; only the background is cached.
+    """Reads a `.4dv`. Every call reads the requested frame from the file. Only the background is cached.
 
     Several threads may use one instance.
 
     Raises:
-        UserError: on opening, if the file is truncated, is not a scene, has a newer format or is inconsistent; on
-            reading, if a member is damaged. The message is one line that names the file and the fix.
+        UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. These errors are
+            raised when the file is opened. A damaged member of the ZIP raises UserError when the member is read. The
+            message is one line that names the file and the fix.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -235,7 +239,7 @@ class SceneReader:
         return self._read(_frame_folder(index), self.manifest.points[index])
 
     def read_background(self) -> BakedFrame | None:
-        """Return the cached background points, without shadows. None for an object scene."""
+        """Return the cached background points, without shadows. Returns None for an object scene."""
         described = self.manifest.background
         if described is None:
             return None
@@ -245,7 +249,7 @@ class SceneReader:
             return self._background
 
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:
-        """Read a frame's shadow factors, (M,) uint8 in units of 1/128. None if the scene has no shadows.
+        """Read a frame's shadow factors, (M,) uint8 in units of 1/128. Returns None if the scene has no shadows.
 
         Raises IndexError if the scene has no such frame.
         """
@@ -326,7 +330,7 @@ def _open_zip(path: Path) -> zipfile.ZipFile:
     try:
         return zipfile.ZipFile(path)
     except FileNotFoundError as error:
-        raise UserError(f"{path}: expected a .4dv file, got a path that does not exist; check the name") from error
+        raise UserError(f"{path}: expected a .4dv file, got a path that does not exist; check the path") from error
     except _ZIP_ERRORS as error:
         raise UserError(
             f"{path}: expected a complete .4dv scene (a ZIP), got a truncated file or another kind of file; "

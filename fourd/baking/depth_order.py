@@ -13,7 +13,7 @@ from fourd.ops.play.op import PointSorter
 class DepthSorter:
     """Sorts the points of frames by depth and reuses its workspace between calls.
 
-    Several threads may use one instance; a lock serializes their calls.
+    Several threads may use one instance. A lock serializes the threads' calls.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,8 @@ class DepthSorter:
         self._points = PointSorter()
 
     def sort(self, frame: BakedFrame, camera: Camera, near: float, *, threads: int = 0) -> NDArray[np.uint32]:
-        """Return the indices of the points in the image of ``camera``, nearest first, and by index at equal depths.
+        """Return the indices of the points in the image of ``camera``, nearest first. Points of equal depth are in
+        index order.
 
         See :meth:`fourd.ops.play.op.PointSorter.sort` for the arguments, the errors and the points that are omitted.
         The radii and densities of ``frame`` must be finite; :class:`fourd.baking.container.SceneReader` checks this.

@@ -1,6 +1,6 @@
 """Rendering of baked frames on a GPU.
 
-The images are those of :mod:`fourd.baking.player`. Frames and images are in device memory.
+The images match those of :mod:`fourd.baking.player`. Frames and images are stored in device memory.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fourd.ops.shade.cuda import shade_points_gpu
 
 @dataclass(frozen=True)
 class GpuFrame:
-    """A :class:`fourd.baking.scene.BakedFrame` of N points and V views, with its arrays in device memory.
+    """A :class:`fourd.baking.scene.BakedFrame` with N points and V source views, whose arrays are in device memory.
 
     Attributes:
         xyz: (N, 3) float32.
@@ -50,7 +50,7 @@ class GpuFrame:
 
 
 class GpuPlayer:
-    """Draws frames on a CUDA device. On a CPU device, it runs the CUDA kernels in an emulator, for tests."""
+    """Draws frames on a CUDA device. For tests, a CPU device runs the CUDA kernels in an emulator."""
 
     def __init__(self, device: torch.device) -> None:
         """Raises ImportError if the device's kernels are not built."""
@@ -66,12 +66,13 @@ class GpuPlayer:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         out: Tensor | None = None,
     ) -> Tensor:
-        """Draw the same image as :meth:`fourd.baking.player.Player.draw`; each byte differs by at most 1.
+        """Draw the same image as :meth:`fourd.baking.player.Player.draw`. Each byte differs by at most 1.
 
-        The work is queued on torch's current stream; this call does not wait for it.
+        The kernels are queued on torch's current stream. The call returns before the image is complete.
 
         Returns:
-            (H, W, 4) uint8 on the device; this is ``out`` if it is given.
+            image (H, W, 4) uint8 on the device. If ``out`` is given, the image is drawn into ``out`` and ``out`` is
+            returned.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.

@@ -30,11 +30,11 @@ MAX_NAME = 255
 
 
 class ManifestError(ValueError):
-    """An invalid manifest; the message reads "where: expected ..., got ..."."""
+    """An invalid manifest. The message has the form "where: expected ..., got ..."."""
 
 
 class NewerVersionError(ManifestError):
-    """A manifest of a newer version than this program supports."""
+    """The manifest has a newer version than this program supports."""
 
 
 def manifest_to_json(manifest: SceneManifest) -> bytes:
@@ -212,7 +212,7 @@ def _background_to_json(background: SceneBackground | None) -> dict[str, Any]:
 def _background(root: _Node, kind: SceneKind, version: int) -> SceneBackground | None:
     if kind == "object":
         if "background" in root.content:
-            raise root.fail("background", 'none for kind "object"')
+            raise root.fail("background", 'no background for kind "object"')
         return None
     if version < FULL_VERSION:
         raise root.fail("kind", f'"object" in format version {version}')
@@ -228,7 +228,7 @@ def _bounds(node: _Node) -> tuple[tuple[float, float, float], tuple[float, float
 
 
 def _check_attributes(node: _Node) -> tuple[str, ...]:
-    """Check the known attributes and return the names of the optional ones. Unknown attributes are skipped."""
+    """Check the known attributes and return the names of the optional attributes. Unknown attributes are skipped."""
     optional = []
     for attribute in ATTRIBUTES:
         if attribute.is_optional:

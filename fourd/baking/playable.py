@@ -33,7 +33,7 @@ class Playable(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """For each frame, its number in the capture."""
+        """The number of each frame in the capture."""
 
     @property
     def fps(self) -> float:
@@ -45,7 +45,7 @@ class Playable(Protocol):
         """Render a frame (index from 0): RGB (H, W, 3) float32 in [0, 1].
 
         Args:
-            layers: K, the maximum number of points that a pixel composites. None for the value of the scene or run.
+            layers: K, the maximum number of points that a pixel composites. None selects the value of the scene or run.
             background: (3,) colour in [0, 1] behind the points.
         """
 
@@ -81,7 +81,7 @@ class PlayableScene:
 
 @dataclass(frozen=True)
 class PlayableRun:
-    """A trained run. Rendering evaluates its networks."""
+    """A trained run. Rendering evaluates the run's networks."""
 
     trained: TrainedRun
 
@@ -115,7 +115,9 @@ class PlayableRun:
 def open_playable(path: Path) -> Playable:
     """Open a run's folder or a `.4dv`. torch is loaded only for a run. Raises UserError."""
     if not path.exists():
-        raise UserError(f"{path}: expected a run's folder or a .4dv file, got a path that does not exist; check it")
+        raise UserError(
+            f"{path}: expected a run's folder or a .4dv file, got a path that does not exist; check the path"
+        )
     if path.is_dir():
         from fourd.training.run import load_run
 
@@ -124,7 +126,7 @@ def open_playable(path: Path) -> Playable:
 
 
 def find_view(playable: Playable, name: str) -> Camera:
-    """Return the capture camera ``name``. Raises UserError, which lists the valid names."""
+    """Return the capture camera ``name``. If there is no such camera, raises a UserError that lists the valid names."""
     views = playable.views
     if name not in views:
         raise UserError(f"--views: expected names out of {', '.join(views)}, got {name}")
@@ -134,7 +136,8 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    ``selection`` is A:B or A:B:S, without B and with step S. None selects all frames. Raises UserError.
+    ``selection`` is A:B or A:B:S. It selects the frames from A to B - 1, with step S. None selects all frames. Raises
+    UserError.
     """
     numbers = playable.frame_numbers
     if selection is None:

@@ -14,7 +14,7 @@ from fourd.ops.play.op import PointPlayer
 class Player:
     """Draws baked frames and reuses its workspace between images.
 
-    Several threads may use one instance; a lock serializes their calls.
+    Several threads may use one instance. A lock serializes the threads' calls.
     """
 
     def __init__(self) -> None:
@@ -32,19 +32,20 @@ class Player:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw the frame from ``camera`` as an (H, W, 4) uint8 image: RGB over the background, then alpha.
+        """Draw the frame from ``camera`` as an (H, W, 4) uint8 image. The channels are RGB over the background, and
+        alpha.
 
-        The image equals that of :meth:`fourd.baking.rendering.Scene.render`, except that values are rounded to bytes
-        and that compositing of a pixel ends when its transmittance falls below
+        The image differs from the image of :meth:`fourd.baking.rendering.Scene.render` in only two ways. Values are
+        rounded to bytes, and the compositing of a pixel ends when the pixel's transmittance falls below
         :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
             camera: a pinhole camera without lens distortion.
-            layers: K, the maximum number of points that a pixel composites. None for the manifest's value.
-            background: red, green and blue behind the points, in [0, 1].
-            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
-            out: C-contiguous (H, W, 4) uint8 array to draw into. None for a new array.
+            layers: K, the maximum number of points that a pixel composites. None selects the manifest's value.
+            background: RGB colour behind the points, in [0, 1].
+            threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. None creates a new array.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.

@@ -1,4 +1,4 @@
-"""Opening a baked scene and rendering its frames with NumPy and the native kernels, without torch."""
+"""Opening of baked scenes, and rendering of their frames with NumPy and the native kernels, without torch."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ class RenderedImage:
 class Scene:
     """An open baked scene. Several threads may use one instance.
 
-    Use it as a context manager or call :meth:`close`. The most recently used frames are cached, up to
-    ``cache_bytes``.
+    Use the scene as a context manager, or call :meth:`close` at the end. The most recently used frames are cached, up
+    to ``cache_bytes``.
     """
 
     def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
@@ -102,9 +102,9 @@ class Scene:
         Args:
             camera: a pinhole camera without lens distortion.
             frame: index of the frame, from 0.
-            layers: maximum number of points that a pixel composites. None for the manifest's value.
-            background: (3,) colour in [0, 1] behind the points; None for black.
-            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
+            layers: maximum number of points that a pixel composites. None selects the manifest's value.
+            background: (3,) RGB colour in [0, 1] behind the points; None selects black.
+            threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
 
         Raises:
             IndexError: if the scene has no such frame. UserError: if the file is damaged.
@@ -129,7 +129,8 @@ def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
     """Open a `.4dv`.
 
     Args:
-        cache_bytes: memory for cached frames and the background. One frame is cached even if it exceeds this limit.
+        cache_bytes: size in bytes of the cache for frames and the background. One frame is cached even if it exceeds
+            this limit.
 
     Raises:
         UserError: if the file is not a valid scene. The message is one line that names the file and the fix.

@@ -16,7 +16,8 @@ FORMAT_NAME = "fourd-scene"
 FORMAT_VERSION = 2
 """The newest version of the file format that this program reads."""
 OBJECT_VERSION, FULL_VERSION = 1, 2
-"""The format version of each scene kind. Object scenes keep version 1, so that older programs can read them."""
+"""Format versions of object scenes and of full scenes. Object scenes keep version 1, so that older programs can read
+them."""
 SHADOW_IDENTITY = 128
 """The shadow value that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
@@ -39,7 +40,7 @@ class BakedFrame:
         has_shadow: whether a shadow has been multiplied into the ``rgb`` of the last M points.
 
     Raises:
-        ValueError: for a wrong shape or dtype. The message names the array.
+        ValueError: for a wrong shape or dtype. The error message names the array.
     """
 
     xyz: NDArray[np.float32]
@@ -95,7 +96,8 @@ class BakedFrame:
         return sum(array.nbytes for array in self.arrays.values())
 
     def find_invalid_array(self) -> str | None:
-        """Name of the first array with a value that :data:`ATTRIBUTES` excludes, such as NaN. None if all are valid."""
+        """Name of the first array with a value that :data:`ATTRIBUTES` excludes, such as NaN. None if all arrays are
+        valid."""
         arrays = self.arrays
         for attribute in self.attributes:
             if not attribute.has_valid_values(arrays[attribute.name]):
@@ -120,7 +122,7 @@ class SceneBackground:
 
     Attributes:
         points: number of background points.
-        shadow: whether every frame has a shadow, which is one colour factor per background point.
+        shadow: whether every frame has a shadow. A shadow has one colour factor per background point.
     """
 
     points: int
@@ -133,18 +135,18 @@ class SceneManifest:
 
     Attributes:
         source_names, source_cameras: names and cameras of the V source views, in the order of the frames' arrays.
-        focus: (x, y, z) of the point at which angles between views are measured, world units.
-        bounds: lower and upper corner of the box that contains the dynamic points, world units.
-        frame_numbers: for each frame, its number in the capture.
+        focus: (x, y, z) in world units of the point at which angles between views are measured.
+        bounds: lower and upper corner, in world units, of the box that contains the dynamic points.
+        frame_numbers: number of each frame in the capture.
         points: number of dynamic points of each frame; set by the writer.
-        other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Their
-            colours are not blended, but they can be rendered by name.
+        other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. These views
+            are not source views, but images can be rendered from their cameras by name.
         fps: playback rate, frames per second.
-        layers: K, the maximum number of points that a pixel composites.
-        neighbours: N', the number of source views that are blended for an image.
+        layers: maximum number of points that a pixel composites (K in 4K4D).
+        neighbours: number of source views that are blended for an image (N' in 4K4D).
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.
-        near: camera depth below which points are culled, world units.
+        near: camera depth in world units below which points are culled.
         kind: "object" (on black) or "full" (with a static background).
         background: static points of a full scene; set by the writer.
         producer: program and version that wrote the scene.
@@ -152,7 +154,7 @@ class SceneManifest:
         optional_attributes: names of the optional attributes that the scene has; set by the writer.
 
     Raises:
-        ValueError: if fields contradict each other. The message names them.
+        ValueError: if fields contradict each other. The message names these fields.
     """
 
     source_names: tuple[str, ...]
@@ -185,7 +187,7 @@ class SceneManifest:
         if self.points and len(self.points) != self.frame_count:
             raise ValueError("points: expected as many counts as frame_numbers")
         if self.kind == "object" and self.background is not None:
-            raise ValueError('background: expected none in a scene of kind "object"')
+            raise ValueError('expected no background in a scene of kind "object"')
 
     @property
     def frame_count(self) -> int:
@@ -198,7 +200,7 @@ class SceneManifest:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all cameras: the source views, then the others."""
+        """Names of all cameras: first the source views, then the other views."""
         return self.source_names + self.other_names
 
     @property
@@ -231,7 +233,7 @@ class SceneManifest:
 
 
 def select_attributes(optional: Iterable[str]) -> tuple[Attribute, ...]:
-    """The required attributes and the optional ones named in ``optional``, in the order of ATTRIBUTES."""
+    """The required attributes and the attributes that ``optional`` names, in the order of ATTRIBUTES."""
     names = set(optional)
     return tuple(item for item in ATTRIBUTES if not item.is_optional or item.name in names)
 

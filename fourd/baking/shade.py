@@ -13,20 +13,20 @@ from fourd.ops.shade.shading import Shading
 
 
 def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads: int = 0) -> NDArray[np.float32]:
-    """Compute the RGB of every point for the viewpoint of ``camera``: (N, 3) float32, not clamped.
+    """Compute the RGB colour of every point for the viewpoint of ``camera``, as (N, 3) float32 that is not clamped.
 
     :func:`select_source_views` selects the source views. The formula is in :func:`fourd.ops.shade.op.shade_points`.
 
     Args:
         frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
-        threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
+        threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
     """
     arrays = (frame.xyz, frame.sh, frame.blend_weights, frame.rgb)
     return shade_points(*arrays, make_shading(camera, manifest), threads=threads)
 
 
 def shade_reference(frame: BakedFrame, camera: Camera, manifest: SceneManifest) -> NDArray[np.float32]:
-    """Compute the colours of :func:`shade` in NumPy: a slow and simple reference."""
+    """Compute the same colours as :func:`shade`, with a slow and simple reference in NumPy."""
     arrays = (frame.xyz, frame.sh, frame.blend_weights, frame.rgb)
     return shade_points_reference(*arrays, make_shading(camera, manifest))
 
@@ -38,7 +38,8 @@ def make_shading(camera: Camera, manifest: SceneManifest) -> Shading:
 
 
 def select_source_views(camera: Camera, manifest: SceneManifest) -> list[int]:
-    """Return the indices of the ``manifest.neighbours`` source views nearest to ``camera`` by angle at the focus.
+    """Return the indices of the source views nearest to ``camera``, measured by the angle at the focus. Their number is
+    ``manifest.neighbours``.
 
     The list is empty for a scene without source views.
     """

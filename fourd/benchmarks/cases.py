@@ -36,7 +36,7 @@ class Case:
         name: description of the computation and its size.
         work: function that runs the computation ``repeats`` times.
         rivals: other implementations of the same computation, by name.
-        repeats: number of times that ``work`` runs the computation; timings are divided by this number.
+        repeats: number of times that ``work`` runs the computation. Timings are divided by this number.
     """
 
     name: str
@@ -46,12 +46,13 @@ class Case:
 
 
 def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
-    """Yield all cases, creating each on demand. Temporary files are removed when ``resources`` is closed.
+    """Yield all cases. Each case is created on demand. Temporary files are removed when ``resources`` is closed.
 
     Args:
-        steps: whether to include whole training steps, for which a synthetic capture is created.
+        steps: whether to include whole training steps. A synthetic capture is created for these steps.
     """
-    # Only this small case times the reference, whose memory is proportional to the number of points times pixels.
+    # Only this small case times the reference. The reference's memory is proportional to the number of points times the
+    # number of pixels.
     yield _composite(2_048, make_camera(96, 96), 15, True, reference=True)
     for backward in (False, True):
         yield _composite(65_536, make_camera(512, 512), 15, backward)

@@ -1,6 +1,7 @@
 """Benchmark cases on a CUDA device.
 
-As in real use, calls are queued on the device's stream, and the host does not wait for one call before the next.
+As in real use, calls are queued on the device's stream. The host does not wait for a call to finish before it queues
+the next call.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ SIZES = ((1920, 1080), (3840, 2160))
 
 
 def gpu_cases() -> Iterator[Case]:
-    """Yield all cases. Yields no case if there is no CUDA device or no kernel for it."""
+    """Yield all cases. Yields no case if there is no CUDA device or no kernel for the device."""
     if not has_gpu():
         return
     device = torch.device("cuda", torch.cuda.current_device())
@@ -67,6 +68,6 @@ def _play(device: torch.device, count: int, view: Camera, layers: int) -> Case:
 
 
 def _on_gpu(case: Case) -> Case:
-    """Return a case on the device with its work and rivals repeated :data:`REPEATS` times."""
+    """Return a GPU case whose work and rivals run :data:`REPEATS` times per timing."""
     rivals = {name: repeat(work) for name, work in case.rivals.items()}
     return Case(f"GPU: {case.name}", repeat(case.work), rivals, REPEATS)

@@ -1,4 +1,4 @@
-"""Other libraries that composite points. They are optional."""
+"""Point compositing with other libraries, as a comparison in the benchmarks. The other libraries are optional."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
 
 
 def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:
-    """Return a function that runs gsplat's rasterizer. None if gsplat is not installed.
+    """Return a function that runs gsplat's rasterizer. Returns None if gsplat is not installed.
 
-    So that the work is comparable, each point becomes an isotropic Gaussian that gsplat truncates at the point's
-    radius. The cloud must be on a CUDA device, because gsplat supports only CUDA.
+    To make the timings comparable, each point becomes an isotropic Gaussian. gsplat truncates this Gaussian at the
+    point's radius. The cloud must be on a CUDA device, because gsplat supports only CUDA.
     """
     try:
         rendering: Any = import_module("gsplat.rendering")

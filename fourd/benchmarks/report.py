@@ -17,7 +17,7 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class Row:
-    """The timing of a case, and the timings of its rivals by name."""
+    """The timing of a case, and the timings of the case's rivals by name."""
 
     name: str
     timing: Timing
@@ -25,7 +25,7 @@ class Row:
 
     @classmethod
     def measure(cls, case: Case, clock: Clock, *, rivals: bool) -> Row:
-        """Time a case. If ``rivals`` is true, time its rivals too."""
+        """Time a case. If ``rivals`` is true, the case's rivals are also timed."""
         others = {name: clock.time(work, case.repeats) for name, work in case.rivals.items()} if rivals else {}
         return cls(case.name, clock.time(case.work, case.repeats), others)
 

@@ -1,4 +1,5 @@
-"""Whole training steps on a synthetic capture: everything in a step of `fourd train` except reading images."""
+"""Whole training steps on a synthetic capture. They include everything in a step of `fourd train` except the reading of
+images."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ CAMERAS = 6
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
     """Yield four training steps with their names.
 
-    Two use the default config, and two use whole images and every point. In each pair, one step trains the image CNN
-    and the other keeps it frozen.
+    Two steps use the default config, and two steps use whole images and every point. In each pair, one step trains the
+    image CNN and the other step keeps the CNN frozen.
 
     The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """
@@ -45,7 +46,8 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 
 
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
-    """Return a repeatable training step. Its learning rates are too small for repeated steps to change the scene."""
+    """Return a repeatable training step. The learning rates are so small that repeated steps do not change the
+    scene."""
     trainer = Trainer(run, None, Console(quiet=True), config)
     sample = trainer.sampler.sample(1)
     points = trainer.frames.get(sample.frame)

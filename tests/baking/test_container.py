@@ -204,7 +204,7 @@ def test_the_writer_rejects_invalid_values(tmp_path: Path, name: str, value: flo
 def test_frames_are_added_in_order(tmp_path: Path) -> None:
     """Catches frames stored under another index."""
     with (
-        pytest.raises(ValueError, match="expected frame 0 of 3 as the next one, got 1"),
+        pytest.raises(ValueError, match="expected frame 0 of 3 next, got 1"),
         SceneWriter(tmp_path / "a.4dv", manifest()) as writer,
     ):
         writer.add_frame(1, random_frame(5, 6, seed=0))

@@ -27,11 +27,11 @@ SAMPLES = 64
 RAYS = 4096
 """Number of rays per batch."""
 MAX_QUARTILE_RATIO = 1.25
-"""Maximum ratio of two distances on a ray: those at which the cumulative rendering weight reaches 3/4 and 1/4. With a
-larger ratio the weights are too spread out for a surface."""
+"""Maximum ratio of two distances on a ray. The cumulative rendering weight reaches 3/4 at the first distance and 1/4 at
+the second. If the ratio is larger, the weights are too spread out for a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. With a larger distance the ray
-hits no surface."""
+"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If the distance is larger, the
+ray counts as hitting no surface."""
 
 
 def add_field_depths(
@@ -41,12 +41,12 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Fill the unknown cells of the measured surfaces with those median depths of the field that another plate
-    confirms.
+    """Fill the unknown cells of measured surfaces with the field's median depths where another plate confirms them.
 
-    A cell is confirmed if at least one other plate's surface agrees with the cell and the cell occludes at most as
-    many surfaces as agree. Confirmed cells get support 1. Other cells take the extrapolated depth of ``continued``. If
-    only one plate sees a surface, colours do not determine its depth, and the field's depth is noise around its prior.
+    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. In addition, the number
+    of surfaces that the cell occludes must not exceed the number of surfaces that agree. Confirmed cells get support 1.
+    Unconfirmed cells take the extrapolated depth of ``continued``. If only one plate sees a surface, colours do not
+    determine the surface's depth, and the field's depth there is noise around the prior.
 
     Args:
         field: the optimised field.
@@ -61,7 +61,7 @@ def add_field_depths(
 
 
 def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface) -> Surface:
-    """The measured surface with the field's median depths in its unknown cells."""
+    """Fill the unknown cells of a measured surface with the field's median depths."""
     grid = measured.depths.grid
     inverse = measured.depths.inverse_depth.astype(np.float64)
     unknown = ~measured.known
@@ -92,7 +92,7 @@ def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array)
 
 
 def _keep_confirmed(index: int, merged: Sequence[Surface], measured: Surface, continued: Surface) -> Surface:
-    """Keep the measured and the confirmed cells of a merged surface; take all other cells from ``continued``."""
+    """Keep the measured cells and the confirmed cells of a merged surface. Take all other cells from ``continued``."""
     surface = merged[index]
     cells = np.flatnonzero(surface.known & ~measured.known)
     agreeing, occluded = count_agreement(index, merged, cells)

@@ -19,12 +19,13 @@ MAX_LOG_DENSITY = 11.0
 class RadianceField(nn.Module):
     """Density and view-independent colour of points in space.
 
-    With a view-dependent colour, the field could reproduce each plate by radiance that is visible only from its camera.
-    The unit of length of densities and of distances along rays is :attr:`Contraction.radius`.
+    If the colour depended on the view, the field could reproduce each plate by radiance that only the plate's own
+    camera sees. The unit of length of densities and of distances along rays is :attr:`Contraction.radius`.
     """
 
     def __init__(self, shape: HashGridShape, contraction: Contraction, hidden: int) -> None:
-        """Initialise randomly with a low density; ``hidden`` is the width of the hidden layer of both networks."""
+        """Initialise the field randomly with a low density. ``hidden`` is the width of the hidden layer in both
+        networks."""
         super().__init__()
         self.shape = shape
         self.contraction = contraction

@@ -31,7 +31,7 @@ FEW_SHARE = 0.1
 """Share of the visible depth-map pixels with a confirmed depth, below which the log calls the result a rough
 estimate."""
 MIN_SHARE = 0.01
-"""Minimum share of the visible depth-map pixels with a confirmed depth; with less, seeding fails."""
+"""Minimum share of the visible depth-map pixels with a confirmed depth. Below this share, seeding fails."""
 
 
 def seed_from_radiance(
@@ -44,17 +44,18 @@ def seed_from_radiance(
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
-    """Create coloured points of a static background with an even density in the plates.
+    """Create coloured points of a static background, evenly spread over the plates' images.
 
-    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`). Depths of other areas are
-    extrapolated. A radiance field (Mueller et al. 2022) is optimised on the plates' colours and these depths. The
-    depths are needed because with cameras 20 degrees apart, a field optimised on colours alone reproduces each plate by
-    radiance that only one camera sees. In cells without a stereo depth, the field's median depth is used if another
-    plate confirms this depth. The same input, seed and number of torch threads give the same points.
+    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`). Depths are extrapolated in areas
+    where no plates match. A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on the
+    measured and extrapolated depths. Colours alone are not enough: if cameras are 20 degrees apart, the field
+    reproduces each plate by radiance that only one camera sees. In cells without a stereo depth, the field's median
+    depth is used if another plate confirms this depth. The same input, seed and number of torch threads give the same
+    points.
 
     Args:
         plates: clean plates of at least two cameras.
-        points: requested number of points, at least 1. Plates with few visible pixels give fewer.
+        points: requested number of points, at least 1. Plates with few visible pixels give fewer points.
         config: settings of the field.
         seed: random seed.
         workers: number of processes for stereo.
@@ -62,7 +63,7 @@ def seed_from_radiance(
         track: progress callback.
 
     Returns:
-        the points in random order, so that the first N are a uniform sample for every N.
+        the points in random order. For every N, the first N points are a uniform sample of all points.
 
     Raises:
         ValueError: if there are fewer than two plates or ``points`` is less than 1.
@@ -73,7 +74,7 @@ def seed_from_radiance(
     stereo = reconstruct_surfaces(plates, seed, workers, track)
     log(f"stereo: {stereo.feature_count} features, depths measured for {stereo.measured_share:.0%} of the plates' area")
     if stereo.feature_count < MIN_FEATURES:
-        raise _depth_error(f"{MIN_FEATURES} features to match between two of them", f"{stereo.feature_count}")
+        raise _depth_error(f"{MIN_FEATURES} features to match between two plates", f"{stereo.feature_count}")
     if stereo.measured_share < FEW_SHARE:
         log("stereo: too few depths to supervise the field; the field's depths come mainly from colours")
     surfaces = _estimate_surfaces(stereo, config, seed, track)
@@ -92,7 +93,7 @@ def seed_from_radiance(
 
 
 def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """Create a surface for each plate; its depths are measured, rendered from the field or extrapolated."""
+    """Create a surface for each plate. The surface's depths are measured, rendered from the field or extrapolated."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)
@@ -104,7 +105,8 @@ def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, 
 
 
 def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array, seed: int) -> list[Surface]:
-    """Extrapolate depths into unmeasured cells; a rough shape of the room guides them if few cells are measured."""
+    """Extrapolate depths into unmeasured cells. If few cells are measured, a rough shape of the room guides the
+    extrapolation."""
     room = Room.from_surfaces(stereo.surfaces, centre) if stereo.measured_share < FEW_SHARE else None
     if room is None:
         return complete_surfaces(stereo.surfaces, views, seed)
@@ -113,7 +115,7 @@ def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array,
 
 
 def _point_summary(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:
-    """Describe how many points have measured, field and extrapolated depths."""
+    """Describe how many points have measured depths, depths from the field and extrapolated depths."""
     total = sum(len(own) for own in cells)
     by_stereo = sum(int(surface.known[own].sum()) for surface, own in zip(measured, cells, strict=True))
     extrapolated = sum(int((surface.support[own] == 0).sum()) for surface, own in zip(surfaces, cells, strict=True))
@@ -125,6 +127,6 @@ def _point_summary(measured: Sequence[Surface], surfaces: Sequence[Surface], cel
 
 def _depth_error(minimum: str, got: str) -> UserError:
     return UserError(
-        f"plates: expected at least {minimum}, got {got}; depths cannot be measured on walls without texture or with "
-        "cameras far apart; provide your own points with --background FILE.ply"
+        f"plates: expected at least {minimum}, got {got}; depths cannot be measured on walls without texture or if "
+        "cameras are far apart; provide your own points with --background FILE.ply"
     )

@@ -24,9 +24,9 @@ hint is a distance at which the ray is expected to hit a surface, for example th
 class OccupancyGrid:
     """Densities on a grid over contracted space. Dense cells get more samples than empty cells.
 
-    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in even steps. Here, a histogram of volume
-    rendering weights is computed from the grid's densities along each ray, and a fixed number of samples is drawn from
-    the histogram.
+    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in even steps. In this class, a histogram of
+    volume rendering weights is computed from the grid's densities along each ray, and a fixed number of samples is
+    drawn from the histogram.
     """
 
     def __init__(self, contraction: Contraction, cells: int) -> None:
@@ -61,7 +61,8 @@ class OccupancyGrid:
         return resample_edges(self.edges, histogram, count, jitter)
 
     def update(self, xyz: Tensor, density: Tensor) -> None:
-        """Update the cells at world points (N, 3): keep the larger of the decayed old and the new ``density`` (N,)."""
+        """Update the cells at world points (N, 3) with a new ``density`` (N,). The old density decays first, and the
+        larger value is kept."""
         cells = self.cell_of(xyz)
         self.density[cells] = self.density[cells] * DECAY
         self.density.scatter_reduce_(0, cells, density, "amax")

@@ -20,8 +20,8 @@ from fourd.progress import Track, untracked
 FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
-"""Length of each ray's last interval, in units of the contraction's radius. This length makes rays opaque; without it,
-fog appears in front of the lens."""
+"""Length of each ray's last interval, in units of the contraction's radius. The large length makes every ray opaque.
+Otherwise, fog would appear in front of the lens."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class OptimizedField:
         Args:
             rays: R rays.
             samples: S, samples per ray.
-            generator: source of the random jitter of samples; None for samples without jitter.
+            generator: source of the random jitter of the samples. None gives samples without jitter.
             hint: (R,) normalised distances near which samples are added; NaN for rays without a hint.
         """
         with torch.no_grad():
@@ -81,9 +81,10 @@ def optimize_field(
     """Optimise a radiance field on pixels of plates.
 
     The loss is a weighted sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022,
-    eq. 15). The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). Here this
-    loss is the sum over a ray's samples of rendering weight times the absolute difference between the normalised
-    distances of the sample and the surface. The same input, seed and number of torch threads give the same field.
+    eq. 15). The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). For each
+    sample on a ray, the rendering weight is multiplied by the absolute difference between the normalised distances of
+    the sample and of the surface. The depth loss is the sum of these products over the ray. The same input, seed and
+    number of torch threads give the same field.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):
@@ -105,7 +106,7 @@ def optimize_field(
 
 
 def _rate_factor(step: int, steps: int) -> float:
-    """Factor of the learning rate: a linear warm-up over 50 steps and an exponential decay to a tenth."""
+    """Factor of the learning rate: it rises linearly over the first 50 steps and decays exponentially to a tenth."""
     return min(1.0, (step + 1) / WARM_UP) * float(FINAL_RATE_FACTOR ** (step / steps))
 
 

@@ -1,6 +1,6 @@
 """The training pixels of all plates, with measured or extrapolated depths.
 
-A cell is one sample of a plate's depth map; it covers several pixels and stores a plane.
+A cell is one sample of a plate's depth map. Each cell covers several pixels and stores a plane.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
-"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. The ratio is smaller
-where the cell's plane is seen almost edge-on. The depth of such a pixel is not used."""
+"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. If the cell's plane is
+seen almost edge-on, the ratio can fall below this minimum, and the depth of the pixel is not used."""
 
 
 @dataclass(frozen=True, eq=False)

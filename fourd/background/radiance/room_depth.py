@@ -27,8 +27,8 @@ centre, spans few degrees."""
 NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, relative to the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Share of known depth-map cells below which the room's shape is unreliable. The room is then enlarged until it
-contains a hall: a ball around the centre that is cut off by the floor."""
+"""Share of known depth-map cells below which the room's shape is unreliable. If fewer cells are known, the room is
+enlarged until it contains a hall. The hall is a ball around the centre, cut off by the floor."""
 HALL_RADIUS = 1.5
 """Radius of the hall, relative to the farthest camera's distance from the centre."""
 FLOOR_PERCENTILE = 2.0
@@ -52,8 +52,8 @@ class Room:
 
     @staticmethod
     def from_surfaces(surfaces: Sequence[Surface], centre: Array) -> Room | None:
-        """Create the room around the world point ``centre`` (3,) from the surfaces' known cells; None if no cell is
-        known."""
+        """Create the room around the world point ``centre`` (3,) from the known cells of the surfaces. Returns None if
+        no cell is known."""
         xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
         if not len(xyz):
             return None
@@ -80,7 +80,7 @@ class Room:
     def inverse_depths(self, camera: Camera, xy: Array) -> Array:
         """Inverse depths (M,) at which the rays through pixel indices (M, 2) leave the room.
 
-        A ray that does not leave the room, for example because it never enters it, gets a depth of 1.5 times the
+        If a ray does not leave the room, for example because the ray never enters the room, its depth is 1.5 times the
         camera's distance from the room's centre.
         """
         rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(index_intrinsics(camera)).T @ camera.rotation
@@ -101,7 +101,8 @@ class Room:
         return np.asarray(1 / np.sqrt(low * high))
 
     def _is_outside(self, xyz: Array) -> NDArray[np.bool_]:
-        """(M,) bool: whether a world point is farther from the centre than the surface in the same direction."""
+        """(M,) bool: whether a world point is farther from the room's centre than the surface in the point's
+        direction."""
         sphere = self.sphere
         local = (xyz - sphere.centre) @ sphere.R_world_sphere
         distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)

@@ -38,7 +38,8 @@ def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
 
 
 def weight_quantile(weights: Tensor, edges: Tensor, part: float) -> Tensor:
-    """Normalised distance (R,) at which the cumulative weight reaches ``part``; 1 if the total weight is less.
+    """Normalised distance (R,) at which the cumulative weight reaches ``part``. The result is 1 if the total weight is
+    less than ``part``.
 
     Args:
         weights: (R, S) volume rendering weights.

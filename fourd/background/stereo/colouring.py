@@ -20,18 +20,18 @@ Array = NDArray[np.float64]
 def sample_coloured_points(
     plates: Sequence[PlateView], reduced: Sequence[ReducedPlate], surfaces: Sequence[Surface], points: int, seed: int
 ) -> tuple[ColouredPoints, list[NDArray[np.intp]]]:
-    """Sample coloured points on the surfaces with an even density in the plates.
+    """Sample coloured points on the surfaces, evenly spread over the plates' images.
 
     Args:
         plates: full-size plates that give the colours.
         reduced: the plates at the size used for stereo.
         surfaces: one surface per plate.
-        points: requested number of points, at least 1. Small surfaces give fewer.
+        points: requested number of points, at least 1. Small surfaces give fewer points.
         seed: random seed of the points' order.
 
     Returns:
-        the points in random order, so that the first N are a uniform sample for every N; and for each surface, the
-        depth-map cells from which its points were sampled, one entry per point.
+        the points in random order, and for each surface the depth-map cells from which points were sampled, with one
+        entry per point. For every N, the first N points are a uniform sample of all points.
     """
     samples = sample_surfaces(surfaces, [plate.seen for plate in reduced], points)
     found = _fuse_colours(plates, surfaces, samples)
@@ -51,7 +51,7 @@ def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[
 def _fuse_colours(
     plates: Sequence[PlateView], surfaces: Sequence[Surface], samples: Sequence[Samples]
 ) -> ColouredPoints:
-    """Average each sample's position and colour over all surfaces that agree with the sample.
+    """Average the position and the colour of each sample over all surfaces that agree with the sample.
 
     The weight of a surface is the inverse square of its depth, because nearer surfaces are measured more precisely.
     """

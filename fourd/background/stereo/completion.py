@@ -27,8 +27,8 @@ project into this margin."""
 MIN_KNOWN = 0.25
 """Minimum share of known cells in an image. With fewer known cells, extrapolated depths do not resemble the scene."""
 MIN_BOUNDARY = 0.003
-"""Minimum share of cells, including the margin's cells, with known values. With fewer, harmonic interpolation is not
-used."""
+"""Minimum share of cells with known values, counted over the image and its margin. With fewer known cells, harmonic
+interpolation is not used."""
 MIN_OFF_PLANE = 0.005
 """Minimum share of known points that lie off the enclosing planes. With fewer such points, harmonic interpolation is
 used only for cells whose ray hits no plane."""
@@ -41,11 +41,12 @@ EDGE_SCALE = 0.1
 def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
     """Complete the unknown cells of surfaces.
 
-    A completed depth is the smaller of two depths: that of the nearest enclosing plane, and the harmonic interpolation
-    of inverse depth between known cells off these planes. This interpolation is exact for planar surfaces. It also uses
-    points that are known or completed in other images. A cell stays unknown if it would occlude a known surface of
-    another image, or if less than a quarter of its image's cells are known. Completed cells have support 0: no other
-    image confirms them.
+    A completed depth is the smaller of two depths. The first depth is the depth of the nearest enclosing plane. The
+    second depth comes from harmonic interpolation of inverse depth between known cells that lie on no enclosing plane.
+    Harmonic interpolation of inverse depth is exact for planar surfaces. The interpolation also uses points that are
+    known or completed in other images. A cell stays unknown if it would occlude a known surface of another image, or if
+    less than a quarter of its image's cells are known. Completed cells have support 0, because no other image confirms
+    them.
 
     Args:
         surfaces: one surface per image.
@@ -62,7 +63,7 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     enough = [_has_enough_known(surface, xyz) for surface in surfaces]
     completed = list(surfaces)
     # Images are completed in descending order of their known cells off the enclosing planes. Later images continue the
-    # interpolated depths of earlier ones, so that walls join.
+    # interpolated depths of earlier images, so that walls join across images.
     for index in np.argsort(sizes, kind="stable")[::-1]:
         if not enough[index]:
             continue
@@ -122,7 +123,7 @@ def _complete(
 
 
 def with_completed_depths(surface: Surface, inverse_depth: Array) -> Surface:
-    """Set the inverse depths (N,) of a surface's unknown cells, with support 0; cells with inverse depth 0 stay
+    """Set the inverse depths (N,) of a surface's unknown cells, with support 0. Cells with inverse depth 0 stay
     unknown."""
     scores = np.where(surface.known, surface.depths.scores, 0).astype(np.float32)
     completed = DepthMap.from_inverse_depth(surface.depths.grid, inverse_depth, scores)
@@ -131,7 +132,7 @@ def with_completed_depths(surface: Surface, inverse_depth: Array) -> Surface:
 
 
 def project_inverse_depths(surface: Surface, xyz: Array, pad: int) -> Array:
-    """Largest inverse depth (R, C) of the world points in each cell; 0 in cells without points.
+    """Largest inverse depth (R, C) of the world points that project into each cell; 0 in cells without points.
 
     The result has ``pad`` more cells than the depth map on each side.
     """

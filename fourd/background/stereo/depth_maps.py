@@ -26,13 +26,14 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 MAX_SIDE_PX = 640
-"""Longer side of a plate in pixels above which it is reduced to this size for stereo."""
+"""Maximum length of a plate's longer side in pixels. Larger plates are reduced to this size for stereo."""
 MAX_CELLS = 16384
 """Maximum number of cells of a depth map."""
 MIN_FEATURES = 8
 """Minimum number of triangulated points for the estimation of a depth range."""
 MIN_RELIABLE = 30
-"""Minimum number of points seen in three or more plates; with fewer, points seen in two plates are used too."""
+"""Minimum number of points that are seen in three or more plates. With fewer such points, points seen in two plates are
+also used."""
 NEAR_FACTOR, FAR_FACTOR = 0.5, 4.0
 """Ends of the depth range, relative to the depths of the nearest and the farthest triangulated points."""
 
@@ -149,7 +150,8 @@ def _estimate_maps(
 
 
 def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
-    """Depth range of each camera from the points in its image, or from all points if too few are in its image."""
+    """Depth range of each camera, computed from the points in its image. If the image has too few points, all points
+    are used."""
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)
@@ -160,7 +162,7 @@ def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, fl
 
 
 def _estimate_map(job: _Job) -> Iterator[tuple[int, DepthMap]]:
-    """Estimate one depth map in a worker process; yields the index of the plate and the map."""
+    """Estimate one depth map in a worker process. Yields the index of the plate and the depth map."""
     grid, camera = job.plate.grid(), job.plate.camera
     hypotheses: list[Floats] = [plane_in_view(plane, camera, grid) for plane in job.planes]
     hypotheses += triangle_planes(job.features, camera, grid)

@@ -26,7 +26,7 @@ TOLERANCE = 0.02
 
 @dataclass(frozen=True, eq=False)
 class EnclosingPlanes:
-    """Planes with almost no points behind them: every camera ray ends at the first plane that it hits, or before.
+    """Planes with almost no points behind them. Every camera ray ends at or before the first plane that the ray hits.
 
     Attributes:
         planes: (P, 4) planes (n, d) with n . x = d in world coordinates.

@@ -22,19 +22,19 @@ Array = NDArray[np.float64]
 IMAGES, MASKS = "images", "masks"
 MAX_FEATURES = 4096
 MAX_SIDE_PX = 1600
-"""Longer side in pixels above which an image is reduced to this size before feature detection."""
+"""Maximum length of an image's longer side in pixels. Larger images are reduced to this size before feature
+detection."""
 MIN_CONTRAST = 0.003
 """SIFT's peak threshold. It is below COLMAP's default of 0.0067 because walls have low contrast; the epipolar lines of
 the known poses reject the additional wrong matches."""
 HOLE_MARGIN_PX = 6
-"""Distance in pixels from a plate's holes. Nearer to a hole no features are detected, because plates are blurred
-there."""
+"""Minimum distance in pixels between a feature and a plate's holes, because plates are blurred near holes."""
 RATIO_TEST_THRESHOLD = 0.8
 """Maximum ratio of the distances to the nearest and the second nearest descriptor (Lowe, IJCV 2004)."""
 MAX_EXHAUSTIVE_CAMERAS = 8
-"""Number of cameras up to which all pairs are matched."""
+"""Maximum number of cameras for which all pairs are matched."""
 MIN_COSINE = 0.4
-"""Minimum cosine of the angle between the viewing directions of two cameras for the pair to be matched."""
+"""Minimum cosine of the angle between two cameras' viewing directions. Pairs with a smaller cosine are not matched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class Features:
 def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     """Select the camera pairs to match.
 
-    With up to 8 cameras these are all pairs. With more, these are the pairs whose viewing directions differ by less
-    than 66 degrees.
+    With up to 8 cameras, all pairs are matched. With more cameras, a pair is matched if its viewing directions differ
+    by less than 66 degrees.
     """
     return [
         (i, j)
@@ -109,7 +109,8 @@ def match_features(first: Features, second: Features) -> NDArray[np.intp]:
 
 
 def fundamental_matrix(camera: Camera, other: Camera) -> Array:
-    """(3, 3) fundamental matrix F: for a pixel x of ``camera``, F x is its epipolar line in the image of ``other``."""
+    """(3, 3) fundamental matrix F. For a pixel x of ``camera``, F x is the epipolar line of x in the image of
+    ``other``."""
     rotation = other.rotation @ camera.rotation.T
     x, y, z = other.translation - rotation @ camera.translation
     essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ rotation

@@ -24,18 +24,18 @@ Bools = NDArray[np.bool_]
 MIN_SCORE = 0.6
 """Minimum photometric score of a cell."""
 DEPTH_TOLERANCE = 0.01
-"""Maximum relative depth difference between a point and a surface for the point to lie on the surface."""
+"""Maximum relative depth difference between a surface and a point that counts as lying on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
-"""Maximum forward-backward error in pixels: the distance between a cell's centre and the reprojection of the point that
-the other image's surface has at the cell's projection."""
+"""Maximum forward-backward error in pixels. A cell's centre is projected into another image, and the point of that
+image's surface there is projected back. The error is the distance between the result and the cell's centre."""
 OCCLUSION_MARGIN = 0.03
 """Relative depth difference above which a point in front of a known surface occludes it."""
 ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
 """Minimum number of cells in a connected component; smaller components are outliers."""
 CONTINUITY_TOLERANCE = 0.03
-"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell, for the two cells to
-be connected."""
+"""Maximum relative error with which a cell's plane predicts the inverse depth of a neighbouring cell. With a larger
+error, the two cells are not connected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +105,10 @@ class Projection:
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
     """Remove the cells of depth maps that are inconsistent with other depth maps.
 
-    A cell is kept if at least one other image confirms it, and if the number of images whose known surface it occludes
-    is less than the number that confirm it. One confirmation is enough because walls are often seen by only two
-    cameras. With two cameras, one in 60 cells is confirmed although its depth is wrong. Connected components of fewer
-    than 25 cells are removed.
+    A cell is kept if at least one other image confirms it. In addition, the cell must occlude the known surfaces of
+    fewer images than confirm it. One confirmation is enough because walls are often seen by only two cameras. With two
+    cameras, one in 60 cells is confirmed although its depth is wrong. Connected components of fewer than 25 cells are
+    removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))
@@ -122,7 +122,7 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
 def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
     """Keep the cells that another surface confirms.
 
-    If ``strict``, cells that occlude at least as many surfaces as confirm them are removed.
+    If ``strict``, a cell is also removed if it occludes at least as many surfaces as confirm it.
     """
     surface = surfaces[index]
     cells = np.flatnonzero(surface.known)
@@ -139,7 +139,8 @@ def count_agreement(
     """Compare cells (M,) of one surface with all other surfaces.
 
     Returns:
-        agreeing: (M,) number of other surfaces that agree with the cell, checked by projection in both directions.
+        agreeing: (M,) number of other surfaces that agree with the cell. The agreement is checked by projection in both
+            directions.
         occluded: (M,) number of other surfaces that the cell would occlude.
     """
     surface = surfaces[index]

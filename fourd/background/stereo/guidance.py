@@ -19,9 +19,9 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight of the value 0 when the correction is interpolated; it makes the correction decay away from known cells. The
-weight is divided by the squared share of known cells. If almost all cells are known, the correction halves over seven
-cells. If few cells are known, they are unreliable and the correction decays faster."""
+"""Weight of the value 0 in the interpolation of the correction. This weight makes the correction decay away from known
+cells. The weight is divided by the squared share of known cells. If almost all cells are known, the correction halves
+over seven cells. If few cells are known, the known cells are unreliable, and the correction decays faster."""
 MIN_GUIDE_FACTOR = 0.25
 """Minimum of the corrected inverse depth relative to the guide. Without this minimum, the correction could make the
 inverse depth negative."""
@@ -34,7 +34,7 @@ def complete_with_guidance(
 
     In known cells, the correction is the known inverse depth minus the guide. In unknown cells, the correction is
     extrapolated and added to the guide. Cells that would occlude a known surface of another image stay unknown.
-    Completed cells have support 0: no other image confirms them.
+    Completed cells have support 0, because no other image confirms them.
 
     Args:
         surfaces: one surface per image.
@@ -55,7 +55,8 @@ def _complete(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Sur
 
 
 def _correct_guide(known: Array, guide: Array, grey: Floats) -> Array:
-    """Known inverse depths (R, C); unknown ones, which are 0, become the guide plus the extrapolated difference."""
+    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. Unknown cells get the guide plus the
+    extrapolated correction."""
     unknown = known == 0
     if unknown.all():
         return guide

@@ -21,13 +21,14 @@ HALF_WINDOW = 2
 STEP_PX = 3
 """Distance in pixels between samples of the smallest window."""
 LEVELS = 4
-"""Number of window sizes; each is twice as wide as the previous one. Large windows are needed on smooth walls, which
-have texture only at large scales."""
+"""Number of window sizes. Each window is twice as wide as the previous window. Large windows are needed on smooth
+walls, which have texture only at large scales."""
 MIN_TEXTURE = 2.5 / 255
 """Minimum root mean square grey difference between neighbouring samples of a window, in [0, 1]. A cell uses the
 smallest window size whose difference is larger than this in every direction."""
 NOISE_STD = 1.5 / 255
-"""Standard deviation of image noise in grey values in [0, 1]; windows with less contrast cannot be matched."""
+"""Standard deviation of image noise, for grey values in [0, 1]. Windows with less contrast than noise cannot be
+matched."""
 MIN_VISIBLE = 0.6
 """Minimum share of a window's samples outside holes."""
 SINGLE_SOURCE_PENALTY = np.float32(0.05)
@@ -35,8 +36,8 @@ SINGLE_SOURCE_PENALTY = np.float32(0.05)
 UNKNOWN_SCORE = np.float32(-1.0)
 """Score of a plane that cannot be compared with any source image."""
 BLOCK = 8192
-"""Number of cells that are processed together. The arrays of a block fit into the processor's cache, and their sides
-are below 32,767, the limit of OpenCV's remap."""
+"""Number of cells that are processed together. The arrays of one block fit into the processor's cache. Each array side
+is below 32,767, the limit of OpenCV's remap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class GreyView:
     Attributes:
         camera: pinhole camera of the image.
         greys: (H, W) float32 grey values in [-0.5, 0.5], one array per window size; NaN in holes. The first array is
-            almost sharp, and the blur of the others doubles with the window size.
+            almost sharp. In the other arrays, the blur doubles with the window size.
     """
 
     camera: Camera
@@ -68,7 +69,7 @@ class GreyView:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A regular grid of cells over an image; depth maps have one plane per cell.
+    """A regular grid of cells over an image. Depth maps have one plane per cell.
 
     A plane is a 3-vector p with p . (x, y, 1) = 1 / depth at the pixel indices x (column) and y (row).
 
@@ -111,7 +112,7 @@ def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
 
 
 class PatchSimilarity:
-    """Scores plane hypotheses for the cells of one image: compares a window around each cell with source images."""
+    """Scores plane hypotheses for the cells of one image by comparing a window around each cell with source images."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
         """Sample the windows of ``view`` at the cells of ``grid`` for comparison with ``sources``."""
@@ -169,7 +170,7 @@ class PatchSimilarity:
 
 @dataclass(frozen=True, eq=False)
 class _PlaneWarp:
-    """Plane-induced warp into another image.
+    """Mapping of pixels into another image through a plane in space.
 
     A pixel index p = (x, y, 1) with inverse depth w maps to the homogeneous pixel index ``matrix @ p + w * shift``.
     """
@@ -193,7 +194,8 @@ class _PlaneWarp:
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
 
     def sample_positions(self, pixels: Floats, planes: Floats, across: Floats, down: Floats) -> tuple[Floats, Floats]:
-        """Map window samples at offsets (o, 1) from n cell centres to positions x and y (o, n) in the other image.
+        """Map the samples of n windows to positions x and y (o, n) in the other image. The samples are at offsets (o,
+        1) from the cell centres.
 
         Positions are NaN for points behind the other camera.
         """
@@ -213,7 +215,8 @@ class _PlaneWarp:
 
 
 def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
-    """Index (N,) of each cell's window size: the smallest size with texture in every direction, else the largest."""
+    """Index (N,) of each cell's window size: the smallest size with texture in every direction, or the largest size if
+    there is none."""
     level = np.full(len(grid.pixels), LEVELS - 1, np.int8)
     for index in reversed(range(LEVELS)):
         grey = np.nan_to_num(view.greys[index])
@@ -236,7 +239,8 @@ def _difference_kernels(step: int) -> tuple[Floats, Floats]:
 
 
 def _correlations(first: Floats, second: Floats) -> Floats:
-    """Correlations (n,) of windows (o, n) over the samples visible in both; -1 where too few samples are visible."""
+    """Correlations (n,) of windows (o, n) over the samples that are visible in both windows. The result is -1 for too
+    few visible samples."""
     a, b = first - first.mean(axis=0), second - second.mean(axis=0)
     ab, aa, bb = (np.einsum("on,on->n", u, v) / len(first) for u, v in ((a, b), (a, a), (b, b)))
     correlation = ab / np.sqrt((aa + NOISE_STD**2) * (bb + NOISE_STD**2))
@@ -247,7 +251,7 @@ def _correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _masked_correlations(first: Floats, second: Floats) -> Floats:
-    """Compute the same correlations as _correlations for windows with NaN samples."""
+    """Compute the correlations of :func:`_correlations` for windows with NaN samples."""
     known = np.isfinite(first) & np.isfinite(second)
     count = known.sum(axis=0)
     out = np.full(len(count), UNKNOWN_SCORE, np.float32)

@@ -23,10 +23,10 @@ MIN_INCIDENCE_COSINE = float(np.cos(np.radians(88)))
 """Minimum cosine of the angle between a plane's normal and the ray. The limit of 88 degrees admits distant floors,
 whose normals are at about 87 degrees to the ray."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
-"""Offsets (rows, columns) of the cells whose planes are propagated to a cell."""
+"""Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to this cell."""
 SAME_DEPTH = 1e-3
-"""Relative difference in inverse depth. A neighbour's plane is tried only if it differs by more from the cell's own
-plane."""
+"""Minimum relative difference in inverse depth between a neighbour's plane and the cell's own plane. With a smaller
+difference, the neighbour's plane is not tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,8 @@ class DepthMap:
 
     @staticmethod
     def from_inverse_depth(grid: Grid, inverse_depth: Array, scores: Floats) -> DepthMap:
-        """Create a map from inverse depths (N,); finite differences between cells give the slopes of the planes."""
+        """Create a depth map from inverse depths (N,). Finite differences between cells give the slopes of the
+        planes."""
         values = inverse_depth.reshape(grid.shape)
         down, across = (_slope(values, axis) / grid.stride for axis in (0, 1))
         offset = inverse_depth - across * grid.pixels[:, 0] - down * grid.pixels[:, 1]
@@ -58,7 +59,7 @@ class DepthMap:
 
     @staticmethod
     def unknown(grid: Grid) -> DepthMap:
-        """Create a map in which all cells are unknown."""
+        """Create a depth map in which all cells are unknown."""
         return DepthMap(grid, np.zeros_like(grid.pixels), np.full(len(grid.pixels), UNKNOWN_SCORE, np.float32))
 
 
@@ -76,11 +77,11 @@ def estimate_depth_map(
     farthest: float,
     seed: int,
 ) -> DepthMap:
-    """Estimate the planes of an image's cells.
+    """Estimate the plane of each cell of an image.
 
     Args:
         view: the image.
-        sources: images that are compared with it.
+        sources: images that are compared with ``view``.
         grid: the grid of N cells.
         hypotheses: sets of initial planes; each set is (N, 3) with one plane per cell. Planes with NaN are skipped.
         nearest: lower end of the depth range in world units.
@@ -102,7 +103,8 @@ def estimate_depth_map(
 
 
 class _PlaneSearch:
-    """Search for the plane with the highest score in each cell; holds the current best planes and scores."""
+    """Search for the plane with the highest score in each cell. The object stores the best planes so far and their
+    scores."""
 
     def __init__(
         self, view: GreyView, similarity: PatchSimilarity, grid: Grid, min_inverse: float, max_inverse: float
@@ -118,7 +120,7 @@ class _PlaneSearch:
     def try_planes(self, planes: Floats, where: NDArray[np.bool_] | None = None) -> None:
         """Replace a cell's plane by the cell's row of ``planes`` (N, 3) if the new plane has a higher score.
 
-        If ``where`` (N,) is given, only the cells selected by it are tried.
+        If ``where`` (N,) is given, only the selected cells are updated.
         """
         usable = self._similarity.usable & self._is_valid(planes)
         cells = np.flatnonzero(usable if where is None else usable & where)
@@ -128,8 +130,8 @@ class _PlaneSearch:
         self.planes[cells[better]] = planes[cells[better]]
 
     def propagate(self, down: int, across: int) -> None:
-        """Try in each cell the plane of the cell at an offset, if that cell has a higher score and its plane gives a
-        different depth."""
+        """Try in each cell the plane of the neighbour at an offset. The neighbour must have a higher score and its
+        plane a different depth."""
         rows, columns = self._grid.shape
         numbers = np.arange(rows * columns).reshape(rows, columns)
         i, j = np.clip(np.arange(rows) + down, 0, rows - 1), np.clip(np.arange(columns) + across, 0, columns - 1)

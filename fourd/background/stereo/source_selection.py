@@ -1,4 +1,4 @@
-"""Selection of source cameras for a reference camera: they see the same space at suitable triangulation angles."""
+"""Selection of source cameras that see the space in front of a reference camera at suitable triangulation angles."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Width of a source's score over log(angle between the rays). The score is 1 at 15 degrees, 1/2 at 6 and 37
-degrees, and 1/7 at 130 degrees (a floor seen from the opposite side)."""
+"""Width of the bell-shaped score of a source camera over log(angle between the rays). The score is 1 at 15 degrees, 1/2
+at 6 and 37 degrees, and 1/7 at 130 degrees (a floor seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective for another source to be added, relative to the number of sampled points."""
+"""Minimum increase of the objective, relative to the number of sampled points. A source camera with a smaller increase
+is not added."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
-    """Select up to 6 source cameras for camera ``index``. If possible, two sources see each point in its frustum.
+    """Select up to 6 source cameras for camera ``index``. If possible, two source cameras see each point in the
+    camera's frustum.
 
-    The frustum is sampled between the depths ``nearest`` and ``farthest``. A source has a score for each point, which
-    depends on the angle between the rays of the two cameras. The selection is greedy: each step adds the camera with
-    the largest increase of the objective, the sum over points of each point's two best scores.
+    The frustum is sampled between the depths ``nearest`` and ``farthest``. A source camera has a score for each point.
+    The score depends on the angle between the rays of the two cameras. The objective is the sum over all points of each
+    point's two best scores. The selection is greedy: each step adds the camera that increases the objective most.
     """
     xyz = _frustum_points(cameras[index], nearest, farthest)
     scores = np.array([_view_scores(cameras[index], other, xyz) for other in cameras])
@@ -58,7 +60,8 @@ def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
 
 
 def _view_scores(camera: Camera, other: Camera, xyz: Array) -> Array:
-    """Scores (N,) in [0, 1] of ``other`` as a source for points; 0 for points outside its image."""
+    """Scores (N,) in [0, 1] of the source camera ``other`` for points. The score is 0 for points outside the image of
+    ``other``."""
     pixels, depth = other.project(xyz)
     seen = other.is_in_image(pixels, depth)
     cosine = np.einsum("nc,nc->n", _directions(camera, xyz), _directions(other, xyz))

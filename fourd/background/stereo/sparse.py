@@ -48,7 +48,7 @@ class SparsePoints:
 
     Attributes:
         xyz: (N, 3) float64 world points.
-        seen: (N, V) bool, whether a plate has a feature of the point.
+        seen: (N, V) bool, whether a feature of the point was detected in the plate.
     """
 
     xyz: Array
@@ -98,8 +98,8 @@ def triangulate_sparse(plates: Sequence[PlateView], seed: int, track: Track) -> 
 
 
 def _match_guided(first: Features, second: Features, camera: Camera, other: Camera) -> NDArray[np.uint32]:
-    """Match features (M, 2 indices): mutual nearest neighbours that lie near the epipolar lines and pass the ratio
-    test."""
+    """Match features of two images. Returns index pairs (M, 2) of mutual nearest neighbours that lie near the epipolar
+    lines and pass the ratio test."""
     if min(len(first.xy), len(second.xy)) < 2:
         return np.zeros((0, 2), np.uint32)
     fundamental = fundamental_matrix(camera, other)

@@ -1,4 +1,4 @@
-"""Sampling of points on surfaces with an even density in image space."""
+"""Sampling of points on surfaces, evenly spread in image space."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Relative depth difference up to which a sample of one image counts as a sample of another image's surface too."""
+"""Maximum relative depth difference between a sample of one image and the surface of another image. Up to this
+difference, the sample also counts as a sample of the other surface."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
 """Side of the smallest squares in pixels."""
 EDGE_TOLERANCE = 0.05
-"""Relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth edge if
-the errors at the neighbours on both sides are larger."""
+"""Maximum relative error with which a cell's plane predicts the inverse depth of a neighbouring cell. A cell is at a
+depth edge if the errors at the neighbours on both sides are larger."""
 MAX_PARTS = 2
-"""Maximum number of parts of a square per axis. More parts would close all gaps between points on steep surfaces, but
-points on a floor would then hide the lower half of the points behind them. This occlusion shifts the floor's texture up
+"""Maximum number of parts of a square per axis. More parts would close all gaps between points on steep surfaces.
+However, points on a floor would then hide the lower half of the points behind them, which shifts the floor's texture up
 in the image by half a point."""
 
 
@@ -34,7 +35,7 @@ class Samples:
     Attributes:
         xy: (M, 2) pixel indices.
         xyz: (M, 3) world points.
-        support: (M,) number of other images that confirm the depth of the sample; 0 if it is extrapolated.
+        support: (M,) number of other images that confirm the depth of the sample; 0 if the depth is extrapolated.
     """
 
     xy: Array
@@ -49,12 +50,12 @@ class Samples:
 def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> list[Samples]:
     """Sample all surfaces with at most ``points`` samples.
 
-    Each image is tiled with squares. Their size is the smallest that gives at most ``points`` samples. Squares on
-    surfaces at grazing angles are subdivided into parts, because a camera that sees the surface less obliquely would
-    show gaps between the samples. The centre of each part is sampled if it is visible according to ``seen`` (H, W) and
-    no earlier sample of any image lies on the surface within this part. Near objects therefore get more points, but
-    surfaces that are visible in many images do not. Cells that other images confirm are sampled before extrapolated
-    cells.
+    Each image is tiled with squares. All squares have the same size, the smallest size that gives at most ``points``
+    samples. Squares on surfaces at grazing angles are subdivided into parts, because a camera that sees the surface
+    less obliquely would show gaps between the samples. The centre of a part is sampled if it is visible according to
+    ``seen`` (H, W). A centre is not sampled if an earlier sample from any image lies on the surface within the same
+    part. Near objects therefore get more points than far objects. Surfaces that are visible in many images get no extra
+    points. Cells that other images confirm are sampled before extrapolated cells.
 
     Returns:
         the samples of each image.
@@ -90,7 +91,7 @@ class _SlopedSurface:
 
 
 def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: float, limit: int) -> list[Samples]:
-    """Sample all surfaces with squares of ``side`` pixels; stop early if there are more than ``limit`` samples."""
+    """Sample all surfaces with squares of ``side`` pixels. Stop early if there are more than ``limit`` samples."""
     tilings = [_Tiling.of(each, side) for each in sloped]
     candidates = [_part_samples(*each) for each in zip(sloped, seen, tilings, strict=True)]
     taken = [np.zeros(len(each.xyz), bool) for each in candidates]
@@ -153,7 +154,8 @@ class _Squares:
         return np.clip(begins, 0, size), np.clip(begins + self.side, 0, size)
 
     def squares_at(self, xy: Array) -> NDArray[np.intp]:
-        """Indices (M,) of the squares that contain pixel indices (M, 2); outside the image, of the nearest squares."""
+        """Indices (M,) of the squares that contain pixel indices (M, 2). For pixels outside the image, the nearest
+        squares are returned."""
         row = np.clip((xy[:, 1] + 0.5) / self.side, 0, self.rows - 1).astype(np.intp)
         column = np.clip((xy[:, 0] + 0.5 + self._shift(row)) / self.side, 0, self.columns - 1).astype(np.intp)
         return np.asarray(row * self.columns + column, np.intp)
@@ -235,7 +237,7 @@ def _slopes(surface: Surface) -> Array:
 
 
 def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
-    """Relative error (R, C) with which a cell's plane predicts its neighbours along an axis.
+    """Relative error (R, C) with which a cell's plane predicts the inverse depth of its neighbours along an axis.
 
     The smaller of the errors at the two neighbours is returned.
     """
