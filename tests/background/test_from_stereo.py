@@ -158,7 +158,7 @@ def test_plates_without_overlap_are_an_error(rng: np.random.Generator) -> None:
     for index, side in enumerate((1.0, -1.0)):
         camera = look_at(np.array([0.1 * side, 0.0, 1.0]), np.array([2 * side, 0.0, 1.0]), up, intrinsics, 176, 132)
         plates.append(PlateView(f"{index}", camera, room.picture(camera), np.ones((132, 176), bool)))
-    with pytest.raises(UserError, match=r"plates: expected at least .* match between two of them, got .*--background"):
+    with pytest.raises(UserError, match=r"plates: expected at least .* match between two plates, got .*--background"):
         seed_from_stereo(plates, 1000)
 
 

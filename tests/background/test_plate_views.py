@@ -175,11 +175,11 @@ def test_wrong_size(folder: Path, rng: np.random.Generator) -> None:
         make_plate(folder, name, stage(rng))
     provide(folder, "01.png", stage(rng)[:32])
     with pytest.raises(
-        UserError, match=r"bgs/01\.png: expected 64 x 64 pixels like .*'01', got 64 x 32; export it again"
+        UserError, match=r"bgs/01\.png: expected 64 x 64 pixels like .*'01', got 64 x 32; export the plate again"
     ):
         read_plates(open_capture(folder), [0, 1])
     make_plate(folder, "00", stage(rng)[:, :48])
-    with pytest.raises(UserError, match=r"plates/00\.png: expected 64 x 64 .*, got 48 x 64; remove it and run: fourd"):
+    with pytest.raises(UserError, match=r"plates/00\.png: expected 64 x 64 .*, got 48 x 64; remove this plate"):
         read_plates(open_capture(folder), [0, 1])
 
 
