@@ -1,4 +1,4 @@
-"""The import: links, frames aligned in time, and no overwritten files."""
+"""Tests of the import: links to files, frames that are aligned in time, and no overwritten files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES = ("a", "b", "c")
 
 
 def write_source(folder: Path, numbers: dict[str, Iterable[int]] | None = None) -> Path:
-    """Three videos in EasyMocap's layout."""
+    """Write three videos in EasyMocap's layout."""
     cameras = [replace(camera, height=HEIGHT) for camera in ring_cameras(3, WIDTH)]
     write_calibration(folder, NAMES, cameras)
     for name in NAMES:
@@ -32,7 +32,7 @@ def write_source(folder: Path, numbers: dict[str, Iterable[int]] | None = None) 
 
 
 def run_import(source: Path, out: Path, **options: object) -> list[str]:
-    """Import a source. Returns all log lines, with warnings marked."""
+    """Import a source. Returns all log lines, where warnings have a prefix."""
     lines: list[str] = []
     settings = ImportOptions(**{"centres": "as-given"} | options)
     import_source(
@@ -56,7 +56,7 @@ def contents(folder: Path) -> dict[str, tuple[int, bytes]]:
 
 
 def test_videos_and_unpacked_frames_agree(tmp_path: Path) -> None:
-    """Catches frames off by one between reading a video and unpacking it."""
+    """Catches a frame number that differs by one between a linked video and its unpacked frames."""
     source = write_source(tmp_path / "source")
     run_import(source, tmp_path / "linked")
     run_import(source, tmp_path / "unpacked", unpack=True)
@@ -72,7 +72,7 @@ def test_videos_and_unpacked_frames_agree(tmp_path: Path) -> None:
 
 
 def test_files_are_linked_or_copied(tmp_path: Path) -> None:
-    """Catches videos that are copied without --copy, and a copy that still needs its source."""
+    """Catches videos that are copied without --copy, and a copied video that is still a link to the source."""
     source = write_source(tmp_path / "source")
     run_import(source, tmp_path / "linked")
     run_import(source, tmp_path / "copied", copy=True)
@@ -97,14 +97,14 @@ def test_offsets_synchronise_cameras(unpack: bool, tmp_path: Path) -> None:
 
 
 def test_different_frame_counts_are_noted(tmp_path: Path) -> None:
-    """Catches frames that are dropped silently."""
+    """Catches frames that are dropped without a log line."""
     lines = run_import(write_source(tmp_path / "source", {"b": range(37)}), tmp_path / "out")
     assert "a: the last 3 frames are not used: other videos end earlier" in lines
     assert open_capture(tmp_path / "out").frame_count == 37
 
 
 def test_different_frame_rates_are_refused(tmp_path: Path) -> None:
-    """Catches cameras that drift apart."""
+    """Catches cameras with different frame rates, which would drift apart in time."""
     source = write_source(tmp_path / "source")
     write_numbered_video(source / "videos" / "b.mp4", fps=25)
     with pytest.raises(UserError, match=r"b.mp4: expected 30 frames per second, as a has, got 25"):
@@ -112,14 +112,14 @@ def test_different_frame_rates_are_refused(tmp_path: Path) -> None:
 
 
 def test_offset_past_the_end_is_refused(tmp_path: Path) -> None:
-    """Catches a capture without frames."""
+    """Catches an offset past the end of a video, which would give a capture without frames."""
     source = write_source(tmp_path / "source")
     with pytest.raises(UserError, match="expected"):
         run_import(source, tmp_path / "out", offsets={"b": 40})
 
 
 def test_second_import_changes_nothing(tmp_path: Path) -> None:
-    """Catches links made again, and a manually edited calibration that is overwritten."""
+    """Catches links that are created again without need, and a manually edited calibration that is overwritten."""
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     run_import(source, out)
     (out / "intri.yml").write_text((out / "intri.yml").read_text() + "\n# mine\n")
@@ -155,7 +155,7 @@ def test_videos_are_read_through_once(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_temporary_files_of_a_killed_import_are_removed(tmp_path: Path) -> None:
-    """Catches a folder refused for a temporary record, and partial copies that are never removed."""
+    """Catches a folder that is refused because of an unfinished record, and partial copies that are never removed."""
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     (out / ".fourd").mkdir(parents=True)
     (out / ".fourd" / ".unfinished-import-abc.json").write_text("{")
@@ -177,7 +177,7 @@ def test_changed_calibration_is_applied(tmp_path: Path) -> None:
 
 
 def test_other_folders_are_not_overwritten(tmp_path: Path, ball_capture: Path) -> None:
-    """Catches a calibration written over another capture's."""
+    """Catches an import that overwrites the calibration of another capture."""
     source = write_source(tmp_path / "source")
     other = tmp_path / "thesis"
     other.mkdir()
@@ -191,7 +191,7 @@ def test_other_folders_are_not_overwritten(tmp_path: Path, ball_capture: Path) -
 
 
 def test_unpacked_frames_keep_their_offsets(tmp_path: Path) -> None:
-    """Catches a folder that mixes frames with different offsets."""
+    """Catches a folder that mixes unpacked frames with different time offsets."""
     source = write_source(tmp_path / "source")
     run_import(source, tmp_path / "out", unpack=True)
     with pytest.raises(UserError, match=r"expected the offsets of the frames unpacked there \(none\), got b=2"):
@@ -202,7 +202,7 @@ def test_unpacked_frames_keep_their_offsets(tmp_path: Path) -> None:
 
 
 def test_damaged_record_is_reported(tmp_path: Path) -> None:
-    """Catches a traceback, and a damaged record that is ignored."""
+    """Catches a damaged record that is ignored or causes a traceback."""
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     run_import(source, out)
     record = out / ".fourd" / "import.json"
@@ -228,7 +228,7 @@ def test_easymocap_round_trip(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_estimated_offsets_are_applied_on_request(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches an estimate of the wrong sign, and --sync that applies its estimate."""
+    """Catches an estimated offset of the wrong sign, and an option --sync that applies the estimate."""
     levels = np.cumsum(rng.integers(1, 64, 100)) % 64
     numbers = {"a": levels[:84], "b": levels[9:93], "c": levels[:84]}
     source = write_source(tmp_path / "source", {name: of.tolist() for name, of in numbers.items()})

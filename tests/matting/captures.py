@@ -1,4 +1,4 @@
-"""A small capture without masks, derived from the ball capture, with ground-truth mattes."""
+"""A small capture without masks, made from the ball capture. Its ground-truth mattes are in a separate folder."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from tests.captures import write_ball_capture
 
 
 def write_capture_without_masks(folder: Path, *, frames: int = 8, size: int = 96) -> Path:
-    """Write a ball capture without masks; the true masks are in ``folder``/truth/masks."""
+    """Write a ball capture without masks into ``folder``. The true masks are written to truth/masks in the same
+    folder."""
     capture = write_ball_capture(folder / "capture", cameras=8, frames=frames, size=size)
     shutil.move(capture / "masks", folder / "truth" / "masks")
     return capture
 
 
 def write_video(path: Path, pictures: Sequence[Path]) -> None:
-    """Write a video of image files at 30 frames per second."""
+    """Write a video of the images ``pictures`` at 30 frames per second."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30, options={"crf": "6", "g": "4"})
         with Image.open(pictures[0]) as first:
@@ -37,7 +38,7 @@ def write_video(path: Path, pictures: Sequence[Path]) -> None:
 
 
 def matte_iou(made: Capture, truth: Path) -> np.ndarray:
-    """(C, F) intersection over union of a capture's mattes with the true masks."""
+    """Intersection over union of a capture's mattes with the true masks, (C, F) for C cameras and F frames."""
     shutil.copytree(made.path / "images", truth / "images", dirs_exist_ok=True)
     for name in ("intri.yml", "extri.yml"):
         shutil.copy(made.path / name, truth / name)

@@ -1,4 +1,4 @@
-"""Multi-view consistency: soft hulls from all views except a pixel's own."""
+"""Multi-view consistency of mattes: the prior of a pixel comes from the soft hull of all other views."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SIZE = 48
 
 
 def silhouettes(count: int, centre: np.ndarray, radius: float) -> tuple[VoxelGrid, list[np.ndarray]]:
-    """A grid, and log-odds of +4 on a ball and -4 off it in each of ``count`` views."""
+    """A voxel grid, and the evidence of ``count`` views: log-odds of +4 inside a ball's silhouette and -4 outside."""
     cameras = ring_cameras(count, SIZE)
     rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
     evidence = []
@@ -25,7 +25,7 @@ def silhouettes(count: int, centre: np.ndarray, radius: float) -> tuple[VoxelGri
 
 
 def test_prior_comes_from_the_other_views() -> None:
-    """Catches a prior that depends on the view itself or ignores the other views."""
+    """Catches a prior of a view that depends on the same view or ignores the other views."""
     cells, evidence = silhouettes(8, np.array([0.1, -0.1, 0.05]), 0.4)
     truth = evidence[2] > 0
     evidence[2] = np.zeros_like(evidence[2])
@@ -34,7 +34,7 @@ def test_prior_comes_from_the_other_views() -> None:
 
 
 def test_evidence_of_one_view_is_rejected() -> None:
-    """Catches bystanders behind the scene, who are visible in one view and outside every hull."""
+    """Catches foreground at bystanders behind the scene, who are visible in only one view and are outside the hull."""
     cells, evidence = silhouettes(8, np.zeros(3), 0.3)
     evidence[0][2:10, 2:10] = 4.0
     prior = cells.scores(evidence).prior(0)
@@ -43,7 +43,7 @@ def test_evidence_of_one_view_is_rejected() -> None:
 
 
 def test_one_wrong_view_of_twenty_is_tolerated() -> None:
-    """Catches a plain minimum over the views, with which one hole in one matte cuts the hull."""
+    """Catches a plain minimum over the views. With a minimum, a hole in one matte would cut a hole into the hull."""
     cells, evidence = silhouettes(20, np.zeros(3), 0.3)
     evidence[5][:] = -4.0
     box = cells.scores(evidence).box()
@@ -52,7 +52,7 @@ def test_one_wrong_view_of_twenty_is_tolerated() -> None:
 
 
 def test_an_empty_hull_has_no_box() -> None:
-    """Catches an invalid box of an empty hull, from which the next grid would be built."""
+    """Catches an invalid bounding box of an empty hull. The next grid would be built from this box."""
     cells, evidence = silhouettes(4, np.zeros(3), 0.3)
     for picture in evidence:
         picture[:] = -4.0
@@ -63,6 +63,6 @@ def test_an_empty_hull_has_no_box() -> None:
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_few_views_are_supported(count: int) -> None:
-    """Catches an order statistic whose rank exceeds the number of views."""
+    """Catches a crash with few views, where the rank of the order statistic exceeds the number of views."""
     cells, evidence = silhouettes(count, np.zeros(3), 0.3)
     assert cells.scores(evidence).prior(0).shape == (SIZE, SIZE)

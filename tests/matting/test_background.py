@@ -1,4 +1,4 @@
-"""Background models of pixels from their frames."""
+"""Background models of single pixels, computed from the colours of the pixels in all frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fourd.matting.motion.colour_models import BINS, ColourHistogram
 
 
 def test_the_colour_with_the_largest_weight_wins(rng: np.random.Generator) -> None:
-    """Catches a plain median, which keeps a subject that is present in most frames."""
+    """Catches a plain median over the frames, which shows a subject that is present in most frames."""
     frames, size = 20, 12
     rgb = rng.integers(95, 105, (frames, size, size, 3)).astype(np.uint8)
     weights = np.full((frames, size, size), 0.02, np.float32)
@@ -21,14 +21,14 @@ def test_the_colour_with_the_largest_weight_wins(rng: np.random.Generator) -> No
 
 
 def test_a_pixel_without_background_frames_is_not_confident(rng: np.random.Generator) -> None:
-    """Catches pixels without background frames that are reported as known background."""
+    """Catches pixels that no frame shows as background but that are reported as known background."""
     rgb = rng.integers(95, 105, (20, 4, 4, 3)).astype(np.uint8)
     found = fit_background(rgb, np.full((20, 4, 4), 0.02, np.float32), 3.0)
     assert found.confidence.max() < 0.2
 
 
 def test_shadows_are_background_and_other_colours_are_not() -> None:
-    """Catches shadows on the floor that become foreground."""
+    """Catches shadows on the floor that are classified as foreground."""
     mean = np.full((1, 3, 3), (120.0, 100.0, 80.0), np.float32)
     background = BackgroundModel(mean, np.full_like(mean, 16), np.full((1, 3), 9, np.float32))
     seen = np.array([[(120, 100, 80), (84, 70, 56), (80, 100, 120)]], np.uint8)

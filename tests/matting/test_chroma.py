@@ -19,7 +19,7 @@ BLUE = (30, 60, 190)
 
 
 def subject_alpha() -> Floats:
-    """Alpha of a body, a head, two thin legs and an arm's loop that encloses screen, with 4 x 4 supersampling."""
+    """Alpha of a body with a head, two thin legs, and an arm that encloses a hole. Each pixel has 4 x 4 samples."""
     height, width = SIZE
     large = np.zeros((4 * height, 4 * width), np.uint8)
 
@@ -38,7 +38,7 @@ def subject_alpha() -> Floats:
 def synthetic_picture(
     rng: np.random.Generator, screen: tuple[int, int, int], shadow: float = 0.6
 ) -> tuple[Picture, Floats]:
-    """A noisy image and its alpha; the illumination falls from 1.1 to 0.75, and a shadow lies beside the feet."""
+    """A noisy image and its alpha. The illumination falls from 1.1 to 0.75, and there is a shadow beside the feet."""
     height, width = SIZE
     alpha = subject_alpha()
     y, x = np.mgrid[:height, :width]
@@ -46,7 +46,7 @@ def synthetic_picture(
     dark = np.zeros(SIZE)
     cv2.ellipse(dark, (250, 262), (90, 18), 0, 0, 360, 1.0, -1)
     light *= 1 - (1 - shadow) * cv2.GaussianBlur(dark, (0, 0), 4)
-    # Stripes of skin, black, white, red and grey.
+    # The subject has stripes in the colours skin, black, white, red and grey.
     clothes = np.array([(205, 150, 125), (25, 25, 30), (235, 235, 235), (170, 40, 45), (120, 120, 125)], float)
     subject = clothes[(y // 34) % len(clothes)]
     picture = alpha[..., None] * subject + (1 - alpha[..., None]) * light[..., None] * np.array(screen, float)
@@ -60,27 +60,28 @@ def overlap(matte: Picture, alpha: Floats) -> float:
 
 @pytest.mark.parametrize("colour", [GREEN, BLUE])
 def test_uneven_light_and_shadow_are_not_foreground(rng: np.random.Generator, colour: tuple[int, int, int]) -> None:
-    """Catches distances in RGB, with which the dark side of the screen or the shadow becomes foreground."""
+    """Catches colour distances in RGB, which classify the dark side of the screen or the shadow as foreground."""
     picture, alpha = synthetic_picture(rng, colour)
     matte = chroma_matte(picture, find_screen([picture]))
     error = np.abs(matte / 255.0 - alpha)
     assert matte.dtype == np.uint8
     assert overlap(matte, alpha) > 0.985
     assert error.mean() < 0.0025
-    # Error inside the soft edge. A distance that ignores luma fails on dark clothes; its error is 0.15.
+    # This is the error in the soft edge of the matte. A distance that ignores luma has an error of 0.15, because it
+    # fails on dark clothes.
     assert error[(alpha > 0.02) & (alpha < 0.98)].mean() < 0.06
     assert (matte[alpha < 1e-3] > 64).mean() < 2e-4
     assert (matte[alpha > 0.999] < 192).mean() < 2e-3
 
 
 def test_large_holes_in_the_subject_stay_open(rng: np.random.Generator) -> None:
-    """Catches large holes that are filled, such as an arm's loop."""
+    """Catches large holes in the subject that are filled, such as the hole between an arm and the body."""
     picture, _ = synthetic_picture(rng, GREEN)
     assert chroma_matte(picture, find_screen([picture]))[130, 258] == 0
 
 
 def test_specks_are_removed_and_an_empty_picture_stays_empty(rng: np.random.Generator) -> None:
-    """Catches dirt on the screen that is kept, and noise that becomes foreground."""
+    """Catches dirt on the screen that is classified as foreground, and noise that is classified as foreground."""
     picture, _ = synthetic_picture(rng, GREEN)
     screen = find_screen([picture])
     picture[20:23, 30:33] = (200, 120, 200)
@@ -90,7 +91,8 @@ def test_specks_are_removed_and_an_empty_picture_stays_empty(rng: np.random.Gene
 
 
 def test_screen_colour_is_that_of_its_median_light(rng: np.random.Generator) -> None:
-    """Catches an estimate by brightness that returns the colour of the shadow or of a subject at the border."""
+    """Catches an estimate of the screen colour that returns the colour of a shadow, or of a subject at the image
+    border."""
     picture, _ = synthetic_picture(rng, GREEN)
     picture[250:, :120] = (190, 150, 130)
     screen = find_screen([picture, picture[:, ::-1]])
@@ -103,7 +105,7 @@ def test_screen_colour_is_that_of_its_median_light(rng: np.random.Generator) -> 
 
 @pytest.mark.parametrize("kind", ["noise", "grey", "stripes"])
 def test_pictures_without_a_screen_are_refused(rng: np.random.Generator, kind: str) -> None:
-    """Catches arbitrary backgrounds accepted as a screen."""
+    """Catches arbitrary backgrounds that are accepted as a screen of one colour."""
     picture = rng.integers(0, 256, (120, 160, 3)).astype(np.uint8)
     if kind == "grey":
         picture = (130 + picture // 32).astype(np.uint8)
@@ -114,7 +116,7 @@ def test_pictures_without_a_screen_are_refused(rng: np.random.Generator, kind: s
 
 
 def test_parse_screen_validates_its_argument() -> None:
-    """Catches grey colours and typing errors that are accepted and make every matte empty or full."""
+    """Catches grey screen colours and typing errors that are accepted. They would make every matte empty or full."""
     assert parse_screen("0,177, 64") == ScreenColour((0.0, 177.0, 64.0))
     for text in ("0,177", "green", "0,300,0", "0,-1,4", "1.5,2,3"):
         with pytest.raises(UserError, match=r"^--screen: expected R,G,B"):
@@ -124,7 +126,7 @@ def test_parse_screen_validates_its_argument() -> None:
 
 
 def test_distance_is_zero_in_any_light_and_one_for_greys() -> None:
-    """Catches chroma that is compared without scaling it to the pixel's luma."""
+    """Catches chroma values that are compared without scaling them to the luma of the pixel."""
     screen = ScreenColour(GREEN)
     light = np.linspace(0.45, 1.3, 9)[:, None] * np.array(GREEN)
     np.testing.assert_allclose(screen_distance(light, screen), 0, atol=1e-3)

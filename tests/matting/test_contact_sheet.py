@@ -28,7 +28,8 @@ def is_flat(picture: Picture) -> NDArray[np.bool_]:
 
 
 def test_cells_contain_the_picture_and_its_cutout(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches mattes of another frame, inverted mattes, swapped channels, and a flat colour close to the subject's."""
+    """Catches mattes of another frame, inverted mattes, swapped channels, and a flat background colour that is close to
+    the subject's colour."""
     capture = open_capture(ball_capture)
     write_contact_sheet(capture, tmp_path / "sheet.png", cameras=[2], columns=1)
     mask, image = capture.mask(2, 0), capture.image(2, 0)
@@ -45,7 +46,7 @@ def test_cells_contain_the_picture_and_its_cutout(ball_capture: Path, tmp_path: 
 
 
 def test_rows_are_cameras_and_columns_frames(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches empty rows or columns and repeated frames."""
+    """Catches empty rows, empty columns, and frames that appear twice in the sheet."""
     capture = open_capture(ball_capture)
     sizes = {}
     for cameras, columns in ((1, 1), (2, 1), (8, 1), (1, 3), (1, 10)):
@@ -59,7 +60,7 @@ def test_rows_are_cameras_and_columns_frames(ball_capture: Path, tmp_path: Path)
 
 
 def test_remnants_far_from_the_subject_are_visible(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a crop that excludes false foreground, or parts that appear in a single frame."""
+    """Catches a crop that excludes false foreground, or parts of the subject that appear in only one frame."""
     folder = tmp_path / "capture"
     shutil.copytree(ball_capture, folder)
     path = folder / "masks" / "00" / "000002.png"
@@ -73,7 +74,7 @@ def test_remnants_far_from_the_subject_are_visible(ball_capture: Path, tmp_path:
 
 
 def test_empty_mattes_show_the_full_picture(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a crash or an empty cell where the sheet must show that the subject is missing."""
+    """Catches a crash or an empty cell for an empty matte, where the sheet must show that the subject is missing."""
     folder = tmp_path / "capture"
     shutil.copytree(ball_capture, folder)
     for path in (folder / "masks").rglob("*.png"):
@@ -85,7 +86,7 @@ def test_empty_mattes_show_the_full_picture(ball_capture: Path, tmp_path: Path) 
 
 
 def test_capture_without_mattes_is_an_error(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a file that is left behind after an error."""
+    """Catches an incomplete contact sheet that remains after an error."""
     folder = tmp_path / "capture"
     shutil.copytree(ball_capture, folder)
     shutil.rmtree(folder / "masks")

@@ -49,7 +49,7 @@ def scene(rng: np.random.Generator) -> Scene:
 
 
 def run_learner(scene: Scene, off_hull: np.ndarray, rng: np.random.Generator, *, toes_known: bool = False) -> Learner:
-    """A learner after two updates; ``toes_known`` adds the toes' colour to the subject colours."""
+    """A learner after two updates. With ``toes_known``, the subject colours include the colour of the toes."""
     learner = Learner.from_motion(scene.sample, MotionExtent.from_sample(scene.sample), scene.region, rng)
     toes = ColourHistogram.from_colours(np.clip(rng.normal(TOES, 2, (500, 3)), 0, 255).astype(np.uint8))
     for _ in range(2):
@@ -62,7 +62,8 @@ def run_learner(scene: Scene, off_hull: np.ndarray, rng: np.random.Generator, *,
 def test_static_subject_inside_the_hull_is_not_background(
     toes_known: bool, max_confidence: float, scene: Scene, rng: np.random.Generator
 ) -> None:
-    """Catches a static foot that becomes background, whether or not its colour is known from other cameras."""
+    """Catches a static foot inside the hull that is learnt as background. The foot's colour is known from other
+    cameras, or unknown."""
     off_hull = ~scene.leg
     off_hull[(slice(None), *FOOT)] = False
     background = run_learner(scene, off_hull, rng, toes_known=toes_known).appearance.background
@@ -70,12 +71,13 @@ def test_static_subject_inside_the_hull_is_not_background(
 
 
 def test_pixels_off_the_hull_are_known_background(scene: Scene, rng: np.random.Generator) -> None:
-    """Catches a bright object on the floor, outside the hull, whose background stays unknown."""
+    """Catches a bright object outside the hull that is not learnt as background."""
     assert run_learner(scene, ~scene.leg, rng).appearance.background.confidence[INNER].min() > 0.9
 
 
 def test_floor_inside_the_hull_is_known_by_its_colour(scene: Scene, rng: np.random.Generator) -> None:
-    """Catches parts of the room that become foreground because the hull of a few views covers them in all frames."""
+    """Catches parts of the room that are learnt as foreground because the hull of a few views covers them in all
+    frames."""
     off_hull = np.zeros_like(scene.leg)
     background = run_learner(scene, off_hull, rng).appearance.background
     under_leg = np.s_[12:28, 20:40]
@@ -85,7 +87,8 @@ def test_floor_inside_the_hull_is_known_by_its_colour(scene: Scene, rng: np.rand
 
 @pytest.mark.parametrize(("moves", "expected"), [(True, True), (False, False)])
 def test_a_change_in_one_frame_counts_only_with_motion(moves: bool, expected: bool, rng: np.random.Generator) -> None:
-    """Catches a swinging foot, visible once in each pixel, that is cut off, and a flash that counts as motion."""
+    """Catches a swinging foot that is cut off because each pixel shows the foot in one frame only. Also catches a flash
+    that counts as motion."""
     rgb = np.clip(rng.normal(60, 1, (FRAMES, SIZE, SIZE, 3)), 0, 255)
     motion = np.zeros((FRAMES, SIZE, SIZE))
     rgb[(5, *FOOT)] = SKIN

@@ -19,7 +19,7 @@ def halves(height: int = 90, width: int = 240) -> np.ndarray:
 
 
 def test_colours_are_likelier_where_they_occur() -> None:
-    """Catches a transposed or shifted grid, and colours of the whole image instead of local ones."""
+    """Catches a transposed or shifted grid, and a histogram of the whole image instead of local histograms."""
     picture = halves()
     nearby = LocalColours.from_picture(picture, np.ones(picture.shape[:2], bool))
     red = nearby.log_likelihood(np.full_like(picture, RED))
@@ -40,7 +40,8 @@ def test_densities_integrate_to_one() -> None:
 
 
 def test_global_histogram_is_used_without_pixels_nearby() -> None:
-    """Catches a division of zero by zero, and uniform densities at pixels far from all selected pixels."""
+    """Catches a division of zero by zero, and uniform densities instead of the global histogram far from all selected
+    pixels."""
     picture = halves()
     counted = np.zeros(picture.shape[:2], bool)
     counted[:, :20] = True
@@ -53,7 +54,7 @@ def test_global_histogram_is_used_without_pixels_nearby() -> None:
 
 
 def test_mixture_averages_densities(rng: np.random.Generator) -> None:
-    """Catches averaged logarithms, which make a colour impossible if one camera lacks it."""
+    """Catches an average of log-densities, which makes a colour impossible if one camera does not see this colour."""
     red, blue = (ColourHistogram.from_colours(np.tile(np.array(colour, np.uint8), (500, 1))) for colour in (RED, BLUE))
     mixture = ColourHistogram.mixture([red, blue], [0.7, 0.3])
     seen = np.array([RED, BLUE], np.uint8)
@@ -64,7 +65,7 @@ def test_mixture_averages_densities(rng: np.random.Generator) -> None:
 
 
 def test_channel_reductions_match_numpy(rng: np.random.Generator) -> None:
-    """Catches a missing channel."""
+    """Catches a colour channel that is missing in a sum, minimum or maximum."""
     picture = rng.normal(size=(3, 5, 4, 3)).astype(np.float32)
     assert np.allclose(channel_sum(picture), picture.sum(axis=-1), atol=1e-5)
     assert np.array_equal(channel_max(picture), picture.max(axis=-1))

@@ -18,7 +18,7 @@ from tests.matting.captures import write_capture_without_masks
 
 @pytest.fixture
 def moving_square(tmp_path: Path, rng: np.random.Generator) -> Path:
-    """A textured background with a moving square, a static square, and varying exposure."""
+    """A capture of a textured background with a moving square, a static square, and varying exposure."""
     capture = write_capture_without_masks(tmp_path, frames=1, size=64)
     shutil.rmtree(capture / "images")
     stage = rng.integers(40, 160, (64, 64, 3)).astype(np.float32)
@@ -38,7 +38,7 @@ def moving_square(tmp_path: Path, rng: np.random.Generator) -> Path:
 
 
 def test_plate_excludes_subject_and_exposure_changes(moving_square: Path, tmp_path: Path) -> None:
-    """Catches ghosts of the subject in the mean, and exposure changes in the plate."""
+    """Catches ghosts of the subject in the plate, and changes of exposure that distort the plate."""
     capture = open_capture(moving_square)
     plate = clean_plate(capture, 0)
     stage = np.load(tmp_path / "stage.npy")
@@ -48,7 +48,8 @@ def test_plate_excludes_subject_and_exposure_changes(moving_square: Path, tmp_pa
 
 
 def test_a_missing_matte_leaves_no_ghost(moving_square: Path, tmp_path: Path) -> None:
-    """Catches a single pass, in which a frame with an empty matte adds the subject to the plate."""
+    """Catches a plate from a single pass. In a single pass, a frame with an empty matte adds the subject to the
+    plate."""
     cv2.imwrite(str(moving_square / "masks" / "00" / "000007.png"), np.zeros((64, 64), np.uint8))
     plate = clean_plate(open_capture(moving_square), 0)
     stage = np.load(tmp_path / "stage.npy")
@@ -56,7 +57,7 @@ def test_a_missing_matte_leaves_no_ghost(moving_square: Path, tmp_path: Path) ->
 
 
 def test_plates_are_cached_by_key_and_mattes(moving_square: Path) -> None:
-    """Catches stale plates after a change of the input, and repeated work."""
+    """Catches outdated plates after a change of the input, and plates that are made again without a change."""
     selection = Selection(moving_square)
     assert make_plates(selection, "a", 1, untracked) == 8
     assert make_plates(selection, "a", 1, untracked) == 0

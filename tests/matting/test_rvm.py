@@ -1,4 +1,4 @@
-"""Robust Video Matting from files: a small TorchScript network with its interface, and invalid files."""
+"""Robust Video Matting from files: a small TorchScript network with the same interface, and invalid files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from fourd.matting.rvm import automatic_ratio, load_rvm
 
 Picture = NDArray[np.uint8]
 
-# A recurrent network with the published interface: alpha = red / 2 + the sum of red over all earlier frames / 4.
+# A recurrent network with the published interface. Its alpha is half of the red channel plus a quarter of the sum of
+# red over all earlier frames.
 PROGRAM = """
 def forward(self, src, r1: Optional[Tensor], r2: Optional[Tensor], r3: Optional[Tensor], r4: Optional[Tensor],
             downsample_ratio: float = 1.0, segmentation_pass: bool = False):
@@ -39,7 +40,8 @@ def pictures(rng: np.random.Generator, count: int, size: tuple[int, int] = (20, 
 
 
 def test_recurrent_state_is_passed_on_and_reset(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches lost or permuted state, BGR channels, wrong alpha scale, and state shared between cameras."""
+    """Catches recurrent state that is lost, permuted or shared between cameras, BGR channels, and a wrong scale of
+    alpha."""
     rvm = load_rvm(script(tmp_path / "small.torchscript"), "cpu")
     frames = pictures(rng, 4)
     for _ in range(2):
@@ -53,7 +55,7 @@ def test_recurrent_state_is_passed_on_and_reset(tmp_path: Path, rng: np.random.G
 
 
 def test_pictures_are_read_lazily(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches decoding of all frames before the first matte, and inference mode left enabled in the caller."""
+    """Catches decoding of all frames before the first matte, and inference mode that remains enabled in the caller."""
     rvm = load_rvm(script(tmp_path / "small.pt"), "cpu")
     taken: list[int] = []
 
@@ -74,7 +76,7 @@ def test_pictures_are_read_lazily(tmp_path: Path, rng: np.random.Generator) -> N
 def test_ratio_reaches_the_network(
     tmp_path: Path, rng: np.random.Generator, ratio: float | None, size: tuple[int, int], expected: float
 ) -> None:
-    """Catches a ratio that is not passed on, or that refers to the shorter side."""
+    """Catches a downsampling ratio that the network does not get, or that is computed from the shorter image side."""
     rvm = load_rvm(script(tmp_path / "ratio.pt", "torch.full_like(alpha, downsample_ratio)"), "cpu")
     matte = next(rvm.mattes(pictures(rng, 1, size), ratio))
     assert np.abs(matte / 255.0 - expected).max() < 0.003
@@ -82,7 +84,7 @@ def test_ratio_reaches_the_network(
 
 
 def test_bad_ratios_and_sizes_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches torch errors in the middle of a run."""
+    """Catches invalid ratios and image sizes that cause torch errors in the middle of a run."""
     rvm = load_rvm(script(tmp_path / "small.pt"), "cpu")
     for ratio in (0.0, 1.5, float("nan")):
         with pytest.raises(UserError, match=r"^--downsample: expected a ratio"):
@@ -102,14 +104,14 @@ def test_bad_ratios_and_sizes_are_refused(tmp_path: Path, rng: np.random.Generat
     ],
 )
 def test_other_networks_are_refused_when_loaded(tmp_path: Path, result: str, message: str) -> None:
-    """Catches other networks whose outputs would be written as mattes."""
+    """Catches a network for another task that is accepted. Its outputs would be written as mattes."""
     with pytest.raises(UserError, match=rf"small\.pt: expected .*{message}") as caught:
         load_rvm(script(tmp_path / "small.pt", result), "cpu")
     assert "\n" not in str(caught.value)
 
 
 def test_network_with_other_inputs_is_refused(tmp_path: Path) -> None:
-    """Catches a segmentation network with one input."""
+    """Catches a segmentation network with only one input that is accepted."""
     path = script(tmp_path / "one.pt", program="def forward(self, src):\n    return src\n")
     with pytest.raises(UserError, match=r"one\.pt: expected the Robust Video Matting network, got '") as caught:
         load_rvm(path, "cpu")
@@ -118,7 +120,7 @@ def test_network_with_other_inputs_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["broken.torchscript", "broken.pt"])
 def test_broken_files_are_one_line(tmp_path: Path, rng: np.random.Generator, name: str) -> None:
-    """Catches tracebacks for truncated downloads."""
+    """Catches a traceback instead of a one-line error for a truncated download."""
     path = tmp_path / name
     script(path)
     whole = path.read_bytes()
@@ -130,7 +132,7 @@ def test_broken_files_are_one_line(tmp_path: Path, rng: np.random.Generator, nam
 
 
 def test_missing_files_and_other_names_are_refused(tmp_path: Path) -> None:
-    """Catches an ONNX file instead of TorchScript, and a folder instead of a file."""
+    """Catches an ONNX file or a folder that is accepted instead of a TorchScript file."""
     with pytest.raises(UserError, match="got no such file"):
         load_rvm(tmp_path / "none.pt")
     with pytest.raises(UserError, match="got a folder"):

@@ -1,4 +1,4 @@
-"""Mattes of a whole capture: accuracy without a network, resuming, reproducibility."""
+"""Mattes of a whole capture: accuracy without a network, resuming after an interruption, and reproducibility."""
 
 from __future__ import annotations
 
@@ -23,21 +23,22 @@ def contents(capture: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ball capture with mattes made by fourd; tests must not change it."""
+    """A ball capture with mattes that fourd has made. Tests must not change this capture."""
     capture = write_capture_without_masks(tmp_path_factory.mktemp("made"), frames=6, size=96)
     assert make_mattes(Selection(capture), MatteSettings(), 1, untracked) == 6
     return capture
 
 
 def test_mattes_match_the_subject(made: Path) -> None:
-    """Catches evidence with the wrong sign, permuted views, and mattes that are not aligned with the images."""
+    """Catches foreground evidence with the wrong sign, permuted views, and mattes that are not aligned with the
+    images."""
     found = matte_iou(open_capture(made), made.parent / "truth")
     assert found.mean() > 0.85, found.round(2)
     assert found.mean(axis=1).min() > 0.75, found.round(2)
 
 
 def test_mattes_do_not_flicker(made: Path) -> None:
-    """Catches flicker: pixels that differ from both the previous and the next frame, while these two are equal."""
+    """Catches flicker, which means pixels that differ from both the previous and the next frame."""
 
     def flips(folder: Path) -> float:
         shares = []
@@ -51,7 +52,7 @@ def test_mattes_do_not_flicker(made: Path) -> None:
 
 
 def test_only_missing_files_are_made_again(made: Path, tmp_path: Path) -> None:
-    """Catches repeated work, overwritten edited mattes, and results that depend on where work resumes."""
+    """Catches finished mattes that are made again or overwritten, and results that depend on where the work resumes."""
     before = contents(made)
     lost = made / MATTES / "03" / "000004.png"
     lost.unlink()
@@ -71,7 +72,7 @@ def test_only_missing_files_are_made_again(made: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_two_processes_make_the_same_bytes(made: Path, tmp_path: Path) -> None:
-    """Catches mattes that depend on the distribution of frames."""
+    """Catches mattes that depend on how the frames are distributed over processes."""
     before = contents(made)
     for path in made.glob(".fourd/mattes/*/*"):
         path.unlink()
@@ -97,7 +98,7 @@ def test_a_capture_is_opened_once(made: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_changed_settings_invalidate_mattes(tmp_path: Path) -> None:
-    """Catches stale mattes after a change of seed or input, and a stale contact sheet."""
+    """Catches outdated mattes after a change of the seed or the input, and an outdated contact sheet."""
     capture = write_capture_without_masks(tmp_path, frames=3, size=64)
     assert make_mattes(Selection(capture), MatteSettings(), 1, untracked) == 3
     assert (capture / ".fourd" / MODEL_NAME).exists()
@@ -110,7 +111,7 @@ def test_changed_settings_invalidate_mattes(tmp_path: Path) -> None:
 
 
 def test_a_capture_without_motion_is_an_error(tmp_path: Path) -> None:
-    """Catches mattes of noise, or a traceback, for captures without a moving subject."""
+    """Catches mattes of noise, or a traceback, for a capture without a moving subject."""
     capture = write_capture_without_masks(tmp_path, frames=4, size=64)
     for folder in (capture / "images").iterdir():
         first = (folder / "000000.png").read_bytes()

@@ -1,4 +1,4 @@
-"""K-Planes compared with bilinear interpolation in NumPy, and the options of its config."""
+"""K-Planes compared with bilinear interpolation in NumPy, and the config options of K-Planes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from fourd.model.kplanes import KPlanes
 
 
 def bilinear(plane: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Bilinear samples of a plane (C, rows, columns) at x along columns and y along rows, both in [-1, 1]."""
+    """Bilinear samples of a plane (C, rows, columns). The coordinates x along columns and y along rows are in [-1,
+    1]."""
     _, rows, columns = plane.shape
     column, row = (x + 1) / 2 * (columns - 1), (y + 1) / 2 * (rows - 1)
     left, top = min(int(column), columns - 2), min(int(row), rows - 2)
@@ -52,7 +53,7 @@ def test_out_features_is_the_width() -> None:
 
 
 def test_time_changes_features_only_with_time_planes() -> None:
-    """Catches a config key ``time`` without effect."""
+    """Catches a config key ``time`` that has no effect."""
 
     def difference(field: KPlanes) -> Tensor:
         early = torch.tensor([[0.1, 0.2, 0.3, -1.0]])

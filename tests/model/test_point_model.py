@@ -41,8 +41,8 @@ def model(config: ModelConfig) -> PointModel:
 
 
 def test_sh_basis_is_orthonormal() -> None:
-    """Catches a wrong constant or a swapped term. The mean of Y Y^T over the sphere, times 4 pi, must be the
-    identity."""
+    """Catches a wrong constant or swapped terms. For the vector Y of SH values, the mean of Y Y^T over the sphere,
+    times 4 pi, must be the identity."""
     u, phi = np.meshgrid((np.arange(400) + 0.5) / 200 - 1, (np.arange(400) + 0.5) * np.pi / 200)
     ring_radius = np.sqrt(1 - u**2)
     directions = np.stack([ring_radius * np.cos(phi), ring_radius * np.sin(phi), u], axis=-1).reshape(-1, 3)
@@ -52,7 +52,7 @@ def test_sh_basis_is_orthonormal() -> None:
 
 
 def test_batched_projection_equals_camera_project() -> None:
-    """Catches a transposed rotation."""
+    """Catches a transposed rotation in the batched projection."""
     cameras = ring(3)
     pixels, depth = project_points(points(), cameras)
     for i, camera in enumerate(cameras):
@@ -73,7 +73,7 @@ def test_samples_are_the_pixels_at_the_points() -> None:
 
 
 def test_occluded_points_and_background_have_no_visibility() -> None:
-    """Catches occlusion or mattes that are ignored, and points behind the camera that are sampled."""
+    """Catches occlusion or mattes that do not reduce visibility, and points behind the camera that are visible."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     matte = torch.ones(1, 32, 32)
     matte[:, :, :16] = 0
@@ -105,8 +105,8 @@ def test_views_of_low_visibility_have_no_weight(visibility: float) -> None:
 
 
 def test_occlusion_depends_on_the_point_s_own_spacing() -> None:
-    """Catches the same softness for all points, with which sparse walls occlude themselves or dense points show through
-    walls."""
+    """Catches one decay length of occlusion for all points. Sparse walls would then occlude themselves, or dense points
+    would be visible through walls."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     sources = SourceViews(torch.rand(1, 3, 32, 32), torch.ones(1, 32, 32), torch.full((1, 32, 32), 2.0), (camera,))
     xyz = torch.tensor([[0.0, 0, 2.1]]).expand(3, 3)
@@ -115,7 +115,7 @@ def test_occlusion_depends_on_the_point_s_own_spacing() -> None:
 
 
 def test_the_split_first_layer_equals_the_joint_layer() -> None:
-    """Catches a wrong or missing part of the first layer that is computed once for all views."""
+    """Catches an error in the part of the first layer that is computed once for all views."""
     head = BlendHead(6, 5, SMALL)
     features, samples = torch.rand(4, 6), torch.rand(3, 4, 5)
     concatenated = torch.cat([features.expand(3, -1, -1), samples], dim=-1)
@@ -127,7 +127,8 @@ def test_the_split_first_layer_equals_the_joint_layer() -> None:
 
 @pytest.mark.parametrize("stride", [1, 2])
 def test_a_crop_has_the_features_of_the_whole_image(stride: int) -> None:
-    """Catches normalisation over the image, with which features of training crops and of whole images would differ."""
+    """Catches normalisation over the image. The features of training crops would then differ from those of whole
+    images."""
     encoder = ImageEncoder(8, stride)
     side, margin = 96 * stride, 16 * stride
     image = torch.rand(1, 3, side, side)
@@ -174,7 +175,7 @@ def test_initial_radius_and_density_follow_the_config() -> None:
     ids=lambda config: str(config)[-200:],
 )
 def test_all_parameters_have_a_gradient_under_every_switch(config: ModelConfig) -> None:
-    """Catches heads that are unused, and heads that get no gradient."""
+    """Catches network heads that are not used or get no gradient."""
     built = model(config)
     with torch.no_grad():
         for parameter in built.parameters():
@@ -192,7 +193,8 @@ def test_all_parameters_have_a_gradient_under_every_switch(config: ModelConfig) 
 
 
 def test_only_continuous_blending_depends_on_the_viewer() -> None:
-    """Catches blend weights that depend on the viewing direction. Such weights cannot be baked."""
+    """Catches blend weights that depend on the viewing direction without the option ``continuous``. Export could not
+    bake these weights."""
     xyz, sources = points(), views()
     for continuous in (False, True):
         built = model(replace(SMALL, appearance="ibr", continuous=continuous))

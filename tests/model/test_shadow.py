@@ -12,7 +12,8 @@ LOWER, UPPER = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 2.0])
 
 
 def field(strength: float) -> ShadowField:
-    """A field with random planes of the given standard deviation. With 0 it equals an untrained field."""
+    """A shadow field with random planes of the given standard deviation. With 0, the field equals an untrained
+    field."""
     shadows = ShadowField(LOWER, UPPER, 4)
     with torch.no_grad():
         for plane in shadows.planes.parameters():
@@ -25,14 +26,14 @@ def random_points(rng: np.random.Generator, count: int = 500) -> torch.Tensor:
 
 
 def test_an_untrained_field_is_the_identity(rng: np.random.Generator) -> None:
-    """Catches an initial factor other than exactly 1, which darkens the whole background."""
+    """Catches an initial shadow factor that is not exactly 1. It would darken the whole background."""
     shadow = field(0)(random_points(rng), 0.3)
     assert torch.equal(shadow.factor, torch.ones(500))
     assert 0 < int(shadow.is_inside.sum()) < 500
 
 
 def test_shadows_fade_out_around_the_foreground(rng: np.random.Generator) -> None:
-    """Catches a visible edge at the border of the field, and shadows outside the field."""
+    """Catches a visible edge at the border of the shadow field, and shadows outside the field."""
     shadows = field(3.0)
     xyz = random_points(rng)
     with torch.no_grad():
@@ -53,7 +54,7 @@ def test_shadows_fade_out_around_the_foreground(rng: np.random.Generator) -> Non
 
 @pytest.mark.parametrize("xyz", [torch.zeros(0, 3), torch.full((3, 3), 90.0), torch.full((2, 3), torch.nan)])
 def test_points_outside_have_no_shadow_and_no_penalty(xyz: torch.Tensor) -> None:
-    """Catches the NaN mean of an empty set of points, and NaN caused by distant points."""
+    """Catches a NaN penalty if there are no points inside the shadow field, and NaN from distant points."""
     shadows = field(1.0)
     assert torch.equal(shadows(xyz, 0.5).factor, torch.ones(len(xyz)))
     deviation = shadows.mean_squared_deviation(xyz, 0.5)
@@ -62,7 +63,7 @@ def test_points_outside_have_no_shadow_and_no_penalty(xyz: torch.Tensor) -> None
 
 
 def test_points_inside_train_the_shadow_alone() -> None:
-    """Catches a background whose colours get the gradient of a shadow."""
+    """Catches background colours inside the shadow field that get a gradient from shadowed images."""
     colour = torch.rand(2, 3, requires_grad=True)
     factor = torch.tensor([0.5, 1.0], requires_grad=True)
     shadow = Shadow(factor, torch.tensor([True, False]))
@@ -76,7 +77,7 @@ def test_points_inside_train_the_shadow_alone() -> None:
 
 
 def test_all_parameters_of_the_field_have_a_gradient(rng: np.random.Generator) -> None:
-    """Catches planes or layers that are not used, and time that is ignored."""
+    """Catches planes or layers of the shadow field that are not used, and a field that ignores time."""
     shadows = field(0.1)
     xyz = 0.3 * random_points(rng)
     shadows.mean_squared_deviation(xyz, 0.4).backward()

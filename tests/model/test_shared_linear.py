@@ -10,7 +10,7 @@ from fourd.model.shared_linear import shared_linear
 
 
 def test_values_and_gradients_equal_those_of_separate_layers(rng: np.random.Generator) -> None:
-    """Catches a gradient of one layer that reaches another layer, also if only some of the outputs are used."""
+    """Catches a layer's gradient that reaches another layer, also if only some of the outputs are used."""
     torch.manual_seed(int(rng.integers(2**31)))
     layers = [nn.Linear(12, width).double() for width in (5, 1, 7)]
     features = torch.randn(40, 12, dtype=torch.float64, requires_grad=True)

@@ -1,4 +1,4 @@
-"""Helpers of the importers' tests: asymmetric cameras, small images and videos, and checks of errors."""
+"""Helpers for the tests of the importers: asymmetric cameras, small images and videos, and checks of error messages."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Read = Callable[[Path], Imported]
 
 
 def uneven_cameras(count: int, distortion: np.ndarray | None = None) -> list[Camera]:
-    """Ring cameras whose intrinsics are all different numbers, so that mixing them up is detected."""
+    """Ring cameras whose intrinsics are all different numbers, so that tests detect swapped intrinsics."""
     cameras = []
     for index, camera in enumerate(ring_cameras(count, WIDTH)):
         intrinsics = np.array([[26.0 + index, 0, 11.3], [0, 27.5, 8.9 - 0.1 * index], [0, 0, 1]])
@@ -33,7 +33,7 @@ def uneven_cameras(count: int, distortion: np.ndarray | None = None) -> list[Cam
 
 
 def assert_same_view(lens: Camera | None, original: Camera, rng: np.random.Generator) -> None:
-    """Assert that random world points in metres project to the same pixels, including distortion."""
+    """Assert that two cameras project random world points in metres to the same pixels, including lens distortion."""
     assert lens is not None
     assert (lens.width, lens.height) == (original.width, original.height)
     xyz = rng.uniform(-0.4, 0.4, (50, 3))
@@ -70,7 +70,7 @@ def write_video(path: Path, frames: int = 2) -> None:
 
 
 def file_names(frames: object) -> list[str]:
-    """Names of the files of a camera's frames or mattes, in order."""
+    """Names of the files that store a camera's frames or mattes, in order."""
     if isinstance(frames, VideoFile):
         return [frames.path.name]
     assert isinstance(frames, PictureFiles)
@@ -79,7 +79,7 @@ def file_names(frames: object) -> list[str]:
 
 
 def detect_format(source: Path) -> str | None:
-    """The name of the first format that a source looks like."""
+    """The name of the first format that recognises ``source``."""
     return next((form.name for form in FORMATS if form.looks_like(source)), None)
 
 
@@ -100,7 +100,7 @@ def edit(path: Path, old: str, new: str) -> None:
 def assert_damage_is_reported(
     read: Read, source: Path, file: Path, rng: np.random.Generator, flips: bool = True
 ) -> None:
-    """Assert that a truncated or corrupted file is read or raises a one-line UserError, but no other exception."""
+    """Assert that reading a truncated or corrupted file either succeeds or raises a one-line UserError."""
     whole = file.read_bytes()
     for attempt in range(24):
         damaged = bytearray(whole[: rng.integers(len(whole))] if attempt % 2 else whole)

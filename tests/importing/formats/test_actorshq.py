@@ -39,7 +39,7 @@ def source(tmp_path: Path) -> Path:
 
 
 def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator) -> None:
-    """Catches poses read as world-to-camera, and lengths relative to the wrong side."""
+    """Catches poses that are read as world-to-camera, and intrinsics that are scaled by the wrong image side."""
     assert detect_format(source) == "actorshq"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == list(NAMES)

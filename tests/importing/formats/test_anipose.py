@@ -26,7 +26,8 @@ METADATA = "[metadata]\nadjusted = true\nerror = 0.75\n"
 
 
 def calibration_toml(scale: float) -> str:
-    """The cameras as both programs write them; OpenCV's origin is the first pixel's centre."""
+    """The cameras as Anipose and Pose2Sim write them. Pixel coordinates have their origin at the centre of the first
+    pixel."""
     text = ""
     for index, (name, camera) in enumerate(zip(NAMES, uneven_cameras(3, BARREL), strict=True)):
         matrix = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
@@ -48,7 +49,7 @@ def source(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(("scale", "note"), [(1000, "millimetres -> metres"), (1, "unit assumed to be metres")])
 def test_cameras_project_as_the_originals(source: Path, scale: float, note: str, rng: np.random.Generator) -> None:
-    """Catches a missing half pixel, and millimetres read as metres."""
+    """Catches a missing half-pixel shift of the principal point, and millimetres that are read as metres."""
     (source / "calibration.toml").write_text(calibration_toml(scale))
     assert detect_format(source) == detect_format(source / "calibration.toml") == "anipose"
     imported = read(source)

@@ -1,4 +1,4 @@
-"""COLMAP: handwritten models, text and binary, of cameras with a folder of images each."""
+"""COLMAP: handwritten text and binary models of cameras, where each camera has its own folder of images."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ MODELS: dict[str, tuple[int, list[float], list[float]]] = {
         [K1, K2, P1, P2, 0.01, 0.02, 0.03, 0.04],
     ),
 }
-"""Number of each lens model, its parameters in COLMAP's order, and OpenCV's coefficients."""
+"""COLMAP's number of each lens model, the parameters in COLMAP's order, and the distortion coefficients of OpenCV."""
 
 
 def expected_camera(camera: Camera, kind: str) -> Camera:
-    """The camera with the intrinsics of a lens model."""
+    """The camera with the intrinsics and the distortion of a lens model."""
     focal_y = FY if len(MODELS[kind][1]) not in (3, 5) and kind != "SIMPLE_RADIAL" else FX
     intrinsics = np.array([[FX, 0, CX], [0, focal_y, CY], [0, 0, 1]])
     distortion = np.array(MODELS[kind][2]) if MODELS[kind][2] else None
@@ -52,7 +52,7 @@ def expected_camera(camera: Camera, kind: str) -> Camera:
 
 
 def colmap_pose(camera: Camera) -> list[float]:
-    """Quaternion and translation in COLMAP's order."""
+    """Quaternion and translation of a camera, in COLMAP's order."""
     x, y, z, w = Rotation.from_matrix(camera.rotation).as_quat()
     return [float(value) for value in (w, x, y, z, *camera.translation)]
 
@@ -96,7 +96,7 @@ def source(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("kind", list(MODELS))
 @pytest.mark.parametrize("folder", [".", "sparse/0"])
 def test_cameras_project_as_the_originals(source: Path, kind: str, folder: str, rng: np.random.Generator) -> None:
-    """Catches coefficients in the wrong order, and half pixels added by mistake."""
+    """Catches distortion coefficients in the wrong order, and a half-pixel shift that is added by mistake."""
     (write_text if folder == "." else write_binary)(source / folder, images(), kind)
     assert detect_format(source) == "colmap"
     imported = read(source)
@@ -108,7 +108,7 @@ def test_cameras_project_as_the_originals(source: Path, kind: str, folder: str, 
 
 
 def test_images_without_folders_and_videos(tmp_path: Path) -> None:
-    """Catches images named CAM.jpg that match no camera."""
+    """Catches an importer that does not match images named CAM.jpg with cameras."""
     write_text(tmp_path / "sparse", [(f"{name[:2]}.jpg", camera) for name, camera in images()])
     for index in range(3):
         write_video(tmp_path / "videos" / f"c{index}.mp4")
@@ -116,7 +116,7 @@ def test_images_without_folders_and_videos(tmp_path: Path) -> None:
 
 
 def test_images_of_a_camera_must_agree(source: Path) -> None:
-    """Catches a moving camera read as a static one."""
+    """Catches a moving camera that is imported as a static camera."""
     static = replace(uneven_cameras(1)[0], translation=uneven_cameras(1)[0].translation + 1e-4)
     write_text(source, [*images(), ("c0/0001.jpg", static)])
     assert len(read(source).cameras) == 3
@@ -156,7 +156,7 @@ def test_invalid_values_are_reported(source: Path) -> None:
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])
 def test_truncated_files_are_reported(source: Path, name: str) -> None:
-    """Catches pycolmap reading beyond the end of a file, or hanging."""
+    """Catches a truncated file at which pycolmap hangs or reads beyond the end."""
     write_binary(source, images(), "OPENCV")
     content = (source / name).read_bytes()
     for cut in (content[: len(content) // 2], content[:-3], b"\xff" * 7 + b"\x0f" + content[8:], b""):

@@ -31,7 +31,7 @@ def as_bytes(content: bytes) -> np.ndarray:
 
 
 def write_calibration(file: h5py.File) -> None:
-    """Camera-to-world poses; OpenCV's origin is the first pixel's centre."""
+    """Write camera-to-world poses. Pixel coordinates have their origin at the centre of the first pixel."""
     for number, camera in zip(IDS, uneven_cameras(3, BARREL), strict=True):
         group = file.create_group(f"Camera_Parameter/{int(number):02d}")
         group["K"] = camera.intrinsics - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
@@ -62,7 +62,7 @@ def mean_grey(frames: object, index: int) -> int:
 
 
 def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator) -> None:
-    """Catches poses read as world-to-camera, and frames in alphabetical order (10 before 2)."""
+    """Catches poses that are read as world-to-camera, and frames in alphabetical order (10 before 2)."""
     assert detect_format(source) == detect_format(source / "0012_11.smc") == "dna-rendering"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == ["00", "02", "48"]
@@ -77,7 +77,7 @@ def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator
 
 
 def test_calibration_in_other_places(source: Path, rng: np.random.Generator) -> None:
-    """Catches a calibration searched in one place: the data set has it in three."""
+    """Catches an importer that searches for the calibration in only one of the three places that the data set uses."""
     (source / "main").mkdir()
     (source / "annotations").mkdir()
     for name, folder in (("0012_11.smc", "main"), ("0012_11_annots.smc", "annotations")):
@@ -173,7 +173,7 @@ def _virtual_dataset(file: h5py.File, name: str, secret: Path) -> None:
 )
 @pytest.mark.parametrize("name", ["Camera_5mp/2/color/0", "Camera_5mp/2/color/3"])
 def test_data_of_other_files_are_refused(source: Path, store: object, got: str, name: str) -> None:
-    """Catches a file from the network whose import copies the user's own files into the capture."""
+    """Catches a downloaded file whose import copies the user's own files into the capture."""
     assert callable(store)
     secret = source / "secret.txt"
     secret.write_text("secret")
@@ -191,7 +191,7 @@ def test_data_of_other_files_are_refused(source: Path, store: object, got: str, 
 
 
 def test_soft_links_within_the_file_are_followed(source: Path) -> None:
-    """Catches data sets that share one dataset between frames, and a chain of links that never ends."""
+    """Catches a link to another frame's image that is not followed, and a link to itself that is followed forever."""
     with h5py.File(source / "0012_11.smc", "a") as file:
         for frame, target in ((3, "2"), (4, "/Camera_5mp/2/color/2"), (5, "5")):
             del file[f"Camera_5mp/2/color/{frame}"]

@@ -1,4 +1,4 @@
-"""EasyMocap: handwritten YAML in the style of its own tools, images or videos, optional mattes."""
+"""EasyMocap: handwritten YAML in the style of EasyMocap's own tools, with images or videos, and optional mattes."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def source(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("key", ["D", "dist"])
 def test_pictures_and_mattes(source: Path, key: str, rng: np.random.Generator) -> None:
-    """Catches frames out of order, and ignored distortion under EasyMocap's own key dist_c."""
+    """Catches frames in the wrong order, and lens distortion that is ignored under EasyMocap's own key ``dist_CAM``."""
     write_yaml(source, key)
     assert detect_format(source) == "easymocap"
     imported = read(source)
@@ -121,7 +121,7 @@ def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> N
 
 
 def test_truncated_calibrations_are_reported(source: Path) -> None:
-    """Catches OpenCV's own exception: a file truncated within its first key opens as a string."""
+    """Catches an exception of OpenCV, which reads a file that is truncated within its first key as a string."""
     for name in ("intri.yml", "extri.yml"):
         whole = (source / name).read_bytes()
         for size in range(0, len(whole), 1 if len(whole) < 600 else 3):

@@ -1,4 +1,4 @@
-"""Neural 3D Video: LLFF's poses_bounds.npy, as LLFF makes it from COLMAP's poses."""
+"""Neural 3D Video: LLFF's poses_bounds.npy, as LLFF computes this file from COLMAP's poses."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NAMES = ("cam00", "cam02", "cam10")
 
 
 def originals() -> list[Camera]:
-    """Cameras that the format can represent: square pixels, the principal point at the centre."""
+    """Cameras that the format can represent, with square pixels and the principal point at the image centre."""
     return [
         replace(
             camera, intrinsics=np.array([[30.0 + i, 0, camera.width / 2], [0, 30.0 + i, camera.height / 2], [0, 0, 1]])
@@ -34,7 +34,7 @@ def originals() -> list[Camera]:
 
 
 def rows() -> np.ndarray:
-    """Rows from points along each camera's axes: below its centre, to the right, behind."""
+    """Rows of poses_bounds.npy. The axes down, right and backwards come from a point on each axis of the camera."""
     made = []
     for camera in originals():
         to_world = np.linalg.inv(np.vstack([np.c_[camera.rotation, camera.translation], [0, 0, 0, 1]]))
@@ -53,7 +53,7 @@ def source(tmp_path: Path) -> Path:
 
 
 def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator) -> None:
-    """Catches wrong axes, and rows assigned to other videos."""
+    """Catches wrong camera axes, and rows that are assigned to the wrong videos."""
     assert detect_format(source) == "neural3dv"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == list(NAMES)

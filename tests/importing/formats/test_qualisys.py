@@ -28,7 +28,7 @@ NAMES = ("11", "12", "13")
 
 
 def camera_xml(serial: str, camera: Camera) -> str:
-    """A camera as Qualisys writes it: its axes as vectors, the image as a part of the sensor."""
+    """A camera as Qualisys writes it: the camera axes are vectors, and the image is a part of the sensor."""
     right, down, forward = camera.rotation
     axes = {"1": right, "2": -down, "3": -forward}
     rotation = " ".join(f'r{i}{j}="{axis[j - 1]!r}"' for i, axis in axes.items() for j in (1, 2, 3))
@@ -56,7 +56,7 @@ def source(tmp_path: Path) -> Path:
 
 
 def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator) -> None:
-    """Catches wrong axes, units, or part of the sensor."""
+    """Catches wrong camera axes, wrong units, or the wrong part of the sensor."""
     assert detect_format(source) == detect_format(source / "Calib.qca.txt") == "qualisys"
     imported = read(source)
     assert [camera.name for camera in imported.cameras] == [f"Miqus_{name}" for name in NAMES]
@@ -98,7 +98,8 @@ def test_videos_of_other_names_are_refused(source: Path) -> None:
 
 
 def test_real_calibration_agrees_with_pose2sim() -> None:
-    """Catches a pose that agrees with our own writer alone: these numbers are from Pose2Sim's Calib_qualisys.toml."""
+    """Catches a pose that agrees only with the writer of these tests. The expected numbers are from Pose2Sim's
+    Calib_qualisys.toml."""
     if not BALANCE.is_file():
         pytest.skip(f"{BALANCE} is not there")
     cameras = read_cameras(BALANCE)

@@ -27,7 +27,8 @@ from tests.importing.formats.sources import (
 
 
 def make_entry(camera: Camera, file: str, **more: object) -> dict[str, Any]:
-    """A JSON entry; the pose's columns are right, up, backwards and position in the world."""
+    """A JSON entry. The columns of the pose are the camera's right, up and backward axes and its position in the
+    world."""
     right, down, forward = camera.rotation
     matrix = np.vstack([np.stack([right, -down, -forward, camera.centre], axis=1), [0, 0, 0, 1]])
     (focal_x, _, centre_x), (_, focal_y, centre_y), _ = camera.intrinsics.tolist()
@@ -42,7 +43,7 @@ def write(folder: Path, frames: list[dict[str, Any]], **more: object) -> Path:
 
 @pytest.fixture
 def static(tmp_path: Path) -> Path:
-    """Three cameras with one frame each; the distortion is stored once for all."""
+    """Three cameras with one frame each. The lens distortion is stored once for all cameras."""
     write_pictures(tmp_path / "images", [f"cam {index}.png" for index in range(3)])
     write_pictures(tmp_path / "masks", [f"m{index}.png" for index in range(3)])
     frames = [
@@ -54,7 +55,7 @@ def static(tmp_path: Path) -> Path:
 
 
 def write_moving(folder: Path, pattern: str) -> Path:
-    """Two cameras at three times, listed out of order."""
+    """Two cameras at three times. The file does not list the times in order."""
     frames = []
     for index, camera in enumerate(uneven_cameras(2)):
         for number in (2, 0, 1):
@@ -65,7 +66,8 @@ def write_moving(folder: Path, pattern: str) -> Path:
 
 
 def test_static_cameras(static: Path, rng: np.random.Generator) -> None:
-    """Catches wrong axes, ignored values of the whole file, and suffixes not found."""
+    """Catches wrong camera axes, ignored values that hold for the whole file, and images that are not found without a
+    suffix."""
     assert detect_format(static) == detect_format(static / "transforms.json") == "transforms"
     imported = read(static)
     assert [camera.name for camera in imported.cameras] == ["cam_0", "cam_1", "cam_2"]
@@ -78,7 +80,8 @@ def test_static_cameras(static: Path, rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("pattern", ["cam{camera}/{frame:02d}.jpg", "images/{camera}_{frame:02d}.jpg"])
 def test_cameras_with_times(tmp_path: Path, pattern: str, rng: np.random.Generator) -> None:
-    """Catches frames in the file's order instead of the order of times, by folder and by pose."""
+    """Catches frames in the order of the file instead of the order of times, with one folder per camera and with one
+    common folder."""
     imported = read(write_moving(tmp_path, pattern))
     names = ["cam0", "cam1"] if pattern.startswith("cam") else ["00", "01"]
     assert [camera.name for camera in imported.cameras] == names

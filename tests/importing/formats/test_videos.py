@@ -22,7 +22,7 @@ def test_videos_have_no_calibration(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("folder", [".", "images"])
 def test_folders_of_pictures(tmp_path: Path, folder: str) -> None:
-    """Catches images/, which contains the cameras' folders, read as a camera."""
+    """Catches a folder images/ that is read as a camera although it contains the cameras' folders."""
     for name in ("left", "right"):
         write_pictures(tmp_path / folder / name, ["9.jpg", "11.jpg"])
     cameras = read(tmp_path).cameras
