@@ -36,7 +36,8 @@ def test_values_and_gradients_equal_the_reference(
     rng: np.random.Generator,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Catches a transposed weight, gradients not summed over views, and errors in the last incomplete chunk."""
+    """Catches a transposed weight matrix, gradients that are not summed over views, and errors in the last, incomplete
+    chunk of points."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -45,16 +46,17 @@ def test_values_and_gradients_equal_the_reference(
     found = values_and_gradients(blend_logits, inputs, upstream)
     expected = values_and_gradients(blend_logits_reference, [tensor.double() for tensor in inputs], upstream)
     for index, (one, other) in enumerate(zip(found, expected, strict=True)):
-        # The MLP's gradients are sums over points, whose terms may cancel. Rounding errors scale with the terms.
+        # The gradients of the MLP's weights are sums over points, and the terms of a sum may cancel. Rounding errors
+        # are proportional to the terms.
         summed = float(upstream.norm()) if index >= 3 else 0.0
         scale = max(float(other.abs().max()), summed)
-        # A hidden value near 0 may be clamped by ReLU in one implementation and not in the other, because of rounding.
+        # Because of rounding, ReLU may clamp a hidden value near 0 in only one of the two implementations.
         assert float((one - other).abs().mean()) <= 1e-5 * scale
         assert float(((one - other).abs() > 1e-3 * scale).float().mean()) <= 1e-3
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches sums over points whose order depends on the scheduling of threads."""
+    """Catches a sum over points in an order that depends on thread scheduling."""
     inputs = arguments(rng, 9000)
     upstream = torch.from_numpy(rng.standard_normal((4, 9000)).astype(np.float32))
     results = []
@@ -66,20 +68,20 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypa
 
 
 def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
-    """Catches a gradient that is not initialized if there are no points."""
+    """Catches gradients that are not initialized if there are no points."""
     found = values_and_gradients(blend_logits, arguments(rng, 0), torch.zeros(4, 0))
     assert found[0].shape == (4, 0)
     assert all(not gradient.any() for gradient in found[1:])
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with wrong shapes, and a schema that does not declare a mutation."""
+    """Catches a fake implementation that returns wrong shapes, and an operator schema that omits a mutated argument."""
     leaves = [tensor.requires_grad_() for tensor in arguments(rng, 5, hidden=8, channels=3)]
     torch.library.opcheck(torch.ops.fourd.blend_logits.default, tuple(leaves))
 
 
 def test_mismatched_shapes_are_named(rng: np.random.Generator) -> None:
-    """Catches wrong shapes that are passed to a kernel, which would read past the end of an array."""
+    """Catches arguments of wrong shape that reach a kernel. The kernel would read past the end of an array."""
     point, samples, weight, out, bias = arguments(rng, 5)
     with pytest.raises(ValueError, match=r"samples: expected shape \(views, channels, points\)"):
         blend_logits(point, samples[:, :, :4], weight, out, bias)

@@ -17,7 +17,8 @@ from fourd.ops.loading import load_native
 
 
 def small_grid(features: int = 2) -> HashGridShape:
-    """Six levels. The first two store all samples and the others are hashed. Several sizes are odd."""
+    """A grid of six levels. The first two levels store all samples, and the other levels are hashed. Several sizes are
+    odd."""
     shape = HashGridShape(levels=6, features=features, log2_entries=9, coarsest=3, finest=70)
     assert [(side + 1) ** 3 <= 2**9 for side in shape.resolutions] == [True, True, False, False, False, False]
     return shape
@@ -37,7 +38,7 @@ Encode = Callable[[Tensor, Tensor, HashGridShape], Tensor]
 def results(
     function: Encode, shape: HashGridShape, coordinates: Tensor, table: Tensor, upstream: Tensor
 ) -> list[Tensor]:
-    """Return the encoding and its gradients in the coordinates and the table, all on the CPU."""
+    """Return the encoding and its gradients with respect to the coordinates and the table. All are on the CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (coordinates, table)]
     out = function(*leaves, shape)
     return [tensor.detach().cpu() for tensor in (out, *torch.autograd.grad(out, leaves, upstream))]
@@ -53,7 +54,7 @@ def assert_close(found: list[Tensor], expected: list[Tensor]) -> None:
 def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches swapped corner weights, wrong row offsets of levels, and missing points at the end of a chunk."""
+    """Catches swapped corner weights, levels that start in a wrong row, and missing points at the end of a chunk."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -65,7 +66,8 @@ def test_values_and_gradients_equal_the_reference(
 
 @pytest.mark.parametrize("features", [2, 3])
 def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches swapped points and levels, and coordinate gradients that are not summed over levels."""
+    """Catches a result whose points and levels are swapped, and coordinate gradients that are not summed over
+    levels."""
     shape = small_grid(features)
     tensors = [points(rng, 300), random_table(rng, shape)]
     tensors.append(torch.from_numpy(rng.standard_normal((300, shape.out_features)).astype(np.float32)))
@@ -74,7 +76,8 @@ def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.rand
 
 
 def test_a_grid_of_default_size_equals_the_reference(rng: np.random.Generator) -> None:
-    """Catches integer overflow in the hash, which occurs only in large grids, up to a resolution of 2^20."""
+    """Catches integer overflow in the hash. It occurs only in grids of high resolution, so the finest level has 2^20
+    cells per side."""
     shape = HashGridShape(levels=2, log2_entries=19, finest=2**20)
     table = random_table(rng, shape)
     # These coordinates have no rounding error in float32 at either level.
@@ -88,9 +91,11 @@ def test_a_grid_of_default_size_equals_the_reference(rng: np.random.Generator) -
 
 
 def test_entries_are_where_the_paper_puts_them(rng: np.random.Generator) -> None:
-    """Catches a wrong hash in both kernel and reference, and hashing of a level that just fits (4^3 = 2^6).
+    """Catches a hash that is wrong in both kernel and reference, and hashing of a level that just fits into the table
+    (4^3 = 2^6).
 
-    At a sample of the grid, one entry has all the weight. The paper's formula gives the row of this entry.
+    At the position of a grid sample, one table entry has the whole weight. The formula of the paper gives the row of
+    this entry.
     """
     shape = HashGridShape(levels=2, features=1, log2_entries=6, coarsest=3, finest=32)
     table = torch.arange(shape.total_entries, dtype=torch.float32)[:, None]
@@ -104,7 +109,7 @@ def test_entries_are_where_the_paper_puts_them(rng: np.random.Generator) -> None
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
-    """Catches an error that the gradients of the kernel and of the reference have in common."""
+    """Catches an error that the gradients of the kernel and the gradients of the reference have in common."""
     shape = HashGridShape(levels=3, log2_entries=6, coarsest=2, finest=9)
     table, step = random_table(rng, shape).double(), 1e-6
     # Avoid the faces of grid cells, where the derivative is discontinuous.
@@ -130,7 +135,8 @@ def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
 
 
 def test_extreme_coordinates_stay_inside_the_table(rng: np.random.Generator) -> None:
-    """Catches reads past the last sample, NaN that spreads to other points, and gradients outside the grid."""
+    """Catches reads past the last sample, NaN that spreads to other points, and coordinate gradients outside the
+    grid."""
     shape = small_grid()
     table = random_table(rng, shape).requires_grad_()
     values = torch.tensor([0, 1, np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-42, -0.0, 1 - 2**-24, 0.3])
@@ -147,7 +153,7 @@ def test_extreme_coordinates_stay_inside_the_table(rng: np.random.Generator) -> 
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches threads that add to the same entry in random order."""
+    """Catches threads that add gradients to the same table entry in random order."""
     shape = small_grid()
     inputs = (shape, points(rng, 20000), random_table(rng, shape))
     upstream = torch.from_numpy(rng.standard_normal((20000, shape.out_features)).astype(np.float32))
@@ -160,7 +166,7 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypa
 
 
 def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
-    """Catches a gradient that is not initialized if there are no points."""
+    """Catches gradients that are not initialized if there are no points."""
     shape = small_grid()
     table = random_table(rng, shape).requires_grad_()
     found = encode_hash_grid(torch.zeros(0, 3), table, shape)
@@ -175,7 +181,7 @@ ONE_GRADIENT = pytest.mark.parametrize(("needs_coordinates", "needs_table"), [(T
 
 @ONE_GRADIENT
 def test_one_gradient_without_the_other(needs_coordinates: bool, needs_table: bool, rng: np.random.Generator) -> None:
-    """Catches swapped gradients, and gradients that depend on which of them is required."""
+    """Catches swapped gradients, and a gradient that changes if the other gradient is not required."""
     assert_one_gradient(needs_coordinates, needs_table, rng, torch.device("cpu"))
 
 
@@ -183,7 +189,7 @@ def test_one_gradient_without_the_other(needs_coordinates: bool, needs_table: bo
 def test_one_gradient_without_the_other_on_gpu(
     needs_coordinates: bool, needs_table: bool, gpu: torch.device, rng: np.random.Generator
 ) -> None:
-    """Catches a kernel that writes a gradient without memory for it."""
+    """Catches a kernel that writes a gradient that is not required and has no memory."""
     assert_one_gradient(needs_coordinates, needs_table, rng, gpu)
 
 
@@ -215,7 +221,7 @@ def test_float64_is_exact(rng: np.random.Generator) -> None:
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with wrong shapes, and a schema that does not declare a mutation."""
+    """Catches a fake implementation that returns wrong shapes, and an operator schema that omits a mutated argument."""
     shape = HashGridShape(levels=3, log2_entries=4, coarsest=2, finest=9)
     for needs_coordinates, needs_table in itertools.product((True, False), repeat=2):
         leaves = (
@@ -259,7 +265,7 @@ def test_invalid_sizes_are_named(field: str, value: int, expected: str) -> None:
 
 
 def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
-    """Catches wrong shapes that are passed to a kernel, which would read past the end of an array."""
+    """Catches arguments of wrong shape that reach a kernel. The kernel would read past the end of an array."""
     shape = small_grid()
     good, table = points(rng, 5), random_table(rng, shape)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 3\), got \(5, 2\)"):

@@ -32,7 +32,8 @@ def points(rng: np.random.Generator, count: int = 3000) -> Tensor:
 def test_values_and_gradients_equal_the_reference(
     features: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches swapped rows and columns, swapped corner weights, and gradients outside the border."""
+    """Catches swapped rows and columns, swapped corner weights, and coordinate gradients outside the border of a
+    plane."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -67,7 +68,7 @@ def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.rand
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
-    """Catches an error that the gradients of the kernel and of the reference have in common."""
+    """Catches an error that the gradients of the kernel and the gradients of the reference have in common."""
     planes, axes = random_planes(rng, 2, columns=4)
     double = [plane.double() for plane in planes]
     coordinates = points(rng, 5).double()
@@ -86,7 +87,7 @@ def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
 
 
 def test_extreme_coordinates_stay_inside_the_planes(rng: np.random.Generator) -> None:
-    """Catches reads past the last row, and NaN that spreads to other points."""
+    """Catches reads past the last row of a plane, and NaN that spreads to other points."""
     planes, axes = random_planes(rng, 8)
     values = torch.tensor([-1, 1, np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-42, 0.3])
     coordinates = torch.cartesian_prod(values, values, values, values)
@@ -100,7 +101,7 @@ def test_extreme_coordinates_stay_inside_the_planes(rng: np.random.Generator) ->
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches threads that add to the same sample in random order."""
+    """Catches threads that add gradients to the same sample of a plane in random order."""
     planes, axes = random_planes(rng, 8)
     coordinates = points(rng, 20000)
     upstream = torch.from_numpy(rng.standard_normal((20000, 56)).astype(np.float32))
@@ -115,7 +116,7 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypa
 
 
 def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
-    """Catches a gradient that is not initialized if there are no points."""
+    """Catches gradients that are not initialized if there are no points."""
     planes, axes = random_planes(rng, 8)
     leaves = [plane.clone().requires_grad_() for plane in planes]
     found = sample_planes(torch.zeros(0, 4), leaves, axes)
@@ -124,14 +125,14 @@ def test_no_points_give_zero_gradients(rng: np.random.Generator) -> None:
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with wrong shapes, and a schema that does not declare a mutation."""
+    """Catches a fake implementation that returns wrong shapes, and an operator schema that omits a mutated argument."""
     planes, axes = random_planes(rng, 3, columns=3)
     leaves = [plane.requires_grad_() for plane in planes]
     torch.library.opcheck(torch.ops.fourd.sample_planes.default, (points(rng, 5).requires_grad_(), leaves, axes))
 
 
 def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
-    """Catches wrong shapes that are passed to a kernel, which would read past the end of an array."""
+    """Catches arguments of wrong shape that reach a kernel. The kernel would read past the end of an array."""
     planes, axes = random_planes(rng, 3)
     good = points(rng, 5)
     with pytest.raises(ValueError, match=r"coordinates: expected shape \(N, 4\), got \(5, 3\)"):

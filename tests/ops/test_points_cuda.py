@@ -1,4 +1,5 @@
-"""The CUDA point renderer compared with the reference: always emulated on the CPU, and on a GPU if there is one."""
+"""The CUDA point renderer compared with the reference. All tests run in the emulator on the CPU, and also on a GPU if
+there is one."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from tests.raster.clouds import Cloud, cloud_with_invalid_points, random_cloud, 
 def test_pictures_and_gradients_equal_the_reference(
     count: int, size: tuple[int, int], layers: int, gpu: torch.device, rng: np.random.Generator
 ) -> None:
-    """Catches pixels of the wrong tile, points composited out of order, warp divergence errors and missing summands."""
+    """Catches pixels of the wrong tile, points that are composited in the wrong order, errors from warp divergence, and
+    missing terms in sums."""
     cloud = random_cloud(rng, count, 3)
     got = run(cloud, size, "auto", 1, layers=layers, device=gpu)
     assert_parity(got, run(cloud, size, "reference", 1, layers=layers))
@@ -26,7 +28,7 @@ def test_pictures_and_gradients_equal_the_reference(
 
 @pytest.mark.parametrize("channels", [1, 2, 4, 5, 8, 9, 32])
 def test_channel_counts(channels: int, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a stride that is wrong for all channel counts except 4, 8 and 32, which have separate kernels."""
+    """Catches a wrong stride in the general kernel. The channel counts 4, 8 and 32 have separate kernels."""
     cloud = random_cloud(rng, 80, channels)
     got = run(cloud, (19, 18), "auto", 2, device=gpu)
     assert_parity(got, run(cloud, (19, 18), "reference", 2))
@@ -34,14 +36,15 @@ def test_channel_counts(channels: int, gpu: torch.device, rng: np.random.Generat
 
 @pytest.mark.parametrize("outputs", [(name,) for name in OUTPUTS])
 def test_gradient_of_each_output_alone(outputs: tuple[str, ...], gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a gradient that omits an output, and small gradients of alpha that are lost at opaque pixels."""
+    """Catches a gradient that ignores one of the outputs, and small gradients of alpha that are lost at opaque
+    pixels."""
     cloud = random_cloud(rng, 150, 3)
     got = run(cloud, (33, 17), "auto", 3, outputs=outputs, device=gpu)
     assert_parity(got, run(cloud, (33, 17), "reference", 3, outputs=outputs))
 
 
 def test_visibility_equals_the_reference(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a weight assigned to the wrong point."""
+    """Catches a visibility weight that is assigned to the wrong point."""
     cloud, camera = random_cloud(rng, 250, 1), turned_camera(40, 30)
     arrays = (cloud.xyz, cloud.radius, cloud.density)
     got = point_visibility(*(array.to(gpu) for array in arrays), camera, near=NEAR)
@@ -50,7 +53,7 @@ def test_visibility_equals_the_reference(gpu: torch.device, rng: np.random.Gener
 
 
 def test_invalid_points_change_nothing_and_get_no_gradient(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches NaN depths that are sorted first, and uninitialized gradients of culled points."""
+    """Catches points of NaN depth that are sorted to the front, and uninitialized gradients of culled points."""
     cloud, valid = cloud_with_invalid_points(rng, 200)
     clean = Cloud(*(array[valid] for array in cloud.arrays))
     images, gradients = run(cloud, (40, 30), "auto", 5, device=gpu)
@@ -62,7 +65,7 @@ def test_invalid_points_change_nothing_and_get_no_gradient(gpu: torch.device, rn
 
 
 def test_weights_too_small_to_show_in_alpha(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a depth gradient that is divided by a weight of 1e-42, so that all gradients of the point are NaN."""
+    """Catches a depth gradient that is divided by a weight of 1e-42. All gradients of the point would then be NaN."""
     cloud = random_cloud(rng, 40, 2)
     cloud.density[:] = 1e-42
     gradients = run(cloud, (30, 20), "auto", 8, device=gpu)[1]
@@ -72,7 +75,7 @@ def test_weights_too_small_to_show_in_alpha(gpu: torch.device, rng: np.random.Ge
 
 
 def test_an_empty_cloud(gpu: torch.device) -> None:
-    """Catches errors if there are no points: kernels with an empty launch grid, and sorting of empty arrays."""
+    """Catches errors if there are no points: a kernel launch with an empty grid, and sorting of an empty array."""
     cloud = Cloud(torch.zeros(0, 3), torch.zeros(0, 3), torch.zeros(0), torch.zeros(0))
     images, gradients = run(cloud, (20, 10), "auto", 6, device=gpu)
     assert all(float(image.abs().max()) == 0 for image in images)
@@ -88,8 +91,7 @@ def test_too_few_entries_give_the_same_picture(entries: int, gpu: torch.device, 
     gradients = (torch.ones(34, 50, 3, device=gpu), torch.ones(34, 50, device=gpu), torch.ones(34, 50, device=gpu))
     pictures, sums = [], []
     for capacity in (entries, 200_000):
-        # Allocate more bytes than needed. Writes past the memory for pairs then overwrite other arrays of the
-        # workspace.
+        # The workspace has more bytes than needed, so that writes past the memory for pairs overwrite its other arrays.
         workspace = torch.zeros(64 << 20, dtype=torch.uint8, device=gpu)
         memory = (found.estimator, capacity, workspace, found.stream)
         out = [torch.empty(34, 50, 3, device=gpu), torch.empty(34, 50, device=gpu), torch.empty(34, 50, device=gpu)]
@@ -104,7 +106,8 @@ def test_too_few_entries_give_the_same_picture(entries: int, gpu: torch.device, 
 
 
 def test_the_entry_estimate_grows_to_the_need_of_pictures(gpu: torch.device) -> None:
-    """Catches an estimate that does not adapt to scenes with large points, which would stay slow."""
+    """Catches an estimate of the number of (point, tile) pairs that does not adapt to large points. Rendering would
+    then remain slow."""
     kernels = load_gpu(gpu).kernels
     estimator, camera, count = kernels.EntryEstimator(), turned_camera(128, 128), 3000
     arrays = [torch.zeros(count, 3), torch.full((count,), 6.0), torch.full((count,), 0.5)]
@@ -123,7 +126,8 @@ def test_the_entry_estimate_grows_to_the_need_of_pictures(gpu: torch.device) -> 
 
 
 def test_too_many_layers_for_the_gradient_kernel_are_named(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches too many layers, which would be dropped silently or written past a thread's memory."""
+    """Catches too many depth layers that are accepted. The kernel would ignore some layers or write past a thread's
+    memory."""
     cloud = random_cloud(rng, 100, 3)
     message = "layers: expected at most 64 where gradients are required on a GPU, got 65; backend='reference' takes any"
     with pytest.raises(ValueError, match=message):
@@ -135,7 +139,7 @@ def test_too_many_layers_for_the_gradient_kernel_are_named(gpu: torch.device, rn
 
 
 def test_small_workspaces_and_wrong_shapes_are_rejected(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches workspaces that are too small, which kernels would write past."""
+    """Catches a workspace that is too small but accepted. Kernels would write past its end."""
     found, camera = load_gpu(gpu), turned_camera(20, 10)
     inputs = [array.to(gpu) for array in random_cloud(rng, 30, 3).arrays]
     out = [torch.empty(10, 20, 3, device=gpu), torch.empty(10, 20, device=gpu), torch.empty(10, 20, device=gpu)]

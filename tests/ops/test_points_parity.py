@@ -32,7 +32,7 @@ def run(
     dtype: torch.dtype = torch.float32,
     device: torch.device | None = None,
 ) -> tuple[list[Tensor], list[Tensor]]:
-    """Return the three images, and the gradients of a random linear function of ``outputs``."""
+    """Return the rendered features, alpha and depth, and the gradients of a random linear function of ``outputs``."""
     free = [array.to(device, dtype, copy=True).requires_grad_() for array in cloud.arrays]
     image = render_points(
         free[0],
@@ -57,7 +57,8 @@ def run(
 
 
 def assert_parity(got: tuple[list[Tensor], list[Tensor]], wanted: tuple[list[Tensor], list[Tensor]]) -> None:
-    """Tolerances are 1e-5 for images, and 1e-4 of the array's largest gradient for gradients."""
+    """Assert that images and gradients match. The tolerance is 1e-5 for images. For gradients, the tolerance is 1e-4 of
+    the largest gradient in the array."""
     for name, value, expected in zip(OUTPUTS, got[0], wanted[0], strict=True):
         assert float((value - expected).abs().max()) <= 1e-5, name
     for name, value, expected in zip(NAMES, got[1], wanted[1], strict=True):
@@ -67,14 +68,15 @@ def assert_parity(got: tuple[list[Tensor], list[Tensor]], wanted: tuple[list[Ten
 
 @pytest.mark.parametrize("channels", range(1, 33))
 def test_every_channel_count(channels: int, rng: np.random.Generator) -> None:
-    """Catches a stride that is wrong for all channel counts except 1, 3 and 4, which are unrolled."""
+    """Catches a wrong stride in the general loop. The loops for the channel counts 1, 3 and 4 are unrolled."""
     cloud = random_cloud(rng, 80, channels)
     assert_parity(run(cloud, (19, 18), "cpu", 1), run(cloud, (19, 18), "reference", 1))
 
 
 @pytest.mark.parametrize("outputs", [(name,) for name in OUTPUTS] + [("features", "alpha")])
 def test_gradient_of_each_output_alone(outputs: tuple[str, ...], rng: np.random.Generator) -> None:
-    """Catches errors in the kernel without depth gradients, and small alpha gradients lost at opaque pixels."""
+    """Catches errors in the kernel that has no depth gradient, and small gradients of alpha that are lost at opaque
+    pixels."""
     cloud = random_cloud(rng, 300, 3)
     got = run(cloud, (41, 35), "cpu", 2, outputs=outputs)
     assert_parity(got, run(cloud, (41, 35), "reference", 2, outputs=outputs))
@@ -83,7 +85,8 @@ def test_gradient_of_each_output_alone(outputs: tuple[str, ...], rng: np.random.
 def test_single_gradients_where_well_conditioned(rng: np.random.Generator) -> None:
     """Catches errors in small gradients, which a tolerance relative to the largest gradient would hide.
 
-    A gradient is well conditioned if the reference's own rounding changes it by less than 1e-5 of its value.
+    A gradient is well conditioned if float32 rounding in the reference changes the gradient by less than 1e-5 of its
+    value.
     """
     cloud = random_cloud(rng, 120, 3)
     cloud.radius[cloud.radius > 1] = 0.1
@@ -133,7 +136,7 @@ def test_an_invalid_thread_count_is_named(rng: np.random.Generator, monkeypatch:
 
 
 def test_invalid_points_get_no_gradient_and_change_no_other(rng: np.random.Generator) -> None:
-    """Catches NaN that spreads through the gradients although the image is valid."""
+    """Catches NaN from invalid points that spreads to the gradients of other points although the image is valid."""
     cloud, valid = cloud_with_invalid_points(rng, 300)
     clean = Cloud(*(array[valid] for array in cloud.arrays))
     for backend in ("cpu", "reference"):
@@ -144,7 +147,7 @@ def test_invalid_points_get_no_gradient_and_change_no_other(rng: np.random.Gener
 
 
 def test_a_feature_that_is_not_finite_stays_in_its_pixels() -> None:
-    """Catches NaN features that are multiplied by a weight of 0, which makes a whole row of a tile NaN."""
+    """Catches NaN features that are multiplied by a weight of 0. A whole row of a tile would then be NaN."""
     xyz = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
     features = torch.tensor([[float("nan")], [1.0]])
     camera = turned_camera(32, 32)
@@ -198,7 +201,8 @@ def test_background_gradients_equal_reference(whole_image: bool, rng: np.random.
 
 
 def test_early_termination_errs_by_at_most_the_transmittance(rng: np.random.Generator) -> None:
-    """Catches termination above the threshold, and termination in training, where gradients would be wrong."""
+    """Catches early termination above the transmittance threshold, and early termination in training, which would give
+    wrong gradients."""
     cloud, camera = random_cloud(rng, 600, 3), turned_camera(50, 41)
     exact = render_points(*cloud.arrays, camera, near=NEAR)
     early = render_points(*cloud.arrays, camera, near=NEAR, transmittance_min=1e-2)
@@ -252,7 +256,7 @@ def test_an_empty_cloud() -> None:
 
 
 def test_an_image_with_too_many_tiles_is_rejected(rng: np.random.Generator) -> None:
-    """Catches a number of tiles beyond 32 bits, which would cause writes past an array."""
+    """Catches a number of tiles that exceeds 32 bits. Kernels would then write past the end of an array."""
     cloud = random_cloud(rng, 3, 1)
     camera = replace(turned_camera(8, 8), width=MAX_SIDE_PX + 1)
     with pytest.raises(ValueError, match=f"camera: expected sides of at most {MAX_SIDE_PX} pixels, got"):
@@ -265,7 +269,8 @@ def test_an_image_with_too_many_tiles_is_rejected(rng: np.random.Generator) -> N
 
 
 def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
-    """Catches a kernel without checks of its own, which would read past an array if Python's are bypassed."""
+    """Catches a native kernel that does not check shapes itself. It would read past an array if a caller bypasses the
+    checks in Python."""
     cloud, camera = random_cloud(rng, 5, 3), turned_camera(8, 6)
     image = [np.empty((6, 8, 3), np.float32), np.empty((6, 8), np.float32), np.empty((6, 7), np.float32)]
     arrays = [array.numpy() for array in cloud.arrays]
@@ -277,7 +282,7 @@ def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
 
 
 def test_arguments_of_the_wrong_type_are_named() -> None:
-    """Catches an internal AttributeError in place of an error that names the argument."""
+    """Catches an internal AttributeError instead of an error message that names the argument."""
     camera = turned_camera(8, 8)
     arrays = [torch.zeros(5, 3), torch.zeros(5, 3), torch.ones(5), torch.ones(5)]
     with pytest.raises(TypeError, match=r"xyz: expected a torch.Tensor, got ndarray"):

@@ -40,7 +40,7 @@ def test_value_and_gradient_equal_the_reference(
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches sums whose order depends on thread scheduling: a resumed run would not give the same bits."""
+    """Catches a sum in an order that depends on thread scheduling. A resumed run would then not be bit-identical."""
     noisy, smooth = pictures(rng, 150, 70, 3)
     results = []
     for threads in ("1", "2", "7"):
@@ -63,7 +63,7 @@ def test_inputs_without_a_kernel_use_the_reference(rng: np.random.Generator) -> 
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with wrong shapes, and a schema that does not declare a mutation."""
+    """Catches a fake implementation that returns wrong shapes, and an operator schema that omits a mutated argument."""
     noisy, smooth = pictures(rng, 14, 13, 2)
     for with_gradient in (True, False):
         torch.library.opcheck(_similarity, (noisy, smooth, with_gradient))

@@ -22,7 +22,7 @@ VIEWS, HEIGHT, WIDTH = 3, 40, 48
 
 @dataclass(frozen=True)
 class Views:
-    """Images, mattes and depth maps of source views, with their packed cameras."""
+    """Images, mattes, depth maps and packed cameras of source views."""
 
     images: Tensor
     mattes: Tensor
@@ -39,7 +39,8 @@ class Views:
 
 
 def random_views(rng: np.random.Generator, occlusion: bool) -> Views:
-    """Return random images that are not square. Some depths occlude points, and some are infinite."""
+    """Return source views with random images that are not square. Some depths occlude points, and some depths are
+    infinite."""
 
     def random(*shape: int) -> Tensor:
         return torch.from_numpy(rng.uniform(0, 1, shape).astype(np.float32))
@@ -52,7 +53,7 @@ def random_views(rng: np.random.Generator, occlusion: bool) -> Views:
 
 
 def make_softness(xyz: Tensor) -> Tensor:
-    """Return (N,) softness, different for every point."""
+    """Return decay lengths (N,) that are different for every point."""
     return torch.linspace(0.02, 0.3, len(xyz)).to(xyz.device)
 
 
@@ -62,7 +63,7 @@ Result = tuple[Tensor, Tensor, list[Tensor]]
 def run(
     function: Callable[..., tuple[Tensor, Tensor]], xyz: Tensor, views: Views, features: Tensor | None, seed: int
 ) -> Result:
-    """Return channels, visibility and the gradients of a random linear function of the channels, all on the CPU."""
+    """Return channels, visibility and the gradients of a random linear function of the channels. All are on the CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (xyz, features) if tensor is not None]
     leaf = leaves[1] if features is not None else None
     channels, visibility = function(leaves[0], leaf, *views.arguments, make_softness(leaves[0]))
@@ -73,7 +74,7 @@ def run(
 
 
 def random_features(rng: np.random.Generator, channels: int) -> Tensor | None:
-    """Return features at half the images' resolution, or None for 0 channels."""
+    """Return random features at half the resolution of the images, or None for 0 channels."""
     if channels == 0:
         return None
     return torch.from_numpy(rng.normal(size=(VIEWS, channels, HEIGHT // 2, WIDTH // 2)).astype(np.float32))
@@ -83,7 +84,7 @@ def assert_same(got: Result, wanted: Result) -> None:
     for value, expected in zip(got[:2], wanted[:2], strict=True):
         torch.testing.assert_close(value, expected, rtol=1e-4, atol=2e-5)
     for found, truth in zip(got[2], wanted[2], strict=True):
-        # At the border between two texels the gradient is discontinuous, and rounding decides which side applies.
+        # The gradient is discontinuous at the border between two texels, where rounding decides which texel applies.
         close = (found - truth).abs() <= 1e-3 * truth.abs().max()
         assert float(close.float().mean()) >= 0.995
 
@@ -91,7 +92,7 @@ def assert_same(got: Result, wanted: Result) -> None:
 @pytest.mark.parametrize("occlusion", [False, True])
 @pytest.mark.parametrize("channels", [0, 5])
 def test_gpu_equals_the_reference(channels: int, occlusion: bool, gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches samples that are off by half a pixel, views in the wrong order, and gradients at the wrong scale."""
+    """Catches samples that are shifted by half a pixel, views in the wrong order, and gradients of the wrong scale."""
     views = random_views(rng, occlusion)
     xyz = torch.from_numpy(rng.normal(0, 1.2, (400, 3)).astype(np.float32))
     features = random_features(rng, channels)
@@ -119,7 +120,8 @@ def test_cpu_equals_the_reference(
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches sums over views whose order depends on thread scheduling: a resumed run would not give the same bits."""
+    """Catches a sum over views in an order that depends on thread scheduling. A resumed run would then not be
+    bit-identical."""
     views = random_views(rng, True)
     xyz = torch.from_numpy(rng.normal(0, 0.8, (5000, 3)).astype(np.float32))
     features = random_features(rng, 16)
@@ -156,7 +158,8 @@ def test_operator_passes_opcheck(gpu: torch.device, rng: np.random.Generator) ->
 
 
 def test_too_many_views_are_rejected(gpu: torch.device) -> None:
-    """Catches too many views, whose cameras would be written past the end of the kernel's argument."""
+    """Catches too many views that are accepted. Their cameras would be written past the end of the kernel's
+    argument."""
     many = torch.zeros(17, 3, 4, 4, device=gpu)
     with pytest.raises(ValueError, match="images: expected at most 16 views on a GPU"):
         load_gpu(gpu).kernels.sample_sources(

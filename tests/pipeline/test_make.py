@@ -1,4 +1,4 @@
-"""``make_scene``: a stage runs once, and again when its inputs or settings change."""
+"""Tests of ``make_scene``: a stage runs once, and runs again only if its inputs or settings change."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NAMES = ("import", "check", "mattes", "plates", "adjust", "carve", "points", "ba
 
 
 def make(capture: Path, out: Path, config: TrainConfig, points_from: Path | None = None) -> dict[str, bool]:
-    """Run all stages. Returns for each stage name whether its work was executed."""
+    """Run all stages. The result maps each stage name to whether the work of the stage was executed."""
     text = io.StringIO()
     context = Context(Console(file=text, width=200))
     make_scene(capture, out, config, MatteSettings(), context, points_from=points_from)
@@ -38,7 +38,7 @@ def make(capture: Path, out: Path, config: TrainConfig, points_from: Path | None
 
 
 def test_changed_inputs_and_settings_rerun_dependent_stages(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches stale results after a change, and stages that run again without a change."""
+    """Catches outdated results after a change, and stages that run again without a change."""
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
     config = with_steps(SMALL, 2)
@@ -54,7 +54,8 @@ def test_changed_inputs_and_settings_rerun_dependent_stages(ball_capture: Path, 
 
 
 def test_cameras_are_adjusted_before_carving(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches points carved with outdated cameras, and cameras adjusted again for a new learning rate."""
+    """Catches points that are carved with outdated cameras, and cameras that are adjusted again after a change of a
+    learning rate."""
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
     refine = RefineConfig(poses=True)
@@ -91,7 +92,7 @@ def test_videos_become_a_scene(tmp_path: Path) -> None:
 
 
 def test_other_folders_are_not_used_for_results(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a folder emptied although it holds a user's own files."""
+    """Catches a folder that is emptied although it contains a user's own files."""
     (tmp_path / "scene.work").mkdir()
     (tmp_path / "scene.work" / "mine.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a folder made by fourd make"):
@@ -99,7 +100,8 @@ def test_other_folders_are_not_used_for_results(ball_capture: Path, tmp_path: Pa
 
 
 def test_stages_of_a_full_scene_depend_on_what_they_read(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a background that is seeded again after a change of the foreground, and a stale one."""
+    """Catches background points that are computed again after a change of the foreground, and outdated background
+    points."""
     capture, out = Path(shutil.copytree(ball_capture, tmp_path / "capture")), tmp_path / "scene.4dv"
     config = with_steps(full_config(tmp_path / "seeds.ply"), 2)
     names = ("check", "carve", "plates", "background", "train", "bake")
@@ -139,7 +141,7 @@ def test_given_points_replace_carving(ball_capture: Path, tmp_path: Path) -> Non
 def test_interrupted_training_resumes_to_the_same_scene(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches training that starts over, and a resumed result that differs."""
+    """Catches an interrupted training that restarts from step 0, and a resumed training with a different result."""
     config = with_steps(SMALL, 6)
     make(ball_capture, tmp_path / "whole.4dv", config)
     steps: list[int] = []
@@ -165,7 +167,8 @@ def test_interrupted_training_resumes_to_the_same_scene(
 def test_an_interrupted_create_run_keeps_finished_stages(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a fourd train that carves again or rejects its folder after an interruption before training."""
+    """Catches a second ``fourd train`` that repeats carving or rejects the run folder after an interruption before
+    training."""
     config, run = full_config(tmp_path / "seeds.ply"), tmp_path / "run"
     seeds = (tmp_path / "seeds.ply").read_bytes()
     (tmp_path / "seeds.ply").unlink()

@@ -1,4 +1,4 @@
-"""The runner: executed, skipped and resumed stages, and removed files."""
+"""Tests of the runner: which stages it executes, skips and resumes, and which files it removes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.pipeline.test_stage import copy_stage
 
 
 class Counter:
-    """Executes stages and keeps their names; stops at the stage named ``stop``, before its work."""
+    """Executes stages and records their names. Raises KeyboardInterrupt before the work of the stage named ``stop``."""
 
     def __init__(self, stop: str | None = None) -> None:
         self.names: list[str] = []
@@ -36,7 +36,7 @@ def run(stages: list[AnyStage], record: Path, stop: str | None = None) -> list[s
 
 
 def chain(folder: Path, first: str = "", second: str = "") -> list[AnyStage]:
-    """Two dependent stages and one that depends on neither."""
+    """Two stages of which the second depends on the first, and a third stage that depends on neither."""
     source = folder / "source"
     if not source.exists():
         source.write_text("text")
@@ -48,7 +48,7 @@ def chain(folder: Path, first: str = "", second: str = "") -> list[AnyStage]:
 
 
 def test_a_changed_setting_reruns_the_dependent_stages_only(tmp_path: Path) -> None:
-    """Catches a stale result after a change, and a stage that runs again without a change."""
+    """Catches an outdated result after a change, and a stage that runs again without a change."""
     record = tmp_path / "stages.json"
     assert run(chain(tmp_path), record) == ["a", "b", "c"]
     assert run(chain(tmp_path), record) == []
@@ -59,7 +59,7 @@ def test_a_changed_setting_reruns_the_dependent_stages_only(tmp_path: Path) -> N
 
 
 def test_an_interrupted_stage_keeps_its_files_for_the_same_key_alone(tmp_path: Path) -> None:
-    """Catches a resume that deletes finished files, and files of other settings that are reused."""
+    """Catches a resumed stage whose finished files are deleted, and files of other settings that are reused."""
     record, partial = tmp_path / "stages.json", tmp_path / "b" / "partial"
     assert run(chain(tmp_path), record, stop="b") == ["a"]
     partial.parent.mkdir()
@@ -71,7 +71,7 @@ def test_an_interrupted_stage_keeps_its_files_for_the_same_key_alone(tmp_path: P
 
 
 def test_an_interrupted_stage_is_not_finished_for_an_older_key(tmp_path: Path) -> None:
-    """Catches partial files of new settings that are used as the result of old settings."""
+    """Catches partial files that were written with new settings but are used as the result of old settings."""
     record = tmp_path / "stages.json"
     run(chain(tmp_path), record)
     assert run(chain(tmp_path, second="x"), record, stop="b") == []
@@ -82,7 +82,7 @@ def test_an_interrupted_stage_is_not_finished_for_an_older_key(tmp_path: Path) -
 
 @pytest.mark.parametrize("content", ["", "[1]", "{"])
 def test_a_damaged_record_runs_all_stages(content: str, tmp_path: Path) -> None:
-    """Catches a crash after a power failure."""
+    """Catches a crash because of a record file that a power failure has damaged."""
     record = tmp_path / "stages.json"
     run(chain(tmp_path), record)
     record.write_text(content)
@@ -90,7 +90,7 @@ def test_a_damaged_record_runs_all_stages(content: str, tmp_path: Path) -> None:
 
 
 def test_without_a_record_every_stage_is_executed_and_nothing_is_removed(tmp_path: Path) -> None:
-    """Catches an interrupted fourd train that starts over."""
+    """Catches a runner without a record file that removes the files of an interrupted stage."""
     for _ in range(2):
         counter = Counter()
         Runner(Context(), execute=counter).run(chain(tmp_path))

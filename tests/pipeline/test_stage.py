@@ -1,4 +1,4 @@
-"""Stages as values: their keys, and their work in another process."""
+"""Tests of stages: their keys, pickling, and the execution of their work in another process."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def run_in_process(stage: AnyStage, context: Context) -> None:
-    """Execute a stage in a new process, as another runner would."""
+    """Execute a stage in a new process, as a runner for several processes would."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         pool.submit(stage.run).result()
 
 
 def test_every_stage_of_the_graph_pickles(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a stage that another process or machine cannot be given."""
+    """Catches a stage that cannot be pickled and sent to another process or machine."""
     config = replace(full_config(tmp_path / "seeds.ply"), refine=RefineConfig(poses=True))
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture", ignore=shutil.ignore_patterns("masks")))
     for source in (ball_capture, capture):
@@ -74,7 +74,7 @@ def test_every_stage_of_the_graph_pickles(ball_capture: Path, tmp_path: Path) ->
 
 
 def test_a_stage_gives_the_same_result_in_another_process(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches work that depends on anything but files and settings."""
+    """Catches a stage whose work depends on anything other than its files and settings."""
     settings = CarveStageSettings(DataSelection(test_views=("03",)), points=500)
     Runner(Context()).run([carve_stage(ball_capture, tmp_path / "here", settings)])
     Runner(Context(), execute=run_in_process).run([carve_stage(ball_capture, tmp_path / "there", settings)])
@@ -83,7 +83,7 @@ def test_a_stage_gives_the_same_result_in_another_process(ball_capture: Path, tm
 
 
 def test_a_key_depends_on_settings_files_and_earlier_stages(tmp_path: Path) -> None:
-    """Catches a stale result after a change, and a key that changes by itself."""
+    """Catches a key that does not change if an input changes, and a key that changes although no input changes."""
     source = tmp_path / "source"
     source.write_text("a")
     stage = copy_stage(source, tmp_path / "b", after=("a", "absent"))
