@@ -1,6 +1,6 @@
 """Limits on the sizes of files, folders and functions, and on cycles between modules.
 
-`make lint` checks the order of the packages with import-linter; pyproject.toml has the contracts.
+The command `make lint` checks the order of the packages with import-linter. The contracts are in pyproject.toml.
 """
 
 from __future__ import annotations
@@ -65,7 +65,8 @@ def test_the_cycle_check_finds_cycles(tmp_path: Path) -> None:
 
 
 def source_files() -> Iterator[Path]:
-    """The files in the folders of SOURCES, without fourd/viewer, which is a link to viewer/ in some checkouts."""
+    """The files in the folders of SOURCES, without symbolic links. In some checkouts, fourd/viewer is a link to
+    viewer/."""
     for top in SOURCES:
         for path in sorted((ROOT / top).rglob("*")):
             folders = path.relative_to(ROOT).parts[:-1]
@@ -86,7 +87,7 @@ def package_modules() -> dict[str, Path]:
 
 
 def imports_of(path: Path, module: str, modules: dict[str, Path]) -> Iterator[str]:
-    """Modules of the package that a file imports at any place, except imports for type checkers."""
+    """Modules of the package that a file imports in any line, except imports for type checkers only."""
     pending: list[ast.AST] = [ast.parse(path.read_text())]
     while pending:
         node = pending.pop()

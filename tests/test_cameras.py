@@ -9,7 +9,7 @@ INTRINSICS = np.array([[100.0, 0, 32], [0, 110, 24], [0, 0, 1]])
 
 
 def test_point_on_the_axis_projects_to_the_principal_point() -> None:
-    """Catches world-to-camera and camera-to-world rotations mixed up."""
+    """Catches a camera-to-world rotation that is used as a world-to-camera rotation."""
     camera = look_at(np.array([3.0, -2, 1]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 48)
     pixels, depth = camera.project(np.zeros((1, 3)))
     np.testing.assert_allclose(pixels[0], [32, 24], atol=1e-9)
@@ -24,7 +24,7 @@ def test_world_up_is_image_up() -> None:
 
 
 def test_rescaling_scales_the_projection() -> None:
-    """Catches the half-pixel error of scaling K as if pixel centres were integers."""
+    """Catches a half-pixel error from scaling the intrinsics as if pixel centres had integer coordinates."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 64, 48)
     point = np.array([[0.1, 0.05, 1.0]])
     full, _ = camera.project(point)
@@ -33,7 +33,7 @@ def test_rescaling_scales_the_projection() -> None:
 
 
 def test_cropping_shifts_the_projection() -> None:
-    """Catches an offset applied to the wrong axis or with the wrong sign."""
+    """Catches a crop offset that is applied to the wrong axis or with the wrong sign."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 64, 48)
     point = np.array([[0.1, 0.05, 1.0]])
     full, _ = camera.project(point)
@@ -54,7 +54,7 @@ def test_cropping_shifts_the_projection() -> None:
     ],
 )
 def test_invalid_fields_are_named(field: str, value: object, words: str) -> None:
-    """Catches a camera that is built from values that no camera can have."""
+    """Catches invalid values from which a camera is created without an error."""
     fields = {
         "intrinsics": INTRINSICS,
         "rotation": np.eye(3),
@@ -68,7 +68,8 @@ def test_invalid_fields_are_named(field: str, value: object, words: str) -> None
 
 
 def test_nearest_views_are_chosen_by_angle_not_distance() -> None:
-    """Catches choosing the nearest camera by position when a farther one sees the same side."""
+    """Catches a choice of source views by distance, which prefers a near camera on another side to a distant camera on
+    the same side."""
     up = np.array([0.0, 0, 1])
     target = look_at(np.array([2.0, 0, 0]), np.zeros(3), up, INTRINSICS, 64, 48)
     same_side_far = look_at(np.array([9.0, 0.1, 0]), np.zeros(3), up, INTRINSICS, 64, 48)

@@ -1,4 +1,4 @@
-"""YAML overlays on typed dataclasses."""
+"""Config files in YAML, which change fields of typed dataclasses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def overlay(tmp_path: Path, text: str) -> TrainConfig:
 
 
 def test_round_trip(tmp_path: Path) -> None:
-    """Catches a field that is written in a form that is read as another value."""
+    """Catches a config field that is written in a form that the reader interprets as another value."""
     config = TrainConfig(test_views=("03", "1e3"), frames="1:24", max_seconds=5.0, views=("05",))
     save_config(config, tmp_path / "a.yaml")
     assert load_overlay(TrainConfig(), tmp_path / "a.yaml") == config
@@ -26,7 +26,7 @@ def test_round_trip(tmp_path: Path) -> None:
 
 
 def test_yaml_1_1_surprises(tmp_path: Path) -> None:
-    """Catches 05 read as a number, 1:24 as 84, 1e-3 as text."""
+    """Catches a YAML reader that reads 05 as a number, 1:24 as 84, or 1e-3 as text."""
     config = overlay(tmp_path, "test_views: [05, 1e3]\nframes: 1:24\nrates: {xyz: 1e-3}\n")
     assert config.test_views == ("05", "1e3")
     assert config.frames == "1:24"
@@ -51,7 +51,7 @@ def test_yaml_1_1_surprises(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_named(text: str, message: str, tmp_path: Path) -> None:
-    """Catches a setting that is ignored, coerced, or run."""
+    """Catches an invalid setting that is ignored, converted to another type, or executed as code."""
     with pytest.raises(UserError, match=message) as caught:
         overlay(tmp_path, text)
     assert "\n" not in str(caught.value)

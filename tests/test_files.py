@@ -1,4 +1,4 @@
-"""A file has either its old or its complete new content."""
+"""Atomic writing: a file has either its old content or its complete new content."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fourd.files import (
 
 
 def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
-    """Catches writing in place."""
+    """Catches a write that changes the target file before the new content is complete."""
     target = tmp_path / "a.json"
     write_text_atomically(target, "old")
     with pytest.raises(OSError, match="full"), atomic_path(target) as temporary:
@@ -37,7 +37,7 @@ def test_permissions_are_those_of_a_plain_file(tmp_path: Path) -> None:
 
 
 def test_temporary_files_of_killed_processes_are_removed(tmp_path: Path) -> None:
-    """Catches temporary names that are not recognised, and whole files that are removed."""
+    """Catches temporary files whose names are not recognised, and complete files that are removed."""
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "deep" / "a.json") as temporary:
         assert temporary.name.startswith(UNFINISHED)
         assert temporary.suffix == ".json"
@@ -54,7 +54,8 @@ def test_temporary_files_of_killed_processes_are_removed(tmp_path: Path) -> None
 
 
 def test_temporary_files_of_one_target_are_removed(tmp_path: Path) -> None:
-    """Catches temporary files that remain after a kill, and a removal of another program's files."""
+    """Catches temporary files that remain after a process is killed, and the removal of temporary files of another
+    target."""
     for name in ("scene.4dv", "scene-2.4dv"):
         with pytest.raises(FileNotFoundError), atomic_path(tmp_path / name) as temporary:
             ours = temporary.stem.rsplit("-", 1)[0]

@@ -1,4 +1,4 @@
-"""Morton order."""
+"""Sorting of points in Morton order."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from fourd.morton import morton_order
 
 
 def test_neighbours_in_memory_are_neighbours_in_space(rng: np.random.Generator) -> None:
-    """Catches bits that are not interleaved: an order along one axis doubles the distances."""
+    """Catches an order whose bits are not interleaved. An order along one axis doubles the distances between
+    consecutive points."""
     xyz = rng.uniform(-1, 1, (20_000, 3)).astype(np.float32)
     order = morton_order(xyz)
     assert np.array_equal(np.sort(order), np.arange(20_000))
@@ -18,6 +19,6 @@ def test_neighbours_in_memory_are_neighbours_in_space(rng: np.random.Generator) 
 
 
 def test_coincident_points_and_an_empty_cloud() -> None:
-    """Catches a division by a side of zero."""
+    """Catches a division by zero if the bounds of the points have a side of length 0."""
     assert np.array_equal(morton_order(np.ones((5, 3), np.float32)), np.arange(5))
     assert morton_order(np.zeros((0, 3), np.float32)).shape == (0,)

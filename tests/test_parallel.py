@@ -1,4 +1,5 @@
-"""The process pool: results during jobs, errors of jobs, and no process that outlives its parent."""
+"""Tests of the process pool: results arrive while jobs run, errors of jobs are raised, and no process outlives its
+parent."""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ from fourd.parallel import run_jobs, split_into_blocks
 PARENT = """
 import signal
 from tests.test_parallel import run_forever
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job ignores SIGINT
+signal.signal(signal.SIGINT, signal.default_int_handler)  # A background job of a shell ignores SIGINT.
 run_forever({folder!r})
 """
 TIMEOUT_S = 60
-"""Generous, for slow machines."""
+"""Time limit of each wait in seconds. It is long, because some test machines are slow."""
 
 
 def squares(job: tuple[int, ...]) -> Iterator[int]:
@@ -32,7 +33,8 @@ def squares(job: tuple[int, ...]) -> Iterator[int]:
 
 
 def yield_twice(job: Path) -> Iterator[int]:
-    """A result, and a second one once the consumer has created the file ``job`` to confirm the first."""
+    """Yield a first result. Yield a second result when the consumer has created the file ``job`` to confirm the
+    first."""
     yield 0
     deadline = time.monotonic() + TIMEOUT_S
     while not job.exists():
@@ -42,7 +44,7 @@ def yield_twice(job: Path) -> Iterator[int]:
 
 
 def write_forever(job: Path) -> Iterator[int]:
-    """Rewrites a file named after its process forever."""
+    """Rewrite a file forever. The name of the file is the id of the process."""
     for number in range(10**9):
         (job / str(os.getpid())).write_text(str(number))
         time.sleep(0.01)
@@ -57,7 +59,7 @@ def run_forever(folder: str) -> None:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_results_come_exactly_once(workers: int) -> None:
-    """Catches results that are lost at the end of a job, or duplicated."""
+    """Catches results of jobs that are lost at the end of a job, and duplicated results."""
     jobs = split_into_blocks([*range(9)], 2)
     assert sorted(run_jobs(squares, [tuple(job) for job in jobs], workers)) == [number**2 for number in range(9)]
 
@@ -73,14 +75,14 @@ def test_results_come_before_their_job_ends(tmp_path: Path) -> None:
 
 
 def test_errors_of_jobs_are_raised() -> None:
-    """Catches an error that blocks the consumer forever, and results that are silently left out."""
+    """Catches an error in a job that blocks the consumer forever, or that is ignored so that results are missing."""
     with pytest.raises(ValueError, match="-1 is negative"):
         list(run_jobs(squares, [(1,), (-1,), (2,)], 2))
 
 
 @pytest.mark.parametrize(("stop", "tracebacks"), [(signal.SIGKILL, 0), (signal.SIGINT, 1)])
 def test_no_process_outlives_its_parent(stop: signal.Signals, tracebacks: int, tmp_path: Path) -> None:
-    """Catches orphans that write beside the restarted command, and tracebacks of children."""
+    """Catches child processes that continue to write after the parent has ended, and tracebacks of child processes."""
     command = [sys.executable, "-c", PARENT.format(folder=str(tmp_path))]
     parent = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
     deadline = time.monotonic() + TIMEOUT_S
@@ -88,8 +90,9 @@ def test_no_process_outlives_its_parent(stop: signal.Signals, tracebacks: int, t
         assert time.monotonic() < deadline, "the processes did not start"
         time.sleep(0.01)
     if stop == signal.SIGKILL:
-        parent.kill()  # alone, as the system does when memory is short
+        parent.kill()  # The system kills only the parent if memory is short.
     else:
-        os.killpg(parent.pid, stop)  # and its children, as a terminal does
-    errors = parent.communicate(timeout=TIMEOUT_S)[1].decode()  # ends when the last process has closed its stderr
+        os.killpg(parent.pid, stop)  # A terminal stops the parent and its children.
+    # The call returns when the last process has closed its stderr.
+    errors = parent.communicate(timeout=TIMEOUT_S)[1].decode()
     assert errors.count("Traceback") == tracebacks, errors

@@ -1,4 +1,4 @@
-"""PLY files: written by fourd, written by other programs, and damaged."""
+"""PLY files that fourd wrote, PLY files that other programs wrote, and damaged PLY files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def test_trimesh_and_fourd_read_each_others_files(tmp_path: Path, rng: np.random
 
 
 def test_ascii_with_additional_properties(tmp_path: Path) -> None:
-    """Catches a reader that relies on the column order: scanners add normals and confidences."""
+    """Catches a reader that relies on the order of the columns. Scanners write additional columns for normals and
+    confidences."""
     (tmp_path / "a.ply").write_text(
         "ply\nformat ascii 1.0\ncomment by hand\nelement vertex 2\nproperty float nx\nproperty double x\n"
         "property float y\nproperty float z\nproperty uchar blue\nproperty uchar green\nproperty uchar red\n"
@@ -69,7 +70,7 @@ XYZ = b"property float x\nproperty float y\nproperty float z\n"
     ],
 )
 def test_damaged_files_are_user_errors(content: bytes, tmp_path: Path) -> None:
-    """Catches a crash, and memory allocated for a count that only the header claims."""
+    """Catches a crash, and memory that is allocated for a wrong number of points in the header."""
     path = tmp_path / "bad.ply"
     path.write_bytes(content)
     with pytest.raises(UserError, match=r"bad\.ply: ") as caught:
@@ -78,7 +79,7 @@ def test_damaged_files_are_user_errors(content: bytes, tmp_path: Path) -> None:
 
 
 def test_truncated_files_are_user_errors(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a prefix that is accepted as a whole file."""
+    """Catches a truncated PLY file that is accepted as a complete file."""
     path = tmp_path / "bad.ply"
     write_ply(path, *cloud(rng, 20))
     whole = path.read_bytes()

@@ -1,4 +1,4 @@
-"""Progress on a terminal and in a file."""
+"""Progress output on a terminal and in a file."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from fourd.progress import EndEstimate, Tracker, format_duration
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """A clock that stops until a test changes its only element, in seconds."""
+    """A clock that is controlled by tests. Its only element is the time in seconds."""
     now = [100.0]
     monkeypatch.setattr("fourd.progress.monotonic", lambda: now[0])
     return now
 
 
 def logged_lines(count: int, seconds: float, clock: list[float]) -> list[str]:
-    """The lines in a file for a phase of ``count`` items of ``seconds`` each."""
+    """The progress lines in a file for ``count`` items that take ``seconds`` each."""
     text = io.StringIO()
     for _ in Tracker(Console(file=text, width=40)).track(range(count), count, "mattes"):
         clock[0] += seconds
@@ -29,7 +29,7 @@ def logged_lines(count: int, seconds: float, clock: list[float]) -> list[str]:
 
 
 def test_file_gets_lines_with_the_remaining_time(clock: list[float]) -> None:
-    """Catches hours without a line, a line per item, and wrong remaining times."""
+    """Catches progress without a line for hours, progress with a line per item, and wrong remaining times."""
     lines = logged_lines(100, 1.0, clock)
     assert lines == [
         "mattes: 30 of 100 after 0:00:30, 0:01:10 left",
@@ -40,14 +40,15 @@ def test_file_gets_lines_with_the_remaining_time(clock: list[float]) -> None:
 
 
 def test_short_phases_have_no_line(clock: list[float]) -> None:
-    """Catches lines for phases that take no time, and a division by zero without items."""
+    """Catches progress lines for phases that take almost no time, and a division by zero if there are no items."""
     assert logged_lines(10, 0.1, clock) == []
     assert logged_lines(0, 1.0, clock) == []
     assert logged_lines(1, 5.0, clock) == ["mattes: 1 of 1 after 0:00:05"]
 
 
 def test_items_that_finish_together_do_not_change_the_estimate() -> None:
-    """Catches a rate that is measured between two results although processes finish items in groups."""
+    """Catches a rate that is measured between two consecutive results. This rate is wrong if processes finish items in
+    groups."""
     estimate = EndEstimate(0.0, 100)
     assert [estimate.update(20.0, 1), estimate.update(20.0, 2)] == [2000.0, 1000.0]
     ends = [estimate.update(20.0 * turn, 2 * turn - 1 + second) for turn in range(2, 40) for second in (0, 1)]
@@ -56,7 +57,8 @@ def test_items_that_finish_together_do_not_change_the_estimate() -> None:
 
 
 def test_estimate_follows_a_slower_machine() -> None:
-    """Catches a mean rate over hours that predicts minutes after the work has slowed to a tenth."""
+    """Catches a remaining time from the mean rate of the whole work. This time is far too short after the work slows to
+    a tenth."""
     estimate = EndEstimate(0.0, 20_000)
     for done in range(1, 10_001):
         estimate.update(0.1 * done, done)
@@ -65,7 +67,8 @@ def test_estimate_follows_a_slower_machine() -> None:
 
 
 def test_terminal_shows_count_and_remaining_time() -> None:
-    """Catches a bar without progress or remaining time, or one that stays on the screen."""
+    """Catches a progress bar without a count or remaining time, and a progress bar that remains on the screen at the
+    end."""
     text = io.StringIO()
     console = Console(file=text, width=100, force_terminal=True, _environ={})
 

@@ -1,4 +1,4 @@
-"""README's programs run as they stand there."""
+"""The example programs in README.md run without changes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ README = Path(__file__).parents[1] / "README.md"
 
 
 def test_the_library_example_runs() -> None:
-    """Catches an example that the code has moved away from: it is the first thing a programmer tries."""
+    """Catches a README example that no longer runs after a change of the library. Programmers try this example
+    first."""
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     example = next(block for block in blocks if "render_points" in block)
     names: dict[str, object] = {}
@@ -24,7 +25,8 @@ def test_the_library_example_runs() -> None:
 
 
 def test_the_examples_of_playing_a_scene_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches names that the library no longer has; the second example goes on from the first."""
+    """Catches README examples that use names that the library no longer has. The second example uses variables of the
+    first example."""
     write_scene(tmp_path / "scene.4dv")
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
@@ -38,5 +40,5 @@ def test_the_examples_of_playing_a_scene_run(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.parametrize("link", re.findall(r"\]\(((?:docs|configs|tools)/[^)]*)\)", README.read_text()))
 def test_links_lead_somewhere(link: str) -> None:
-    """Catches a page or an image that was renamed or never committed."""
+    """Catches a link in README.md to a page or an image that was renamed or never committed."""
     assert (README.parent / link).is_file()

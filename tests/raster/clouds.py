@@ -40,10 +40,10 @@ def turned_camera(width: int, height: int) -> Camera:
 
 
 def random_cloud(rng: np.random.Generator, count: int, channels: int) -> Cloud:
-    """Return points in and around the view, in random order, with many difficult cases.
+    """Return points inside and outside the image, in random order, with many difficult cases.
 
-    The cases are equal depths, points behind the camera and on its plane, points larger than the image, points smaller
-    than a pixel, points centred on the image's border, and densities of 0 and 1.
+    The cases are equal depths, points behind the camera or on the camera plane, points larger than the image, points
+    smaller than a pixel, points centred on the image border, and densities of 0 and 1.
     """
     xyz = rng.uniform([-1.6, -1.6, -1], [1.6, 1.6, 1], (count, 3)).astype(np.float32)
     radius = np.exp(rng.uniform(np.log(0.02), np.log(0.4), count)).astype(np.float32)
@@ -63,7 +63,8 @@ def random_cloud(rng: np.random.Generator, count: int, channels: int) -> Cloud:
 
 
 def cloud_with_invalid_points(rng: np.random.Generator, count: int) -> tuple[Cloud, Tensor]:
-    """Return a cloud of which a third contains NaN, infinity or huge numbers, and a mask (N,) of the valid points."""
+    """Return a cloud and a mask (N,) of its valid points. About a third of the points have NaN, infinity or huge
+    numbers."""
     cloud = random_cloud(rng, count, 3)
     bad = torch.from_numpy(rng.random(count) < 0.33)
     values = torch.tensor([float("nan"), float("inf"), -float("inf"), 3e38])

@@ -25,7 +25,7 @@ def render(cloud: Cloud, camera: Camera, layers: int, backend: str, **more: obje
 def gradients(
     cloud: Cloud, camera: Camera, layers: int, backend: str, weights: tuple[Tensor, ...], **more: object
 ) -> list[Tensor]:
-    """Return the gradients of a linear function of all three outputs."""
+    """Return the gradients of a linear function of the rendered features, alpha and depth."""
     free = [array.clone().requires_grad_() for array in cloud.arrays]
     out = render(Cloud(*free), camera, layers, backend, **more)
     total = sum((part * weight).sum() for part, weight in zip(out, weights, strict=True))
@@ -39,7 +39,8 @@ def output_weights(rng: np.random.Generator, camera: Camera, channels: int) -> t
 
 
 def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
-    """The tolerance is 1e-4 of the array's largest gradient, which sets the scale of rounding errors in sums."""
+    """Assert that gradients match. The tolerance is 1e-4 of the largest gradient in the array, because rounding errors
+    of sums are proportional to it."""
     for name, value, wanted in zip(NAMES, got, expected, strict=True):
         scale = float(wanted.abs().max()) if wanted.numel() else 0.0
         worst = float((value - wanted).abs().max()) if wanted.numel() else 0.0
@@ -64,7 +65,8 @@ def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
 def test_kernel_equals_reference(
     count: int, size: tuple[int, int], layers: int, channels: int, rng: np.random.Generator
 ) -> None:
-    """Catches points missing at tile borders, wrong order of equal depths, an extra layer, and wrong derivatives."""
+    """Catches missing points at tile borders, a wrong order of equal depths, an additional depth layer, and wrong
+    derivatives."""
     camera = turned_camera(*size)
     cloud = random_cloud(rng, count, channels)
     for got, expected in zip(
@@ -81,7 +83,7 @@ def test_kernel_equals_reference(
 def test_every_instruction_set_equals_the_reference(
     simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches errors in instruction sets that are not the machine's default."""
+    """Catches errors in the kernels for instruction sets that this machine does not use by default."""
     monkeypatch.setenv("FOURD_SIMD", simd)
     camera = turned_camera(45, 38)
     cloud = random_cloud(rng, 500, 3)
@@ -96,7 +98,7 @@ def test_every_instruction_set_equals_the_reference(
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator) -> None:
-    """Catches sums whose order depends on thread scheduling, which makes training irreproducible."""
+    """Catches a sum in an order that depends on thread scheduling. Training would then not be reproducible."""
     camera = turned_camera(70, 51)
     cloud = random_cloud(rng, 1500, 3)
     weights = output_weights(rng, camera, 3)
@@ -131,14 +133,14 @@ def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) 
                 out = render(Cloud(*shifted), camera, 15, "reference")
                 values.append(sum(float((part * weight).sum()) for part, weight in zip(out, weights, strict=True)))
             numeric[index] = (values[0] - values[1]) / (2 * step)
-        # The derivative is discontinuous where a disc's rim crosses a pixel centre within the step. Few entries are
-        # affected.
+        # The derivative is discontinuous if the rim of a disc crosses a pixel centre within the step. This affects few
+        # entries.
         close = (numeric - gradient).abs() <= 1e-5 * (1 + gradient.abs())
         assert float(close.double().mean()) > 0.97
 
 
 def test_invalid_points_are_culled(rng: np.random.Generator) -> None:
-    """Catches a NaN that spreads to a tile or to the gradients of its neighbours."""
+    """Catches NaN of an invalid point that spreads to a whole tile or to the gradients of neighbouring points."""
     camera = turned_camera(40, 30)
     cloud, valid = cloud_with_invalid_points(rng, 300)
     clean = Cloud(*(array[valid] for array in cloud.arrays))
@@ -154,7 +156,8 @@ def test_invalid_points_are_culled(rng: np.random.Generator) -> None:
 
 
 def test_a_single_point_has_the_expected_pixels() -> None:
-    """Catches a half-pixel shift: a disc of radius 2 pixels is centred on pixel (row 4, column 6)."""
+    """Catches a half-pixel shift of the image. A disc with a radius of 2 pixels must be centred on the pixel in row 4,
+    column 6."""
     intrinsics = np.array([[10.0, 0, 6.5], [0, 10, 4.5], [0, 0, 1]])
     camera = Camera(intrinsics, np.eye(3), np.zeros(3), 12, 9)
     one = torch.ones(1)
@@ -180,7 +183,8 @@ def test_background_and_its_gradient(rng: np.random.Generator) -> None:
 
 
 def test_numpy_renderer_equals_torch_renderer(rng: np.random.Generator) -> None:
-    """Catches differences between the renderer for playback and the renderer for training."""
+    """Catches differences between the NumPy renderer, which playback uses, and the torch renderer, which training
+    uses."""
     camera = turned_camera(50, 34)
     cloud = random_cloud(rng, 400, 3)
     arrays = [array.numpy() for array in cloud.arrays]
@@ -194,7 +198,7 @@ def test_numpy_renderer_equals_torch_renderer(rng: np.random.Generator) -> None:
 
 
 def test_visibility_equals_the_reference(rng: np.random.Generator) -> None:
-    """Catches a visibility of 0 for points that some pixel composites."""
+    """Catches a visibility of 0 for points that at least one pixel composites."""
     camera = turned_camera(50, 34)
     cloud = random_cloud(rng, 500, 1)
     values = [
@@ -205,7 +209,8 @@ def test_visibility_equals_the_reference(rng: np.random.Generator) -> None:
 
 
 def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches a fake implementation with wrong shapes, an undeclared mutation, and a missing autograd registration."""
+    """Catches a fake implementation that returns wrong shapes, an undeclared mutation, and a gradient that is not
+    registered."""
     from fourd.ops.points import op
     from fourd.ops.points.validation import pack_camera
 
@@ -231,7 +236,7 @@ def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
     ],
 )
 def test_invalid_arguments_are_named(change: dict[str, object], message: str) -> None:
-    """Catches wrong shapes and ranges that are passed to the kernel, which would read out of bounds."""
+    """Catches arguments of wrong shape or range that reach the kernel. The kernel would read out of bounds."""
     arguments: dict[str, object] = {
         "xyz": torch.zeros(5, 3),
         "features": torch.zeros(5, 3),

@@ -1,4 +1,5 @@
-"""Time offsets from motion energy: known shifts, noise, gains, cameras without motion, a real recording."""
+"""Time offsets from motion energy, for known shifts, noise, different gains, cameras without motion, and a real
+recording."""
 
 from __future__ import annotations
 
@@ -19,12 +20,13 @@ Array = NDArray[np.float64]
 
 
 def _burst_energy(rng: np.random.Generator, frames: int) -> Array:
-    """A motion energy with bursts, like those of steps and claps."""
+    """A motion energy with random bursts, similar to the bursts from steps and claps."""
     return np.exp(gaussian_filter1d(rng.normal(size=frames), 1.5) * 3)
 
 
 def _energies(rng: np.random.Generator, shifts: list[int], frames: int = 160, noise: float = 0.15) -> list[Array]:
-    """Energies of one motion in cameras delayed by ``shifts``, each with its own gain and noise."""
+    """Motion energies of one motion, recorded by cameras whose videos are delayed by ``shifts``. Each camera has its
+    own gain and noise."""
     energy = _burst_energy(rng, frames + 100)
     return [
         rng.uniform(0.2, 5) * energy[50 - shift : 50 - shift + frames] * np.exp(noise * rng.normal(size=frames))
@@ -33,7 +35,8 @@ def _energies(rng: np.random.Generator, shifts: list[int], frames: int = 160, no
 
 
 def test_known_shifts_are_found(rng: np.random.Generator) -> None:
-    """Catches a wrong sign, offsets not relative to the first camera, and an influence of gains."""
+    """Catches offsets of the wrong sign, offsets that are not relative to the first camera, and an influence of the
+    cameras' gains."""
     shifts = [0, 7, -12, 3, 25]
     offsets = estimate_offsets(_energies(rng, shifts), max_offset=40)
     assert offsets.frames == tuple(shifts)
@@ -42,7 +45,8 @@ def test_known_shifts_are_found(rng: np.random.Generator) -> None:
 
 
 def test_positive_offset_means_a_late_event() -> None:
-    """Catches the opposite sign: the capture's frame f is the video's frame f + o."""
+    """Catches offsets of the opposite sign. With an offset o, frame f of the capture must be frame f + o of the
+    video."""
     first, late = np.full(80, 1.0), np.full(80, 1.0)
     first[[20, 41, 47]] = 9
     late[[25, 46, 52]] = 9
@@ -51,20 +55,20 @@ def test_positive_offset_means_a_late_event() -> None:
 
 
 def test_late_start_has_a_negative_offset(rng: np.random.Generator) -> None:
-    """Catches energies that must have equal lengths."""
+    """Catches an estimate that requires motion energies of equal lengths."""
     one, other = _energies(rng, [0, 0])
     assert estimate_offsets([one, other[9:]], max_offset=20).frames == (0, -9)
 
 
 def test_subframe_offsets(rng: np.random.Generator) -> None:
-    """Catches missing or inverted parabolas."""
+    """Catches subframe offsets without interpolation by a parabola, or with the wrong sign."""
     fine = np.exp(gaussian_filter1d(rng.normal(size=800), 8) * 6)
     offsets = estimate_offsets([fine[100:700:4], fine[98:698:4]], max_offset=10)
     assert abs(offsets.subframes[1] - 0.5) < 0.2
 
 
 def test_camera_without_motion_has_no_confidence_and_no_influence(rng: np.random.Generator) -> None:
-    """Catches a flat or random correlation that counts as much as a sharp one."""
+    """Catches a flat or random correlation that has as much influence as a sharp correlation."""
     energies = _energies(rng, [0, 4, -6, 2])
     energies.append(np.zeros(160))
     energies.append(np.exp(0.1 * rng.normal(size=160)))
@@ -76,7 +80,8 @@ def test_camera_without_motion_has_no_confidence_and_no_influence(rng: np.random
 
 
 def test_outlier_pair_does_not_move_the_solution(rng: np.random.Generator) -> None:
-    """Catches plain least squares: two cameras share a second motion that is not visible in the others."""
+    """Catches a plain least-squares fit, which a single wrong lag distorts. Such a lag occurs if only two cameras see a
+    second motion."""
     shifts = np.array([0, 5, 5, -3, -3])
     pairs = list(combinations(range(5), 2))
     lags = np.array([shifts[j] - shifts[i] + rng.uniform(-0.2, 0.2) for i, j in pairs])
@@ -88,12 +93,12 @@ def test_outlier_pair_does_not_move_the_solution(rng: np.random.Generator) -> No
 
 
 def test_single_camera_has_no_offset() -> None:
-    """Catches a crash without pairs."""
+    """Catches a crash for a single camera, which has no pairs."""
     assert estimate_offsets([np.ones(40)], max_offset=5).frames == (0,)
 
 
 def test_too_few_frames_are_refused() -> None:
-    """Catches correlations over only a few frames, which are high for any signals."""
+    """Catches correlations over only a few frames. These correlations are high for any two signals."""
     with pytest.raises(ValueError, match="expected at most 8 for videos of 20 frames, got 10"):
         estimate_offsets([np.ones(20), np.ones(30)], max_offset=10)
 
@@ -110,7 +115,7 @@ def _render_square(rng: np.random.Generator, positions: list[int]) -> list[NDArr
 
 
 def test_energy_ignores_exposure_and_noise(rng: np.random.Generator) -> None:
-    """Catches energy from a flickering lamp or a noisy sensor."""
+    """Catches motion energy that comes from a flickering lamp or a noisy sensor."""
     still = _render_square(rng, [30] * 8)
     moving = _render_square(rng, [30, 30, 34, 44, 44, 44, 45, 45])
     gains = np.array([1.0, 1.0, 1.15, 1.0, 0.85, 1.0, 1.0, 1.2])
@@ -129,14 +134,14 @@ def test_energy_ignores_exposure_and_noise(rng: np.random.Generator) -> None:
 
 
 def test_empty_videos_and_changing_sizes() -> None:
-    """Catches a crash on an empty video, and a change of size that counts as motion."""
+    """Catches a crash on an empty video, and a change of the image size that counts as motion."""
     assert motion_energy([]).shape == (0,)
     with pytest.raises(ValueError, match="like the previous image"):
         motion_energy([np.zeros((4, 4), np.uint8), np.zeros((4, 5), np.uint8)])
 
 
 def test_plot_shows_energies_as_recorded_and_shifted(rng: np.random.Generator, tmp_path: Path) -> None:
-    """Catches an unreadable file, and a right panel that is not shifted."""
+    """Catches an unreadable plot file, and curves in the right panel that are not shifted."""
     energies = _energies(rng, [0, 20, -20])
     offsets = Offsets((0, 20, -20), (0.0, 20.0, -20.0), (0.9, 0.8, 0.05))
     plot_offsets(tmp_path / "sync.png", ["front", "side", "back"], energies, offsets)
@@ -152,7 +157,7 @@ def test_plot_shows_energies_as_recorded_and_shifted(rng: np.random.Generator, t
 
 @pytest.fixture(scope="module")
 def balance() -> list[Array]:
-    """Energies of the four genlocked videos of the real capture."""
+    """Motion energies of the four genlocked videos of the real capture "balance"."""
     folder = CAPTURES / "balance"
     if not folder.is_dir():
         pytest.skip(f"no real capture at {folder}")
@@ -168,7 +173,8 @@ def balance() -> list[Array]:
 
 @pytest.mark.slow
 def test_seven_missing_frames_of_a_real_camera_are_found(balance: list[Array]) -> None:
-    """Catches an estimate that works only on synthetic bursts; each camera in turn lacks frames."""
+    """Catches an estimate that works only on synthetic bursts. In each case, the first frames of one real camera are
+    missing."""
     whole = estimate_offsets(balance, max_offset=20)
     for camera in range(1, 4):
         cut = [energy[7:] if index == camera else energy for index, energy in enumerate(balance)]
@@ -179,6 +185,7 @@ def test_seven_missing_frames_of_a_real_camera_are_found(balance: list[Array]) -
 
 @pytest.mark.slow
 def test_genlocked_cameras_have_offsets_up_to_three_frames(balance: list[Array]) -> None:
-    """Catches a bias beyond that of different views of a smooth motion (0, 2, 1, 2 frames here)."""
+    """Catches errors of more than 3 frames on genlocked videos. Different views of a smooth motion cause errors of 0,
+    2, 1 and 2 frames here."""
     offsets = estimate_offsets(balance, max_offset=20)
     assert max(map(abs, offsets.frames)) <= 3

@@ -1,4 +1,5 @@
-"""Synthetic captures: correct ground truth, bytes determined by the settings, and no damage to other folders."""
+"""Synthetic captures: their ground truth is correct, the settings determine every byte, and other folders are not
+damaged."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ SMALL = {"frames": 3, "cameras": 4, "size": 72}
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small capture that all tests read."""
+    """A small synthetic capture that all tests of this module read."""
     path = tmp_path_factory.mktemp("synth") / "capture"
     make_synthetic(path, **SMALL)
     return path
@@ -41,14 +42,14 @@ def _depth(folder: Path, camera: str, frame: int) -> NDArray[np.float64]:
 
 
 def _unproject(camera: Camera, depth: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World points of the pixels that have depth."""
+    """World points (N, 3) of the N pixels that have a depth."""
     i, j = np.nonzero(depth)
     rays = np.stack([j + 0.5, i + 0.5, np.ones(len(i))], axis=1) @ np.linalg.inv(camera.intrinsics).T
     return (rays * depth[i, j, None] - camera.translation) @ camera.rotation
 
 
 def test_bytes_depend_on_the_seed_alone(folder: Path, tmp_path: Path) -> None:
-    """Catches randomness that ignores the seed, and threads that share state."""
+    """Catches random numbers that do not depend on the seed, and threads that share random state."""
     make_synthetic(tmp_path / "same", **SMALL)
     make_synthetic(tmp_path / "other", **SMALL, seed=1)
     first, same, other = _contents(folder), _contents(tmp_path / "same"), _contents(tmp_path / "other")
@@ -58,7 +59,7 @@ def test_bytes_depend_on_the_seed_alone(folder: Path, tmp_path: Path) -> None:
 
 
 def test_capture_opens_with_every_camera_and_frame(folder: Path) -> None:
-    """Catches a layout that the reader refuses."""
+    """Catches a synthetic capture that the capture reader refuses."""
     capture = open_capture(folder)
     assert capture.names == ("00", "01", "02", "03")
     assert capture.frame_count == SMALL["frames"]
@@ -83,7 +84,7 @@ def test_mask_depth_and_picture_agree(folder: Path) -> None:
 
 
 def test_depth_is_consistent_between_cameras(tmp_path: Path) -> None:
-    """Catches depth along the ray instead of z, half-pixel shifts, and cameras that do not fit their images."""
+    """Catches depth along the ray instead of along z, half-pixel shifts, and cameras that do not match their images."""
     folder = tmp_path / "capture"
     make_synthetic(folder, frames=1, cameras=16, size=96)
     capture = open_capture(folder)
@@ -106,7 +107,7 @@ def test_depth_is_consistent_between_cameras(tmp_path: Path) -> None:
 
 
 def test_figure_fills_the_picture_and_is_never_cropped(folder: Path) -> None:
-    """Catches a framing that crops a hand or makes the figure small."""
+    """Catches cameras whose images crop a hand or show the figure too small."""
     capture = open_capture(folder)
     for camera in range(len(capture.names)):
         for frame in range(capture.frame_count):
@@ -116,7 +117,7 @@ def test_figure_fills_the_picture_and_is_never_cropped(folder: Path) -> None:
 
 
 def test_figure_moves_and_the_gait_is_a_loop() -> None:
-    """Catches a static figure, and a loop with a jump."""
+    """Catches a figure that does not move, and a gait that jumps between the last and the first frame."""
     figure = make_figure(5)
     positions = np.stack([[part.origin for part in pose_figure(figure, phase)] for phase in np.arange(25) / 24])
     assert np.linalg.norm(positions[1:] - positions[:-1], axis=-1).max(axis=1).min() > 0.05
@@ -125,7 +126,7 @@ def test_figure_moves_and_the_gait_is_a_loop() -> None:
 
 
 def test_figure_stays_above_the_floor() -> None:
-    """Catches feet below the floor."""
+    """Catches a figure whose feet are below the floor."""
     for seed in range(4):
         figure = make_figure(seed)
         for phase in np.arange(24) / 24:
@@ -149,7 +150,7 @@ def _random_part(rng: np.random.Generator, length: float) -> Part:
 
 
 def _signed_distance(part: Part, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Minimum distance to many spheres along the axis, in the part's unscaled shape."""
+    """Approximate signed distance to the unscaled part: the minimum distance to many spheres along the part's axis."""
     local = (xyz - part.origin) @ part.frame / part.stretch
     share = np.linspace(0, 1, 401)[:, None]
     along = local[None, :, 2] - share * part.length
@@ -159,7 +160,8 @@ def _signed_distance(part: Part, xyz: NDArray[np.float64]) -> NDArray[np.float64
 
 @pytest.mark.parametrize("length", [0.0, 0.1, 0.6])
 def test_intersections_lie_on_the_rounded_cone(rng: np.random.Generator, length: float) -> None:
-    """Catches a wrong root or a missing cap, in any view, along the axis, and when one sphere contains the other."""
+    """Catches a wrong root of the ray equation or a missing cap of a rounded cone. Cases include one sphere that
+    contains the other."""
     camera = _test_camera(48)
     for _ in range(20):
         part = _random_part(rng, length)
@@ -172,7 +174,7 @@ def test_intersections_lie_on_the_rounded_cone(rng: np.random.Generator, length:
 
 
 def test_soft_mask_is_the_coverage(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a mask that is thresholded, or whose samples are not symmetric about the pixel's centre."""
+    """Catches a mask that is thresholded, and ray samples that are not symmetric about the pixel centre."""
     camera, plate = _test_camera(40), np.zeros((40, 40, 3))
     ball = Part(np.eye(3), np.zeros(3), np.ones(3), 0.0, (0.4, 0.4), Pattern("plain", (1, 1, 1), (0, 0, 0)))
     mask = render_figure([ball], camera, plate, 0.0).mask
@@ -194,7 +196,7 @@ def test_bands_have_no_seams(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_gloss_brightens_and_depends_on_the_view() -> None:
-    """Catches highlights that are missing or fixed to the surface."""
+    """Catches highlights that are missing or do not depend on the viewpoint."""
     ball = Part(np.eye(3), np.zeros(3), np.ones(3), 0.0, (0.4, 0.4), Pattern("plain", (0.3, 0.3, 0.3), (0, 0, 0)))
     plate = np.zeros((48, 48, 3))
     camera = _test_camera(48)
@@ -213,7 +215,8 @@ def test_gloss_brightens_and_depends_on_the_view() -> None:
 
 
 def test_finished_captures_are_kept_until_settings_change(tmp_path: Path) -> None:
-    """Catches repeated work, and stale frames of a longer capture among new ones."""
+    """Catches a finished capture that is made again, and old frames of a longer capture that remain among the new
+    frames."""
     out = tmp_path / "capture"
     make_synthetic(out, frames=2, cameras=3, size=32)
     before = (out / "images" / "00" / "000000.jpg").stat().st_mtime_ns
@@ -224,7 +227,7 @@ def test_finished_captures_are_kept_until_settings_change(tmp_path: Path) -> Non
 
 
 def test_other_folders_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a generator that writes into a folder with the user's files, or removes them."""
+    """Catches a generator that writes into a folder with the user's files, or removes these files."""
     (tmp_path / "images").mkdir()
     (tmp_path / "images" / "mine.txt").write_text("mine")
     assert main(["synth", str(tmp_path), "--frames", "1", "--size", "32"]) == 2
@@ -238,14 +241,14 @@ def test_other_folders_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture
 def test_numbers_out_of_range_are_refused(
     option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a range that is checked after files are written."""
+    """Catches values out of range that are reported only after files are written."""
     assert main(["synth", str(tmp_path / "out"), f"--{option}", value]) == 2
     assert f"--{option}: expected" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
 def test_file_instead_of_a_folder_is_refused(tmp_path: Path) -> None:
-    """Catches a traceback where OUT is a file."""
+    """Catches a traceback if the output folder OUT is a file."""
     (tmp_path / "out").write_text("")
     with pytest.raises(UserError, match="expected a folder, got a file"):
         make_synthetic(tmp_path / "out")
