@@ -1,4 +1,4 @@
-"""A synthetic capture: a ball moves over a floor and casts a shadow; clean plates show the empty floor."""
+"""A synthetic capture of a ball that moves over a floor and casts a shadow. Clean plates show the empty floor."""
 
 from __future__ import annotations
 
@@ -27,23 +27,24 @@ def ball_centre(frame: int) -> NDArray[np.float64]:
 
 
 def floor() -> tuple[Floats, Floats]:
-    """Points (N, 3) of the floor and their colours (N, 3) without shadow."""
+    """Points (N, 3) of the floor, and their unshadowed colours (N, 3) in [0, 1]."""
     steps = np.linspace(-1.2, 1.2, 40)
     x, y = (side.ravel() for side in np.meshgrid(steps, steps))
-    # Low frequencies only: colours are blended from images in which 64 pixels show the floor at a grazing angle.
+    # The colours have only low frequencies, because they are blended from images in which 64 pixels show the floor at a
+    # grazing angle.
     waves = np.stack([np.sin(4 * x), np.sin(3 * y), np.sin(2 * (x + y))], axis=1)
     xyz = np.stack([x, y, np.full_like(x, FLOOR)], axis=1)
     return xyz.astype(np.float32), (0.6 + 0.15 * waves).astype(np.float32)
 
 
 def shadow_factor(xyz: Floats, frame: int) -> Floats:
-    """Shadow factor (N,) on the floor. Below the ball it is 0.4."""
+    """Shadow factor (N,) at points of the floor. The factor is 0.4 below the ball."""
     squared_distance = np.square(xyz[:, :2] - ball_centre(frame)[:2]).sum(axis=1)
     return (1 - 0.6 * np.exp(-squared_distance / 0.05)).astype(np.float32)
 
 
 def picture(camera: Camera, frame: int | None, *, shadow: bool = True) -> tuple[Floats, Floats]:
-    """RGB (H, W, 3) and the ball's matte (H, W). With ``frame`` None, the image shows the empty floor."""
+    """Render RGB (H, W, 3) and the ball's matte (H, W). With ``frame`` None, the image shows the empty floor."""
     xyz, rgb = floor()
     if frame is not None and shadow:
         rgb = rgb * shadow_factor(xyz, frame)[:, None]
@@ -77,7 +78,7 @@ def write_shadowed_capture(folder: Path) -> Path:
 
 
 def shadowed_config(seeds: Path, steps: int) -> TrainConfig:
-    """A full scene whose initial background points are the floor and a grey shell around it."""
+    """The config of a full scene. The initial background points are the floor and a grey shell around the floor."""
     config = full_config(seeds)
     xyz, rgb = floor()
     shell = (5 * sphere(400)).astype(np.float32)

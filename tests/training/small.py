@@ -1,4 +1,4 @@
-"""Small training runs, of a second or two each, on the ball capture."""
+"""Small training runs on the ball capture. Each run takes one or two seconds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SMALL = TrainConfig(
 
 
 def full_config(seeds: Path, points: int = 1200, *, shadow: bool = False) -> TrainConfig:
-    """A small config for a full scene. The background points are a grey shell, which is written to ``seeds``."""
+    """A small config for a full scene. This function writes a grey shell of background points to the file ``seeds``."""
     xyz = 5 * sphere(points)
     write_ply(seeds, xyz, np.full((points, 3), 89, np.uint8))
     planes = PlanesConfig(levels=2, features=4, base_resolution=16, time=False)
@@ -46,7 +46,7 @@ def quiet() -> Console:
 
 
 def train(run: Run, config: TrainConfig) -> TrainSummary:
-    """Train a run until ``config``'s budget is spent."""
+    """Train a run until the budget of ``config`` is used up."""
     return Trainer(run, None, quiet(), config).train()
 
 
@@ -58,5 +58,5 @@ def trained_run(capture: Path, folder: Path, config: TrainConfig = SMALL) -> Run
 
 
 def with_steps(config: TrainConfig, steps: int) -> TrainConfig:
-    """The config with a budget of ``steps`` steps."""
+    """Return ``config`` with a budget of ``steps`` training steps."""
     return replace(config, max_steps=steps)

@@ -43,7 +43,7 @@ def parameters(name: str, ball_capture: Path, tmp_path: Path) -> set[str]:
 
 
 def test_switches_remove_their_part_of_the_model(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches an ablation that does not remove its part of the model."""
+    """Catches an ablation config that does not remove the corresponding part of the model."""
     both = {"blend_head", "image_encoder", "harmonics_head"}
     assert not {"blend_head", "image_encoder"} & parameters("sh_mlp_only", ball_capture, tmp_path)
     assert "harmonics_head" not in parameters("ibr_only", ball_capture, tmp_path)
@@ -54,7 +54,7 @@ def test_switches_remove_their_part_of_the_model(ball_capture: Path, tmp_path: P
 
 
 def test_the_configuration_page_is_up_to_date() -> None:
-    """Catches a changed key or default that is not documented."""
+    """Catches a config key or default that is changed but not documented."""
     from tools.site.configuration_page import PAGE, page
 
     assert PAGE.read_text() == page(), "run tools/site/configuration_page.py"

@@ -43,7 +43,7 @@ def run(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 def _sheet(distance: float, side: float) -> FramePoints:
-    """A dense square sheet of points perpendicular to the x axis, in view of the first camera of a ring."""
+    """A dense square sheet of points perpendicular to the x axis. The first camera of a ring sees the sheet."""
     steps = torch.linspace(-side, side, 41)
     y, z = torch.meshgrid(steps, steps, indexing="ij")
     xyz = torch.stack([torch.full_like(y, distance), y, z], -1).reshape(-1, 3)
@@ -58,7 +58,8 @@ def _painted(points: FramePoints, colour: tuple[float, float, float]) -> Rendera
 
 
 def test_clouds_occlude_each_other_in_any_order() -> None:
-    """Catches clouds composited one after the other. Background in front of the foreground must occlude it."""
+    """Catches foreground and background clouds that are composited one after the other. Background points in front of
+    the foreground must occlude it."""
     viewer = ring_cameras(8, 64)[0]
     near = _painted(_sheet(0.5, 0.2), (1.0, 0.0, 0.0))
     far = _painted(_sheet(-1.0, 3.0), (0.0, 0.0, 1.0))
@@ -71,7 +72,8 @@ def test_clouds_occlude_each_other_in_any_order() -> None:
 
 
 def test_points_occluded_by_the_other_cloud_are_not_visible() -> None:
-    """Catches visibility that is computed for each cloud separately: occluded points would be trained."""
+    """Catches visibility that is computed for each point cloud separately. Points that the other cloud occludes would
+    then be trained."""
     viewer = ring_cameras(8, 64)[0]
     near, far = _sheet(0.5, 1.2), _sheet(-1.0, 0.3)
     assert len(visible_points([far], viewer, 15, 0.05)[0]) > 0
@@ -80,7 +82,7 @@ def test_points_occluded_by_the_other_cloud_are_not_visible() -> None:
 
 
 def test_a_point_s_own_colour_replaces_views_that_do_not_see_it() -> None:
-    """Catches black or unrelated colours of points that are visible in none of the blended plates."""
+    """Catches black or unrelated colours of points that none of the blended plates shows."""
     colours = torch.tensor([[[0.0, 0.0, 0.0]], [[0.9, 0.1, 0.1]]])
     base = torch.tensor([[0.2, 0.5, 0.4]])
     unseen = blend(torch.zeros(2, 1), torch.zeros(2, 1), colours, base)
@@ -90,7 +92,7 @@ def test_a_point_s_own_colour_replaces_views_that_do_not_see_it() -> None:
 
 
 def test_a_full_run_renders_the_surroundings_of_the_subject(run: Run) -> None:
-    """Catches a background that is missing in images, in the loss or in the checkpoint."""
+    """Catches a background that is missing in rendered images, in the loss or in the checkpoint."""
     trained = load_run(run.folder)
     camera = run.capture.cameras[run.test[0]]
     picture = trained.renderer.render(trained.frames.get(1), 1, camera, 15)
@@ -104,8 +106,8 @@ def test_a_full_run_renders_the_surroundings_of_the_subject(run: Run) -> None:
 
 
 def test_a_floor_at_a_grazing_angle_does_not_occlude_itself() -> None:
-    """Catches discs that occlude the points behind them on the same floor. These points would lose their image-based
-    colours and blur. Their discs would then grow and occlude even more points."""
+    """Catches discs of a floor that occlude the floor points behind them. The occluded points would lose their
+    image-based colours and blur. Their discs would then grow and occlude even more points."""
     x, y = torch.meshgrid(torch.arange(-1, 1, 0.02), torch.arange(-1, 3, 0.02), indexing="ij")
     xyz = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3)
     floor = FramePoints.initial(xyz, torch.full((len(xyz),), 0.02), 1.3, explicit_sh=False)
@@ -122,13 +124,14 @@ def test_a_floor_at_a_grazing_angle_does_not_occlude_itself() -> None:
 
 
 def test_points_behind_a_wall_are_hidden_and_a_floor_is_not(run: Run) -> None:
-    """Catches the removal of floor points that are covered by nearer discs in every plate. Other cameras would see
-    holes."""
+    """Catches the removal of floor points that nearer discs cover in every plate. Other cameras would see holes in the
+    floor."""
     background = load_run(run.folder).renderer.background
     assert background is not None
     around = background.points
     x, y = torch.meshgrid(torch.arange(-3, 3, 0.1), torch.arange(-3, 3, 0.1), indexing="ij")
-    # Cameras are at least 0.4 above the floor. At a distance below a disc's radius, one disc would occlude all others.
+    # All cameras are at least 0.4 above the floor. If a camera were nearer to the floor than a disc's radius, one disc
+    # would occlude all other discs.
     floor = torch.stack([x, y, torch.full_like(x, -0.6)], -1).reshape(-1, 3)
     beyond = 1.8 * around.xyz[:200]
     xyz = torch.cat([around.xyz, floor, beyond])
@@ -157,7 +160,7 @@ def test_without_joint_training_the_background_ignores_frames(ball_capture: Path
 
 
 def test_cached_depths_of_plates_expire(run: Run) -> None:
-    """Catches cached depths and features that never expire, or that are recomputed in every step."""
+    """Catches cached depths and features of plates that never expire, or that are recomputed in every step."""
     background = load_run(run.folder).renderer.background
     assert background is not None
     indices = list(background.plates)[:2]
@@ -213,7 +216,8 @@ def test_an_empty_file_of_background_points_is_refused(ball_capture: Path, tmp_p
 def test_seeding_follows_the_config(
     seeding: Literal["ngp", "sfm"], why: str, ball_capture: Path, tmp_path: Path
 ) -> None:
-    """Catches a setting without effect. Each seeding method raises a different error for plates of one colour."""
+    """Catches a setting ``seeding`` that has no effect. Each seeding method raises a different error for plates of one
+    colour."""
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, seeds=None, seeding=seeding))
     with pytest.raises(UserError, match=rf"plates: expected at least 8 features .*{why}.*--background FILE.ply"):

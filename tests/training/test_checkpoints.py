@@ -1,4 +1,4 @@
-"""Checkpoints are exact and written atomically. Loading one into another model is an error."""
+"""Checkpoints are exact and written atomically. Loading a checkpoint into another model is an error."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def names(folder: Path) -> list[str]:
 
 
 def test_round_trip_is_bit_exact(tmp_path: Path) -> None:
-    """Catches converted dtypes, transposed tensors, and lost NaNs or scalars."""
+    """Catches saved tensors that have another dtype, are transposed, or have lost NaN values or scalars."""
     torch.manual_seed(1)
     tensors = {
         "float": torch.tensor([1e-45, -0.0, float("nan"), float("inf")]),
@@ -75,7 +75,7 @@ def test_round_trip_is_bit_exact(tmp_path: Path) -> None:
 
 
 def test_the_two_newest_checkpoints_are_kept(tmp_path: Path) -> None:
-    """Catches alphabetical order, in which step 9 follows step 10, and the deletion of other files."""
+    """Catches checkpoints in alphabetical order, in which step 9 follows step 10, and the deletion of other files."""
     (tmp_path / "mine.safetensors").write_bytes(b"")
     (tmp_path / "00000009.points").mkdir()
     for step in (9, 10, 123456789):
@@ -108,7 +108,7 @@ def flip_a_bit(content: bytes) -> bytes:
 
 
 def zero(content: bytes) -> bytes:
-    """After a power failure, some file systems have files of the right size without the contents."""
+    """Replace the content by zeros. After a power failure, some file systems contain such files."""
     return bytes(len(content))
 
 
@@ -172,8 +172,8 @@ def raise_disk_full(*_: object) -> None:
 def test_a_full_disk_leaves_previous_checkpoints_intact(
     target: str, fault: object, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches deletion of the old checkpoint before the new one is complete, leftover files, and tracebacks, for each
-    point of failure."""
+    """Catches an old checkpoint that is deleted before the new checkpoint is complete. Also catches leftover files and
+    tracebacks."""
     for step in (1, 2):
         save_checkpoint(tmp_path, step, {"a": torch.full((3,), float(step))}, {})
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -207,7 +207,8 @@ for step in itertools.count(1):
 
 
 def test_a_kill_at_any_time_leaves_an_intact_checkpoint(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches files that are not written atomically: after kill -9 the last reported checkpoint must be intact."""
+    """Catches checkpoints that are not written atomically. After kill -9, the last reported checkpoint must be
+    intact."""
     for delay in rng.uniform(0, 0.05, 3):
         folder = tmp_path / f"{delay:.9f}"
         with subprocess.Popen(
@@ -241,7 +242,8 @@ def test_restore_loads_the_tensors_of_its_prefix() -> None:
 
 
 def test_restore_refuses_tensors_of_another_model() -> None:
-    """Catches different shapes that broadcast, missing or additional tensors, and a partly loaded module."""
+    """Catches a checkpoint of another model that is loaded in part, with tensors of other shapes, or with missing or
+    additional tensors."""
     target = small_model()
     before = {name: value.clone() for name, value in target.state_dict().items()}
     tensors = {f"model.{name}": value for name, value in small_model(width=8).state_dict().items()}
@@ -282,7 +284,8 @@ def new_optimizer(model: nn.Module, fused: bool) -> torch.optim.Optimizer:
 
 @pytest.mark.parametrize("fused", [False, True])
 def test_resumed_training_is_bit_exact(fused: bool, tmp_path: Path) -> None:
-    """Catches Adam moments or step counts that are lost or assigned to another parameter, and lost generator state."""
+    """Catches Adam moments or step counts that are lost or assigned to another parameter, and random state that is
+    lost."""
     torch.manual_seed(2)
     uninterrupted = small_model()
     optimizer, generator = new_optimizer(uninterrupted, fused), torch.Generator().manual_seed(3)
@@ -329,8 +332,8 @@ def test_an_optimizer_without_steps_has_no_state() -> None:
 
 @pytest.mark.parametrize("kind", ["PCG64", "PCG64DXSM", "MT19937", "Philox", "SFC64"])
 def test_numpy_generators_resume(kind: str) -> None:
-    """Catches 128-bit integers that are truncated or converted to float, and the loss of the generator's buffered
-    32-bit number."""
+    """Catches 128-bit integers that are truncated or converted to float, and a buffered 32-bit random number that is
+    lost."""
     generator = np.random.Generator(getattr(np.random, kind)(7))
     generator.integers(0, 10, dtype=np.uint32)
     state = json.loads(json.dumps(pack_numpy_rng(generator)))

@@ -29,7 +29,7 @@ from tests.training.small import SMALL, full_config, quiet, train, trained_run, 
 
 
 def checkpoint_tensors(run: Path, step: int) -> dict[str, torch.Tensor]:
-    """All tensors of a checkpoint: models, optimizer, and the points of all frames."""
+    """All tensors of a checkpoint: the models, the optimizer state, and the points of all frames."""
     base = run / "checkpoints" / f"{step:08d}"
     tensors = load_file(base.with_suffix(".safetensors"))
     for path in sorted(base.with_suffix(".points").glob("*.safetensors")):
@@ -41,8 +41,7 @@ def checkpoint_tensors(run: Path, step: int) -> dict[str, torch.Tensor]:
 def test_a_resumed_run_equals_an_uninterrupted_one(
     scene: str, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches state that is missing in checkpoints: Adam's moments, step counts of points, radii, or generator
-    states."""
+    """Catches checkpoints in which Adam's moments, step counts of points, radii, or generator states are missing."""
     full = full_config(tmp_path / "shell.ply", shadow=scene == "shadow")
     config = replace(SMALL if scene == "object" else full, max_steps=9)
     uninterrupted = create_run(ball_capture, tmp_path / "whole", config)
@@ -85,7 +84,8 @@ def test_a_loss_that_is_not_finite_stops_training(
 
 
 def test_training_raises_the_psnr(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches steps without effect: in 200 steps, PSNR must increase by at least 0.5 dB over grey points."""
+    """Catches training steps that have no effect. In 200 steps, PSNR must increase by at least 0.5 dB from grey
+    points."""
     model = replace(SMALL.model, appearance="sh")
     config = replace(with_steps(SMALL, 200), checkpoint_steps=1000, model=model)
     trained_run(ball_capture, tmp_path / "run", config)
@@ -96,7 +96,7 @@ def test_training_raises_the_psnr(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_the_run_s_config_is_saved(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches settings that are missing in config.yaml, which eval and export read."""
+    """Catches settings that are missing in config.yaml. The commands eval and export read this file."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     assert open_run(run.folder).config == run.config
     assert run.config.train == SMALL
@@ -104,7 +104,7 @@ def test_the_run_s_config_is_saved(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_folders_in_use_are_refused(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a run that overwrites a user's files, or another run."""
+    """Catches a new run that overwrites a user's files or another run."""
     (tmp_path / "diary.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a new or empty folder, got other files"):
         create_run(ball_capture, tmp_path, SMALL)
@@ -116,7 +116,7 @@ def test_folders_in_use_are_refused(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_points_from_the_user_s_files(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches bounds or points that come from carving although the user gives points."""
+    """Catches bounds or initial points that come from carving although the user gives points."""
     rng = np.random.default_rng(0)
     for frame in range(3):
         xyz = rng.normal(0, 0.2, (2000, 3)).astype(np.float32)
@@ -133,7 +133,7 @@ def test_points_from_the_user_s_files(ball_capture: Path, tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_a_run_resumes_after_a_kill_at_any_time(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches files that are not written atomically: a run that is killed at several times must still resume and
+    """Catches files of a run that are not written atomically. A run that is killed several times must still resume and
     finish."""
     overlay = tmp_path / "small.yaml"
     overlay.write_text(

@@ -1,4 +1,4 @@
-"""The resident size of a process that has freed memory."""
+"""Return of freed memory to the operating system, measured by the resident size of a process."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ print(retained // 2**20, (resident_bytes() - before) // 2**20)
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only the heap of the GNU C library is trimmed")
 def test_small_growth_is_retained_and_large_growth_returned():
-    """Catches a trim in every step, which causes page faults, and memory that grows with the number of steps."""
+    """Catches freed memory that is returned in every step, which causes page faults, and memory that grows with the
+    number of steps."""
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
     retained, left = map(int, done.stdout.split())
     assert retained >= 28

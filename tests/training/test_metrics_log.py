@@ -28,14 +28,14 @@ def test_records_are_flushed_at_once(tmp_path: Path) -> None:
 
 
 def test_nan_and_infinity_are_null(tmp_path: Path) -> None:
-    """Catches NaN and Infinity, which are not valid JSON."""
+    """Catches a metrics log with NaN or Infinity, which are not valid JSON."""
     with MetricsLog(tmp_path) as log:
         log.scalars(1, {"psnr": float("inf"), "loss": float("nan"), "seconds": np.float32(2)})
     assert records(tmp_path) == [{"step": 1, "psnr": None, "loss": None, "seconds": 2.0}]
 
 
 def test_resume_drops_later_steps_and_truncated_lines(tmp_path: Path) -> None:
-    """Catches duplicate steps after a resume, and a record appended to a truncated line."""
+    """Catches steps that appear twice after a resume, and a record that is appended to a truncated line."""
     with MetricsLog(tmp_path) as log:
         for step in (10, 20, 30):
             log.scalars(step, {"psnr": step})
@@ -48,7 +48,7 @@ def test_resume_drops_later_steps_and_truncated_lines(tmp_path: Path) -> None:
 
 
 def test_a_last_record_without_line_end_is_dropped(tmp_path: Path) -> None:
-    """Catches two records on one line after a killed run left a line without its end."""
+    """Catches two records on one line. This error occurs if a killed run leaves a last line without a line end."""
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\n{"step": 2}')
     with MetricsLog(tmp_path, resume_step=5) as log:
         log.scalars(3, {})
@@ -56,7 +56,8 @@ def test_a_last_record_without_line_end_is_dropped(tmp_path: Path) -> None:
 
 
 def test_tensorboard_shows_scalars_and_images_and_hides_purged_steps(tmp_path: Path) -> None:
-    """Catches events that are not flushed, images with swapped axes, and stale steps."""
+    """Catches TensorBoard events that are not flushed, images with swapped axes, and old steps that remain after a
+    resume."""
     picture = np.zeros((6, 9, 3), dtype=np.uint8)
     with MetricsLog(tmp_path) as log:
         log.scalars(10, {"psnr": 1.0})
@@ -74,7 +75,7 @@ def test_tensorboard_shows_scalars_and_images_and_hides_purged_steps(tmp_path: P
 
 
 def test_a_full_disk_is_a_user_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a traceback instead of a one-line error that names the folder."""
+    """Catches a traceback for a full disk instead of a one-line error that names the folder."""
 
     class Full:
         closed = False

@@ -42,7 +42,7 @@ def test_an_epoch_draws_every_view_of_every_frame_once() -> None:
 
 
 def test_samples_depend_on_seed_and_step_alone() -> None:
-    """Catches state that is stored between steps, with which a resumed run would differ."""
+    """Catches a sampler that stores state between steps. A resumed run would then draw different samples."""
     whole = [sampler().sample(step) for step in range(10)]
     late = sampler().sample(9)
     assert (late.frame, late.target, late.sources) == (whole[9].frame, whole[9].target, whole[9].sources)
@@ -53,7 +53,8 @@ def test_samples_depend_on_seed_and_step_alone() -> None:
 
 @pytest.mark.parametrize(("scene", "least"), [("object", 8), ("full", 12)])
 def test_full_scenes_draw_more_layers(scene: Literal["object", "full"], least: int) -> None:
-    """Catches too few layers for floors: their discs would grow until the image is blurred."""
+    """Catches too few depth layers for the floor of a full scene. The discs of the floor would grow until the image is
+    blurred."""
     drawn = StepSampler(TrainConfig(seed=3, scene=scene), ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
     assert {drawn.sample(step).layers for step in range(200)} == set(range(least, 16))
 

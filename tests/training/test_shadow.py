@@ -1,4 +1,4 @@
-"""Learnt shadows of a ball on a floor."""
+"""Learning of the shadow that a moving ball casts on a floor."""
 
 from __future__ import annotations
 

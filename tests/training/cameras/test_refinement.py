@@ -1,4 +1,4 @@
-"""Camera refinement: gradients, identity, convergence, and calibration files."""
+"""Camera refinement: gradients, identity corrections, convergence, and the written calibration files."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ OFF = RefineConfig()
 
 
 def _cloud(rng: np.random.Generator, camera: Camera, count: int = 60) -> RenderablePoints:
-    """Points in front of ``camera`` whose depths differ so much that small camera changes do not change their order."""
+    """Points in front of ``camera`` at very different depths, so that small changes of the camera do not change their
+    depth order."""
     depths = 1.6 + 0.8 * rng.permutation(count)[:, None] / count
     in_camera = np.hstack([rng.uniform(-0.4, 0.4, (count, 2)), depths])
     xyz = torch.from_numpy((in_camera - camera.translation) @ camera.rotation)
@@ -62,8 +63,8 @@ def _set(refinement: Refinement, place: int, pose: NDArray[np.float64], zoom: fl
 
 
 def test_camera_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a wrong sign, coordinate frame or Jacobian in the pose's gradient, and a zoom without effect on radii in
-    pixels."""
+    """Catches a wrong sign, coordinate frame or Jacobian in the gradient of a pose, and a zoom that does not change
+    radii in pixels."""
     cameras = ring_cameras(3, 24)
     refinement = Refinement(EVERYTHING, cameras, [0, 1, 2], np.zeros(3)).double()
     pose, zoom = rng.normal(0, 0.1, 6), 0.05
@@ -114,8 +115,8 @@ def test_zero_corrections_are_exactly_the_identity(rng: np.random.Generator) -> 
 
 
 def test_colour_corrections_have_mean_identity_and_are_inverted_in_sources(rng: np.random.Generator) -> None:
-    """Catches a colour shift of the scene that is compensated by all cameras, and source views to which the forward
-    instead of the inverse map is applied."""
+    """Catches colour corrections of the cameras whose mean shifts the colours of the scene. Also catches source views
+    that are corrected by the forward map instead of the inverse map."""
     refinement = Refinement(EVERYTHING, ring_cameras(4, 24), [0, 2, 3], np.zeros(3))
     with torch.no_grad():
         for tint in refinement.tints:
@@ -159,7 +160,7 @@ def test_a_resumed_refined_run_equals_an_uninterrupted_one(
 
 
 def test_a_loaded_run_uses_its_corrected_cameras(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches rendering or export with the uncorrected cameras, and calibration files that differ from the corrected
+    """Catches rendering or export with uncorrected cameras, and calibration files that differ from the corrected
     cameras."""
     run = trained_run(ball_capture, tmp_path / "run", replace(SMALL, refine=EVERYTHING))
     trained = load_run(run.folder)
@@ -183,7 +184,8 @@ def test_a_loaded_run_uses_its_corrected_cameras(ball_capture: Path, tmp_path: P
 
 
 def test_a_written_calibration_gives_the_same_cameras(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches focal lengths at the wrong image scale, and unselected cameras that are missing in the files."""
+    """Catches focal lengths that are written at the wrong image scale, and calibration files without the cameras that
+    are not selected."""
     half = open_capture(ball_capture, views=["01", "02", "05"], scale=0.5)
     moved = list(
         perturb_cameras(dict(zip(half.names, half.cameras, strict=True)), 2, 0.1, np.random.default_rng(0)).values()
@@ -219,7 +221,7 @@ def test_distortion_scales_with_the_focal_length(count: int, rng: np.random.Gene
 
 
 def test_a_held_out_camera_is_aligned(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a fit that diverges, changes the scene, or reports a wrong rotation or distance."""
+    """Catches a fit of a held-out camera that diverges, changes the scene, or reports a wrong distance."""
     config = replace(with_steps(SMALL, 60), checkpoint_steps=1000)
     run = trained_run(ball_capture, tmp_path / "run", config)
     trained = load_run(run.folder)
@@ -257,7 +259,7 @@ def _copied(capture: Path, folder: Path) -> Path:
 
 
 def test_learnt_poses_approach_the_truth(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches gradients that reach the wrong camera, and steps that render with uncorrected cameras."""
+    """Catches pose gradients that reach the wrong camera, and training steps that render with uncorrected cameras."""
     opened = open_capture(ball_capture)
     truth = dict(zip(opened.names, opened.cameras, strict=True))
     wrong = perturb_cameras(truth, 1.0, 0.0, np.random.default_rng(0))
@@ -275,7 +277,7 @@ def test_learnt_poses_approach_the_truth(ball_capture: Path, tmp_path: Path) -> 
 
 
 def test_a_darker_camera_is_detected(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches inverted colour corrections, and corrections of the wrong camera."""
+    """Catches colour corrections that are inverted or belong to the wrong camera."""
     capture = _copied(ball_capture, tmp_path / "capture")
     for path in (capture / "images" / "02").iterdir():
         picture = cv2.imread(str(path))

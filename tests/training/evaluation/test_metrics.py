@@ -20,14 +20,16 @@ def pair(rng: np.random.Generator, shape: tuple[int, ...]) -> tuple[np.ndarray, 
 
 
 def test_psnr_equals_skimage(rng: np.random.Generator) -> None:
-    """Catches a logarithm of the root mean square, a natural logarithm, or a mean over the PSNR of channels."""
+    """Catches a PSNR from the root mean square error, from a natural logarithm, or from a mean over the PSNR of the
+    channels."""
     first, second = pair(rng, (13, 17, 3))
     assert float(psnr(second, first)) == pytest.approx(peak_signal_noise_ratio(first, second, data_range=1), rel=1e-9)
     assert math.isinf(float(psnr(first, first)))
 
 
 def test_psnr_is_over_masked_pixels_alone(rng: np.random.Generator) -> None:
-    """Catches a division by the number of all pixels, or by the number of pixels instead of values."""
+    """Catches a masked PSNR that is divided by the number of all pixels, or by the number of pixels instead of colour
+    values."""
     first, second = pair(rng, (13, 17, 3))
     mask = rng.random((13, 17)) < 0.4
     mask[3, 4] = True
@@ -39,7 +41,7 @@ def test_psnr_is_over_masked_pixels_alone(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("shape", [(11, 11, 3), (40, 27, 3), (31, 64, 1)])
 def test_ssim_equals_skimage(shape: tuple[int, int, int], rng: np.random.Generator) -> None:
-    """Catches a wrong window, sigma, covariance or border, and swapped axes."""
+    """Catches an SSIM with a wrong window, sigma, covariance or border, or with swapped axes."""
     first, second = pair(rng, shape)
     expected = structural_similarity(
         first, second, gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1, channel_axis=2
@@ -51,14 +53,14 @@ def test_ssim_equals_skimage(shape: tuple[int, int, int], rng: np.random.Generat
 
 
 def test_ssim_of_a_batch_is_the_mean(rng: np.random.Generator) -> None:
-    """Catches a reshape that mixes pixels of different images."""
+    """Catches an SSIM of a batch that mixes pixels of different images."""
     first, second = pair(rng, (4, 19, 23, 3))
     separate = np.mean([float(ssim(a, b)) for a, b in zip(first, second, strict=True)])
     assert float(ssim(first, second)) == pytest.approx(separate, abs=1e-9)
 
 
 def test_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a metric without gradient. Both metrics are used as losses."""
+    """Catches a PSNR or SSIM without a gradient. Both metrics are used as losses."""
     first, second = (torch.from_numpy(image) for image in pair(rng, (12, 13, 2)))
     weights = torch.from_numpy(rng.random((12, 13)))
     assert torch.autograd.gradcheck(lambda image: ssim(image, second), first.clone().requires_grad_())
@@ -67,7 +69,7 @@ def test_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
 
 
 def test_invalid_images_are_refused() -> None:
-    """Catches scores of images with values up to 255, and of images whose different shapes broadcast."""
+    """Catches metrics that accept images with values up to 255, or images of different shapes that broadcast."""
     image = np.zeros((20, 20, 3))
     with pytest.raises(ValueError, match="floating-point"):
         psnr(image.astype(np.uint8), image.astype(np.uint8))
@@ -82,7 +84,7 @@ def test_invalid_images_are_refused() -> None:
 
 
 def test_mask_box_extends_its_margin_within_the_image() -> None:
-    """Catches a missing last row, swapped axes, and boxes beyond the border."""
+    """Catches a box that omits the last row of the mask, has swapped axes, or extends beyond the image border."""
     mask = np.zeros((50, 80), dtype=np.uint8)
     mask[20:24, 30:41] = 255
     assert mask_box(mask, margin=0) == (20, 24, 30, 41)
@@ -93,7 +95,7 @@ def test_mask_box_extends_its_margin_within_the_image() -> None:
 
 
 def test_mask_box_ignores_noise_and_empty_masks() -> None:
-    """Catches a box that a single noisy pixel enlarges."""
+    """Catches a box around a mask that a single noisy pixel enlarges."""
     mask = np.zeros((50, 80), dtype=np.uint8)
     mask[0, 0] = 127
     assert mask_box(mask) is None

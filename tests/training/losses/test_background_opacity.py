@@ -1,4 +1,4 @@
-"""The background is opaque from viewpoints between its cameras."""
+"""Loss term for an opaque background at viewpoints between the cameras."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 
 INTRINSICS = np.array([[80.0, 0, 32], [0, 80, 32], [0, 0, 1]])
-"""For images of 64 x 64 pixels."""
+"""Intrinsics of a camera with images of 64 x 64 pixels."""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,8 @@ def background(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 
 def test_viewpoints_lie_between_the_cameras(rng: np.random.Generator) -> None:
-    """Catches viewpoints that lie outside the ring of cameras or are all equal, and crops larger than the image."""
+    """Catches viewpoints that are outside the ring of cameras or all equal, and crops that are larger than the
+    image."""
     cameras = ring_cameras(8, 64)
     farthest = max(float(np.linalg.norm(camera.centre)) for camera in cameras)
     viewers = [interpolate_viewpoint(cameras[k % 8], cameras, 48, rng) for k in range(200)]
@@ -48,7 +49,7 @@ def test_viewpoints_lie_between_the_cameras(rng: np.random.Generator) -> None:
 
 
 def test_the_gradient_on_a_floor_of_many_layers_has_the_right_sign(background: StaticBackground) -> None:
-    """Catches too few layers, with which the gradient enlarges the discs and even more of them overlap."""
+    """Catches too few depth layers. The gradient would then enlarge the discs, so that even more discs overlap."""
     x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
     floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
     points = FramePoints.initial(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)
@@ -66,10 +67,10 @@ def test_the_gradient_on_a_floor_of_many_layers_has_the_right_sign(background: S
 
 
 def test_a_wall_with_holes_becomes_opaque(background: StaticBackground) -> None:
-    """Catches a term without a gradient for the radii."""
+    """Catches an opacity loss term without a gradient for the radii of points."""
     y, z = torch.meshgrid(torch.arange(-2, 2, 0.1), torch.arange(-2, 2, 0.1), indexing="ij")
     wall = torch.stack([torch.full_like(y, -1.0), y, z], -1).reshape(-1, 3)
-    # Half of the true spacing, so that initial radii are too small.
+    # The given spacing is half of the true spacing, so that the initial radii are too small.
     points = FramePoints.initial(wall, torch.full((len(wall),), 0.05), 1.0, explicit_sh=False)
     holed = StaticBackground(background.model, points, background.plates)
     viewer = ring_cameras(8, 64)[0]

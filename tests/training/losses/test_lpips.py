@@ -1,4 +1,4 @@
-"""LPIPS against a NumPy implementation, and valid and invalid weight files. All weights are random."""
+"""LPIPS compared with a NumPy implementation, and valid and invalid weight files. All weights are random."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 from fourd.errors import UserError
 from fourd.training.losses.lpips import LPIPS, expected_shapes, load_lpips
 
-# torchvision's layers as (number, input channels, output channels). None is a pooling layer.
+# The layers of torchvision's network as (number, input channels, output channels). None stands for a pooling layer.
 PUBLISHED: list[tuple[int, int, int] | None] = [
     (0, 3, 64), (2, 64, 64), None,
     (5, 64, 128), (7, 128, 128), None,
@@ -25,7 +25,8 @@ TAPS = (2, 7, 14, 21, 28)
 
 
 def published_weights(seed: int) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Random VGG-16 features and heads under the names of torchvision and of the lpips package."""
+    """Random weights of the VGG-16 features and the LPIPS heads. Their names are those of torchvision and of the lpips
+    package."""
     generator = torch.Generator().manual_seed(seed)
     features: dict[str, Tensor] = {}
     for layer in PUBLISHED:
@@ -64,7 +65,7 @@ def network(folder: Path) -> LPIPS:
 
 @pytest.fixture(autouse=True)
 def empty_caches(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Tests must not depend on weights installed on the machine."""
+    """Hide weights that are installed on the machine, so that tests do not depend on them."""
     monkeypatch.setattr("torch.hub.get_dir", lambda: str(tmp_path / "hub"))
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
 
@@ -105,7 +106,7 @@ def plain_distance(
 def test_equals_a_numpy_implementation(
     network: LPIPS, weights: tuple[dict[str, Tensor], dict[str, Tensor]], rng: np.random.Generator
 ) -> None:
-    """Catches a wrong layer, layer number, shift, scale or input range, and swapped height and width."""
+    """Catches a wrong layer, a wrong shift, scale or input range of the images, and swapped height and width."""
     image, other = (rng.random((37, 22, 3)).astype(np.float32) for _ in range(2))
     found = float(network(torch.from_numpy(image), torch.from_numpy(other)))
     assert found == pytest.approx(plain_distance(image, other, *weights), rel=1e-4)
@@ -120,7 +121,7 @@ def test_names_and_shapes_are_as_published(weights: tuple[dict[str, Tensor], dic
 
 
 def test_batches_are_compared_pair_by_pair(network: LPIPS, rng: np.random.Generator) -> None:
-    """Catches a mean over the batch, and images (H, W, 3) that are treated as (3, H, W)."""
+    """Catches an LPIPS that is averaged over the batch, and images (H, W, 3) that are read as (3, H, W)."""
     first, second = (torch.from_numpy(rng.random((2, 3, 20, 24)).astype(np.float32)) for _ in range(2))
     batched = network(first, second)
     separate = [network(a.permute(1, 2, 0), b.permute(1, 2, 0)) for a, b in zip(first, second, strict=True)]
@@ -132,7 +133,7 @@ def test_batches_are_compared_pair_by_pair(network: LPIPS, rng: np.random.Genera
 
 @pytest.mark.parametrize("size", [(1, 1), (5, 40), (15, 15)])
 def test_small_images_are_extended_by_their_border(network: LPIPS, size: tuple[int, int]) -> None:
-    """Catches a crash of a pooling layer with empty output."""
+    """Catches a crash on small images, for which a pooling layer has an empty output."""
     torch.manual_seed(0)
     image, other = torch.rand(*size, 3), torch.rand(*size, 3)
     rows, columns = (torch.arange(max(side, 16)).clamp_max(side - 1) for side in size)
@@ -141,7 +142,7 @@ def test_small_images_are_extended_by_their_border(network: LPIPS, size: tuple[i
 
 
 def test_gradients_reach_the_image_alone(network: LPIPS) -> None:
-    """Catches trainable weights, and the infinite gradient of the square root where all channels are 0."""
+    """Catches trainable weights, and an infinite gradient where all channels are 0, because of the square root."""
     dark = {name: value.clone() for name, value in network.state_dict().items()}
     for name in dark:
         if name.endswith("bias"):
@@ -170,7 +171,8 @@ def test_wrong_image_shapes_are_refused(network: LPIPS) -> None:
 def test_one_file_may_contain_the_whole_network_under_the_package_s_names(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], network: LPIPS, tmp_path: Path
 ) -> None:
-    """Catches an error for a valid file: a half-precision state dict of the lpips network with additional keys."""
+    """Catches an error for a valid file, which is a half-precision state dict of the lpips network with additional
+    keys."""
     starts = (0, 4, 9, 16, 23, 30)
     whole: dict[str, Tensor] = {"scaling_layer.shift": torch.zeros(1, 3, 1, 1)}
     for name, value in weights[0].items():
@@ -188,11 +190,12 @@ def test_one_file_may_contain_the_whole_network_under_the_package_s_names(
 def test_default_locations_are_found(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a search that finds weights only if both parts are in one location, or that imports the package."""
+    """Catches a search that finds weights only if both weight files are in one folder, or that imports the lpips
+    package."""
     assert load_lpips(None) is None
     checkpoints = tmp_path / "hub" / "checkpoints"
     checkpoints.mkdir(parents=True)
-    # torchvision's file has torch's older format, which cannot be memory-mapped.
+    # The file of torchvision has an older torch format, which cannot be memory-mapped.
     torch.save(weights[0], checkpoints / "vgg16-397923af.pth", _use_new_zipfile_serialization=False)
     assert load_lpips(None) is None
     package = tmp_path / "site" / "lpips"
@@ -209,7 +212,7 @@ def test_default_locations_are_found(
 def test_invalid_weights_are_one_line(
     weights: tuple[dict[str, Tensor], dict[str, Tensor]], folder: Path, tmp_path: Path
 ) -> None:
-    """Catches error messages that do not name the file, or have several lines."""
+    """Catches error messages for invalid weights that do not name the file, or have several lines."""
     cases: dict[str, tuple[Path, str]] = {}
     cases["missing"] = (tmp_path / "no.pth", "expected a file or folder with weights")
     (tmp_path / "empty").mkdir()
@@ -236,7 +239,7 @@ def test_invalid_weights_are_one_line(
 
 
 class Attack:
-    """Pickles into a call of os.system."""
+    """An object whose unpickling calls os.system."""
 
     def __init__(self, target: Path) -> None:
         self.target = target
@@ -249,7 +252,7 @@ class Attack:
 
 @pytest.mark.parametrize("zipped", [True, False])
 def test_a_file_that_would_execute_code_is_refused(zipped: bool, tmp_path: Path) -> None:
-    """Catches torch.load without weights_only, which would execute the code."""
+    """Catches torch.load without weights_only, which would execute code in the file."""
     torch.save(
         {"lin0.model.1.weight": Attack(tmp_path / "ran")}, tmp_path / "evil.pth", _use_new_zipfile_serialization=zipped
     )

@@ -1,4 +1,4 @@
-"""Loss terms compared with plain formulas, and the lists of terms."""
+"""Loss terms compared with plain formulas, and the lists of loss terms for different configs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def rendered(side: int = 16) -> RenderedStep:
 
 
 def test_terms_equal_their_formulas() -> None:
-    """Catches a term that compares the wrong images, or is not divided by its unit."""
+    """Catches a loss term that compares the wrong images, or is not divided by its unit."""
     step = rendered()
     assert step.matte is not None
     assert step.displacement is not None
@@ -49,27 +49,28 @@ def test_terms_equal_their_formulas() -> None:
 
 
 def test_terms_need_what_they_compare() -> None:
-    """Catches a crash for plates (which have no matte), for models without displacement, and for small images."""
+    """Catches a crash of a loss term for plates (which have no matte), for models without displacement, and for small
+    images."""
     step = replace(rendered(side=10), matte=None, displacement=None)
     terms = (ImageTerm("mse"), SimilarityTerm(1.0), MaskTerm(1.0), ResidualTerm(1.0, 0.1))
     assert list(weighted_values(terms, step)) == ["image"]
 
 
 def test_values_are_weighted() -> None:
-    """Catches a weight that is ignored or applied twice."""
+    """Catches a weight of a loss term that is ignored or applied twice."""
     step = rendered()
     values = weighted_values((MaskTerm(1.0),), step)["mask"], weighted_values((MaskTerm(0.3),), step)["mask"]
     assert float(values[1]) == pytest.approx(0.3 * float(values[0]))
 
 
 def test_weight_zero_switches_a_term_off() -> None:
-    """Catches the evaluation of terms with weight 0."""
+    """Catches loss terms with weight 0 that are computed."""
     config = TrainConfig(loss=LossConfig(stand_in=0, mask=0))
     assert [term.name for term in common_terms(config, 0.1, None, None)] == ["image", "residual"]
 
 
 def test_lpips_replaces_ssim() -> None:
-    """Catches a loss with both perceptual terms, or with neither."""
+    """Catches a loss that contains both LPIPS and SSIM, or neither of them."""
     network = LPIPS({name: torch.zeros(shape) for name, shape in expected_shapes().items()})
     with_network = [term.name for term in common_terms(TrainConfig(), 0.1, network, None)]
     without = [term.name for term in common_terms(TrainConfig(), 0.1, None, None)]

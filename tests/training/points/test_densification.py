@@ -21,7 +21,8 @@ CONFIG = DensifyConfig(share=0.1, growth=1.25)
 
 
 def sheet(side: int = 20, *, colours: bool = True) -> FramePoints:
-    """A grid of side * side points on z = 0, spaced by a centimetre. Red is proportional to x."""
+    """A grid of side * side points in the plane z = 0, with a spacing of one centimetre. The red colour is proportional
+    to x."""
     x, y = torch.meshgrid(torch.arange(side) * 0.01, torch.arange(side) * 0.01, indexing="ij")
     xyz = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3).float()
     rgb = xyz / xyz.max() if colours else None
@@ -29,16 +30,16 @@ def sheet(side: int = 20, *, colours: bool = True) -> FramePoints:
 
 
 def observe(points: FramePoints, large: torch.Tensor) -> None:
-    """Simulate a step with gradients on all points. On points selected by ``large`` (N,) bool, they are ten times as
-    large."""
+    """Simulate a training step in which all points have gradients. The gradients of the points in ``large`` (N,) bool
+    are ten times as large."""
     gradient = torch.full_like(points.xyz, 0.1)
     gradient[large] *= 10
     accumulate_gradient_magnitudes(points, torch.arange(len(large)), gradient)
 
 
 def test_new_points_lie_among_those_with_the_largest_gradients() -> None:
-    """Catches points that are added at the wrong place or off the surface, and attributes that differ from those of the
-    parents."""
+    """Catches new points at a wrong position or off the surface, and new points whose attributes do not match those of
+    their parents."""
     points = sheet()
     large = points.xyz[:, 0] > 0.175
     observe(points, large)
@@ -61,7 +62,7 @@ def test_new_points_lie_among_those_with_the_largest_gradients() -> None:
 
 
 def test_the_number_of_points_is_bounded() -> None:
-    """Catches a cloud that grows with every densification."""
+    """Catches a number of points that grows without limit with every densification."""
     points = sheet(colours=False)
     for number in range(12):
         observe(points, torch.ones(len(points.xyz), dtype=torch.bool))
@@ -70,7 +71,7 @@ def test_the_number_of_points_is_bounded() -> None:
 
 
 def test_unobserved_points_are_removed_and_permanent_ones_kept() -> None:
-    """Catches the removal of new points that no step could have observed yet, and of points outside all images."""
+    """Catches the removal of new points that no step has observed yet, and of points outside all images."""
     points = sheet(colours=False)
     visible = points.xyz[:, 1] > 0.095
     points.is_permanent[:7] = True
@@ -86,7 +87,7 @@ def test_unobserved_points_are_removed_and_permanent_ones_kept() -> None:
 
 
 def test_densification_is_reproducible(rng: np.random.Generator) -> None:
-    """Catches partners that are sampled with a generator whose state is lost when a run is resumed."""
+    """Catches new points that depend on a random generator whose state is lost when a run is resumed."""
     large = torch.from_numpy(rng.random(400) < 0.2)
     found = []
     for _ in range(2):
@@ -98,7 +99,8 @@ def test_densification_is_reproducible(rng: np.random.Generator) -> None:
 
 
 def test_the_gradient_history_is_saved(tmp_path: Path) -> None:
-    """Catches a resumed run that lost the gradient history, and an error for older files without a gradient history."""
+    """Catches a gradient history that is lost when a run is resumed, and an error for older files without a gradient
+    history."""
     points = sheet()
     observe(points, points.xyz[:, 0] > 0.1)
     named = points.tensors()
@@ -110,14 +112,14 @@ def test_the_gradient_history_is_saved(tmp_path: Path) -> None:
 
 
 def test_points_outside_all_images_are_found() -> None:
-    """Catches the removal of the shell of background points, which are outside all images."""
+    """Catches the removal of background points that are outside all images, for example the points of the shell."""
     cameras = ring_cameras(4, 64)
     xyz = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 50.0], [0.0, 0.0, -50.0]])
     assert outside_all_images(xyz, cameras).tolist() == [False, True, True]
 
 
 def test_a_run_densifies_and_saves_its_points(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches densification that is never run, and new points that are missing in checkpoints."""
+    """Catches training without densification, and new points that are missing in checkpoints."""
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, max_steps=24, densify=DensifyConfig(frame_every=2, background_every=6, until=1.0))
     run = trained_run(ball_capture, tmp_path / "run", config)

@@ -1,4 +1,4 @@
-"""Points of frames: their storage, visible points, and the silhouette constraint."""
+"""Points of frames: storage, selection of visible points, and the constraint to silhouettes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_changes_survive_eviction_from_the_cache(tmp_path: Path) -> None:
 
 
 def test_a_saved_store_is_a_snapshot(tmp_path: Path) -> None:
-    """Catches a saved folder whose points change when points are changed after saving."""
+    """Catches points in a saved folder that change when the points in memory change later."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 3, lambda frame: fresh(10, frame), 16, None)
     store.get(1).xyz[0] = 7
     store.save(tmp_path / "saved")
@@ -51,7 +51,7 @@ def test_a_saved_store_is_a_snapshot(tmp_path: Path) -> None:
 
 
 def test_saving_copies_the_newest_file_of_an_evicted_frame(tmp_path: Path) -> None:
-    """Catches a checkpoint with outdated or initial points of frames that are not in memory."""
+    """Catches a checkpoint with outdated or untrained points for frames that are not in memory."""
     store = FrameStore(Scratch(tmp_path / "scratch"), 6, lambda frame: fresh(20_000, frame), 1, None)
     for turn in (1, 2):
         for frame in range(5):
@@ -64,8 +64,8 @@ def test_saving_copies_the_newest_file_of_an_evicted_frame(tmp_path: Path) -> No
 
 
 def test_numbers_of_visible_points_are_rounded_up() -> None:
-    """Catches a visible point that is not selected, and hidden points selected instead of points with larger
-    weights."""
+    """Catches a visible point that is not selected, and a selected hidden point whose weight is less than that of an
+    unselected point."""
     weight = torch.rand(3 * COUNT_STEP + 5, generator=torch.Generator().manual_seed(1))
     rows = select_heaviest(weight, 0.5)
     assert rows.tolist() == sorted(set(rows.tolist()))
@@ -76,7 +76,7 @@ def test_numbers_of_visible_points_are_rounded_up() -> None:
 
 
 def test_points_do_not_leave_a_silhouette() -> None:
-    """Catches points that leave the object, and points that are frozen because they were already outside the matte."""
+    """Catches points that leave the object, and points that cannot move because they were already outside the matte."""
     camera = Camera(np.array([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]), np.eye(3), np.zeros(3), 20, 20)
     matte = torch.zeros(20, 20)
     matte[5:15, 5:15] = 1

@@ -1,4 +1,4 @@
-"""Scratch folders: several processes that use one run at the same time, and folders of dead processes."""
+"""Scratch folders for several processes that use one run at the same time, and for processes that have ended."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def folders(parent: Path) -> list[Path]:
 
 
 def test_two_stores_of_one_run_do_not_read_each_others_frames(tmp_path: Path) -> None:
-    """Catches a shared folder: eval would render frames that export or view wrote from another checkpoint."""
+    """Catches a scratch folder that two processes share. ``fourd eval`` would then render frames that ``fourd export``
+    wrote from another checkpoint."""
     stores = [FrameStore(Scratch(tmp_path), 5, lambda frame, run=run: points(run), 1, None) for run in (1.0, 2.0)]
     for frame in range(5):
         for run, store in enumerate(stores, 1):
@@ -46,7 +47,7 @@ def test_two_stores_of_one_run_do_not_read_each_others_frames(tmp_path: Path) ->
 
 
 def test_a_folder_goes_with_its_owner(tmp_path: Path) -> None:
-    """Catches scratch folders that fill the disk while a viewer reloads a run."""
+    """Catches scratch folders that are not removed. They would fill the disk while a viewer reloads a run."""
     parent = tmp_path / "scratch"
     first, second = Scratch(parent), Scratch(parent)
     assert len({first.folder, second.folder}) == len(folders(parent)) == 2

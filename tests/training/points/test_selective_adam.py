@@ -24,7 +24,7 @@ def torch_adam(start: torch.Tensor, given: list[torch.Tensor], rate: float) -> t
 
 
 def test_all_rows_selected_equals_torch_adam() -> None:
-    """Catches a wrong bias correction, decay or epsilon."""
+    """Catches a wrong bias correction, decay or epsilon in Adam."""
     parameters = {"xyz": torch.rand(50, 3)}
     given = gradients(50, 8)
     expected = torch_adam(parameters["xyz"], given, 0.01)
@@ -35,8 +35,7 @@ def test_all_rows_selected_equals_torch_adam() -> None:
 
 
 def test_each_row_counts_its_own_steps() -> None:
-    """Catches a bias correction with the step count of other rows, and unselected rows that are moved by old
-    momentum."""
+    """Catches a bias correction with the step count of other rows, and unselected rows that old momentum moves."""
     parameters = {"xyz": torch.rand(6, 3)}
     before = parameters["xyz"].clone()
     optimizer = SelectiveAdam.initial(parameters)
@@ -52,7 +51,7 @@ def test_each_row_counts_its_own_steps() -> None:
 
 
 def test_rates_differ_by_row() -> None:
-    """Catches the learning rate of one row applied to all rows."""
+    """Catches an optimizer that applies the learning rate of one row to all rows."""
     parameters = {"xyz": torch.zeros(2, 3)}
     optimizer = SelectiveAdam.initial(parameters)
     rates = torch.tensor([[0.1], [0.3]])
@@ -61,7 +60,7 @@ def test_rates_differ_by_row() -> None:
 
 
 def test_kept_rows_keep_their_state_and_new_rows_start_anew() -> None:
-    """Catches state that is assigned to another row when points are removed."""
+    """Catches optimizer state that is assigned to the wrong row when points are removed."""
     parameters = {"xyz": torch.rand(4, 3)}
     optimizer = SelectiveAdam.initial(parameters)
     optimizer.step(parameters, torch.tensor([1, 3]), {"xyz": gradients(2, 1)[0]}, {"xyz": 0.01})
@@ -73,7 +72,8 @@ def test_kept_rows_keep_their_state_and_new_rows_start_anew() -> None:
 
 
 def test_gradients_that_are_noise_do_not_move_colours(rng: np.random.Generator) -> None:
-    """Catches speckle caused by too small an epsilon: it turns tiny gradients of alternating sign into full steps."""
+    """Catches an epsilon that is too small. Tiny gradients of alternating sign would then cause full steps and speckled
+    colours."""
     parameters = {"rgb": torch.full((2, 3), 0.5)}
     optimizer = SelectiveAdam.initial(parameters)
     for _ in range(300):

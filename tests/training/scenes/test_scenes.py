@@ -1,4 +1,4 @@
-"""The two kinds of scenes: their targets, models and learning rates."""
+"""Object scenes and full scenes: their target images, models and learning rates."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def full_scene(capture: Path, folder: Path, config: TrainConfig) -> FullScene:
 
 
 def test_windows_cover_the_picture() -> None:
-    """Catches windows that extend beyond the image, and corners that are contained in no window."""
+    """Catches crop windows that extend beyond the image, and image corners that no window contains."""
     camera = ring_cameras(4, 64)[0]
     positions = [(x, y) for x in (0.0, 0.5, 0.999) for y in (0.0, 0.5, 0.999)]
     windows = [place_window(camera, 32, position) for position in positions]
@@ -40,7 +40,7 @@ def test_windows_cover_the_picture() -> None:
 
 
 def test_an_object_is_its_matte_on_black(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches pixels outside the object in its target or its reference image."""
+    """Catches an object scene whose target or reference image shows pixels outside the object."""
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     scene = build_scene(SMALL, run.new_model(), run.view_store(), None)
     assert isinstance(scene, ObjectScene)
@@ -53,7 +53,7 @@ def test_an_object_is_its_matte_on_black(ball_capture: Path, tmp_path: Path) -> 
 
 
 def test_a_full_scene_renders_frames_and_plates(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a matte for plates, which have no foreground, and clouds in the wrong order."""
+    """Catches a matte for plates, which have no foreground, and a step on a plate that renders the foreground."""
     scene = full_scene(ball_capture, tmp_path, full_config(tmp_path / "shell.ply"))
     assert list(scene.models) == ["model", "background"]
     frame, plate = scene.target(SAMPLE), scene.target(PLATE)
@@ -77,7 +77,8 @@ def test_without_joint_training_frames_are_objects(ball_capture: Path, tmp_path:
 
 
 def test_rates_of_positions_scale_with_scene_and_spacing(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a background trained with the learning rate of the foreground, although its points are farther apart."""
+    """Catches background points that are trained with the learning rate of the foreground, although they are farther
+    apart."""
     config = full_config(tmp_path / "shell.ply")
     scene = full_scene(ball_capture, tmp_path, config)
     plate = scene.target(PLATE)
