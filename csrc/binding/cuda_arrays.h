@@ -1,4 +1,5 @@
-// Types that the bindings of CUDA kernels share. They are compiled both for the GPU and for the emulation on the CPU.
+// Types that the bindings of CUDA kernels share. The types are compiled both for the GPU and for the emulation of a GPU
+// on the CPU.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -6,7 +6,7 @@ namespace nb = nanobind;
 namespace fourd::cuda {
 
 void bind_module(nb::module_& module) {
-    nb::set_leak_warnings(false);  // estimators stay allocated until the process ends
+    nb::set_leak_warnings(false);  // Entry estimators stay allocated until the process ends.
     nb::class_<device::EntryEstimator>(module, "EntryEstimator",
                                        "Predicts how many entries a picture needs from earlier pictures.")
         .def(nb::init<>());

@@ -12,7 +12,7 @@ namespace cuda {
 
 void bind_kernels(nanobind::module_& module);
 
-// Binds the kernels and the types that they share.
+// Binds all CUDA kernels and the types that these kernels share.
 void bind_module(nanobind::module_& module);
 
 }  // namespace cuda

@@ -1,6 +1,6 @@
-// Computes, with a small MLP, the logits for blending source views: range * tanh((out . relu(point + weight * sample) +
-// bias) / range). The kernel never stores the hidden layer of all views and points. Callers check shapes, and arrays
-// are dense.
+// Computes, with a small MLP, the logits for blending source views. The formula of a logit is range * tanh((out .
+// relu(point + weight * sample) + bias) / range). The kernel never stores the hidden layer for all views and points at
+// once. Callers check shapes, and arrays are dense.
 #pragma once
 
 #include <cstddef>
@@ -13,35 +13,35 @@ constexpr int kMaxHidden = 256;
 constexpr int kMaxChannels = 64;
 
 struct Mlp {
-    const float* weight;  // (channels, hidden): weights of the hidden layer for the samples
-    const float* out;     // (hidden,)
+    const float* weight;  // (channels, hidden): weights from the samples to the hidden layer.
+    const float* out;     // (hidden,): weights from the hidden layer to the logit.
     float bias;
-    float range;   // logits are between -range and range
-    int channels;  // 1 to kMaxChannels
-    int hidden;    // 1 to kMaxHidden
+    float range;   // All logits are between -range and range.
+    int channels;  // From 1 to kMaxChannels.
+    int hidden;    // From 1 to kMaxHidden.
 };
 
 struct Inputs {
-    const float* point;    // (count, hidden): the point's contribution to the hidden layer
-    const float* samples;  // (views, channels, count)
+    const float* point;    // (count, hidden): each point's contribution to the hidden layer.
+    const float* samples;  // (views, channels, count).
     std::size_t count;
     std::size_t views;
-    int threads;  // at least 1; does not change the result
-    Simd simd;    // an instruction set that this machine supports
+    int threads;  // At least 1. The result is the same for any number of threads.
+    Simd simd;    // An instruction set that this machine supports.
 };
 
 struct Gradients {
-    float* point;  // same shape as in Inputs
+    float* point;  // The shape is that of Inputs::point.
     float* samples;
-    float* weight;  // same shape as in Mlp
+    float* weight;  // The shape is that of Mlp::weight.
     float* out;
     float* bias;  // a single number
 };
 
-// Writes the logits (views, count).
+// Writes the logits to `logits` (views, count).
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits);
 
-// logits is the output of logits(). gradient (views, count) is the gradient with respect to the logits.
+// logits is the output of the function logits(). gradient (views, count) is the gradient with respect to the logits.
 void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, const float* gradient,
                      const Gradients& out);
 

@@ -1,5 +1,5 @@
-// An uninitialised array. The kernels write every element before they read it. Clearing an array first would take as
-// long as sorting its elements.
+// An array that is not initialised. The kernels write every element of a Buffer before they read it. Setting a Buffer
+// to zero would take as long as sorting its elements.
 #pragma once
 
 #include <cstddef>
@@ -20,7 +20,7 @@ class Buffer {
         prefer_huge_pages(data_.get(), size * sizeof(T));
     }
 
-    // Grows to at least size elements. Growing discards the contents.
+    // Makes the array larger if it has fewer than `size` elements. A larger array does not keep the contents.
     void require(std::size_t size) {
         if (size > size_) *this = Buffer(size + size / 2);
     }

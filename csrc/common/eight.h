@@ -1,5 +1,6 @@
-// Vectors of eight floats for any instruction set, for loops that compilers do not vectorise by themselves. Functions
-// take and return them by pointer, because the calling convention for vectors depends on the instruction set.
+// Vectors of eight floats for any instruction set. They serve loops that compilers do not vectorise by themselves.
+// Functions take and return vectors by pointer, because the calling convention for vectors depends on the instruction
+// set.
 #pragma once
 
 #include <cstddef>
@@ -21,12 +22,14 @@ FOURD_INLINE void store(const Eight* from, float* to) { std::memcpy(to, from, si
 FOURD_INLINE void load(const float* from, float* to) { *to = *from; }
 FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 
-// The type (Eight or float) that tag points to. tag is the second argument of the body of for_eights.
+// The type (Eight or float) that a pointer `tag` points to. `tag` is the second argument of the function that
+// for_eights calls.
 template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
-// Calls body(i, tag) for i in [0, count), first in steps of 8 and then, for the last elements, in steps of 1. tag is a
-// null pointer. Its type tells the body whether to process 8 elements (Eight) or 1 element (float), starting at i.
+// Calls body(i, tag) for i in [0, count). The index i increases in steps of 8, and in steps of 1 for the last elements.
+// `tag` is a null pointer whose type tells the body how many elements to process from i on: Eight for 8 elements, float
+// for 1 element.
 template <typename Body>
 FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;

@@ -1,4 +1,4 @@
-// A 256-bit hash of memory contents. In practice, equal hashes mean equal contents. It is not a cryptographic hash.
+// A 256-bit hash of memory contents. In practice, equal hashes mean equal contents. The hash is not cryptographic.
 #pragma once
 
 #include <cstddef>
@@ -28,12 +28,12 @@ class Fingerprint {
     }
 
   private:
-    static constexpr int kLanes = 4;  // independent accumulators, which a processor updates in parallel
+    static constexpr int kLanes = 4;  // Number of accumulators. A processor can update them in parallel.
 
     void mix(const std::uint64_t* words) {
         for (int lane = 0; lane < kLanes; ++lane) {
             std::uint64_t& state = state_[lane];
-            state = (state ^ words[lane]) * 0x9e3779b97f4a7c15ull;  // odd, so that the multiplication is invertible
+            state = (state ^ words[lane]) * 0x9e3779b97f4a7c15ull;  // The factor is odd, so it has an inverse.
             state ^= state >> 29;
         }
     }

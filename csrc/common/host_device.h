@@ -2,8 +2,8 @@
 #pragma once
 
 #ifdef __CUDACC__
-#define FOURD_HD __host__ __device__  // maths that both share
-#define FOURD_DEVICE __device__       // kernels, on the GPU or emulated on the CPU
+#define FOURD_HD __host__ __device__  // For maths that CPU and GPU share.
+#define FOURD_DEVICE __device__       // For kernels on the GPU, or emulated on the CPU.
 #else
 #define FOURD_HD
 #define FOURD_DEVICE

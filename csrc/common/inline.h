@@ -1,14 +1,14 @@
 // Compiler-specific spellings of forced inlining, non-aliasing pointers, bit operations and prefetching.
 //
-// Dispatched files (common/dispatch.h) depend on forced inlining. The linker could replace a function that is not
-// inlined by a copy that is compiled for another instruction set.
+// Dispatched files (common/dispatch.h) depend on forced inlining. If a function is not inlined, the linker could
+// replace it by a copy that is compiled for another instruction set.
 #pragma once
 
 #include <cstdint>
 
 #if defined(__GNUC__)
 #define FOURD_INLINE inline __attribute__((always_inline))
-#define FOURD_INLINE_LAMBDA __attribute__((always_inline))  // goes after the parameters of a lambda
+#define FOURD_INLINE_LAMBDA __attribute__((always_inline))  // Write this after the parameters of a lambda.
 #define FOURD_RESTRICT __restrict__
 #elif defined(_MSC_VER)
 #include <intrin.h>
@@ -40,7 +40,7 @@ FOURD_INLINE void prefetch_for_write(const void* address) {
 #endif
 }
 
-// The number of bits that are set.
+// The number of bits that are 1 in `bits`.
 FOURD_INLINE int popcount(std::uint32_t bits) {
 #if defined(__GNUC__)
     return __builtin_popcount(bits);
@@ -51,7 +51,7 @@ FOURD_INLINE int popcount(std::uint32_t bits) {
 #endif
 }
 
-// The index of the lowest set bit. bits must not be 0.
+// The index of the lowest bit that is 1 in `bits`. At least one bit must be 1.
 FOURD_INLINE int lowest_bit(std::uint64_t bits) {
 #if defined(__GNUC__)
     return __builtin_ctzll(bits);

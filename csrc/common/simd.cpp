@@ -21,7 +21,7 @@ struct Registers {
     std::uint32_t eax, ebx, ecx, edx;
 };
 
-// A CPUID leaf that the processor does not have reads as zeros.
+// Returns the registers of a CPUID leaf, or zeros if the processor does not have this leaf.
 Registers cpuid(std::uint32_t leaf) {
 #if defined(_MSC_VER) && !defined(__clang__)
     int out[4] = {}, highest[4] = {};
@@ -36,7 +36,8 @@ Registers cpuid(std::uint32_t leaf) {
 #endif
 }
 
-// The mask of vector registers that the operating system saves (XCR0). The processor must support XSAVE.
+// The mask of the vector registers that the operating system saves (XCR0). This function requires a processor with
+// XSAVE.
 std::uint32_t saved_registers() {
 #if defined(_MSC_VER) && !defined(__clang__)
     return static_cast<std::uint32_t>(_xgetbv(0));
@@ -50,9 +51,9 @@ std::uint32_t saved_registers() {
 bool has_bits(std::uint32_t value, std::uint32_t bits) { return (value & bits) == bits; }
 
 Simd widest() {
-    constexpr std::uint32_t kFma = 1u << 12, kOsxsave = 1u << 27, kAvx = 1u << 28, kF16c = 1u << 29;  // leaf 1, ECX
-    constexpr std::uint32_t kAvx2 = 1u << 5, kAvx512 = 1u << 16 | 1u << 17 | 1u << 31;                // leaf 7, EBX
-    constexpr std::uint32_t kYmm = 0x6, kZmm = 0xe6;                                                  // XCR0
+    constexpr std::uint32_t kFma = 1u << 12, kOsxsave = 1u << 27, kAvx = 1u << 28, kF16c = 1u << 29;  // Leaf 1, ECX.
+    constexpr std::uint32_t kAvx2 = 1u << 5, kAvx512 = 1u << 16 | 1u << 17 | 1u << 31;                // Leaf 7, EBX.
+    constexpr std::uint32_t kYmm = 0x6, kZmm = 0xe6;                                                  // XCR0.
     if (!has_bits(cpuid(1).ecx, kFma | kOsxsave | kAvx | kF16c)) return Simd::baseline;
     const std::uint32_t features = cpuid(7).ebx, saved = saved_registers();
     if (!has_bits(features, kAvx2) || !has_bits(saved, kYmm)) return Simd::baseline;

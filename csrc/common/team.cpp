@@ -8,7 +8,7 @@ Team::Team(int threads) {
         try {
             workers_.emplace_back([this, worker] { work(worker); });
         } catch (const std::system_error&) {
-            break;  // The system allows no further threads. Fewer threads give the same results.
+            break;  // The system allows no more threads. With fewer threads, results are the same.
         }
     }
 }

@@ -1,5 +1,5 @@
-// A thread pool that lives for one kernel call. It keeps no state between calls, which makes it safe with forks,
-// exceptions and sanitizers. It does not need OpenMP.
+// A thread pool that exists for one kernel call. The pool keeps no state between calls, which makes it safe with forks,
+// exceptions and sanitizers. The pool does not need OpenMP.
 #pragma once
 
 #include <atomic>
@@ -14,7 +14,8 @@ namespace fourd {
 
 class Team {
   public:
-    // A function called as body(task, worker). Workers are numbered from 0, and each runs one task at a time.
+    // A function that the pool calls as body(task, worker). Workers are numbered from 0, and each worker runs one task
+    // at a time.
     using Body = std::function<void(int task, int worker)>;
 
     explicit Team(int threads);
@@ -24,8 +25,8 @@ class Team {
 
     int size() const { return static_cast<int>(workers_.size()) + 1; }
 
-    // Runs body for every task in [0, tasks), in any order, and returns when all are done. If body throws, run rethrows
-    // the first exception and skips tasks that have not started.
+    // Runs body for every task in [0, tasks), in any order, and returns when all tasks are done. If body throws an
+    // exception, run skips the tasks that have not started and rethrows the first exception.
     void run(int tasks, const Body& body);
 
   private:

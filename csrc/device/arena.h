@@ -10,7 +10,7 @@
 
 namespace fourd::device {
 
-// If the memory is null, the arena only counts the bytes that its arrays need.
+// A null pointer as memory makes the arena only count the bytes that its arrays need.
 class Arena {
   public:
     explicit Arena(void* memory) : memory_(static_cast<unsigned char*>(memory)) {}
@@ -29,7 +29,7 @@ class Arena {
     static constexpr std::size_t kAlign = 256;
 
 #if defined(__SANITIZE_ADDRESS__)
-    // In sanitizer builds, arrays are separated by a poisoned gap, in which every access is reported.
+    // In sanitizer builds, a poisoned gap separates the arrays, and the sanitizer reports every access to the gap.
     static constexpr std::size_t kGap = kAlign;
 
     void guard(std::size_t begin, std::size_t used) const {

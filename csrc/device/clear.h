@@ -1,4 +1,4 @@
-// Sets an array to zero, before kernels add sums to it.
+// Sets an array to zero before kernels add sums to it.
 #pragma once
 
 #include <cstddef>

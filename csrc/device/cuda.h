@@ -1,4 +1,4 @@
-// Launches kernels on a GPU, asynchronously on one stream. Compiled by nvcc only.
+// Launches kernels on a GPU, asynchronously on one stream. Only nvcc compiles this file.
 #pragma once
 
 #include <cub/device/device_radix_sort.cuh>
@@ -13,7 +13,7 @@
 
 namespace fourd::device {
 
-constexpr int kThreads = 256;  // threads per block, a multiple of the warp size
+constexpr int kThreads = 256;  // Number of threads per block. It must be a multiple of the warp size.
 constexpr std::size_t kMaxBlocks = 1 << 20;
 
 template <typename Kernel>

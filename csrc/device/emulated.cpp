@@ -101,7 +101,7 @@ class Warp {
     }
 
     const std::function<void(const Lane&)>& body_;
-    std::unique_ptr<char[]> stacks_;  // uninitialised, because most of it is never used
+    std::unique_ptr<char[]> stacks_;  // Most of this memory is never used, so it is not initialised.
     std::array<ucontext_t, kWarpSize> lanes_{};
     ucontext_t scheduler_{};
     std::array<Call, kWarpSize> calls_{};

@@ -1,5 +1,6 @@
-// Emulates a GPU in one CPU thread, for tests. Indices run in order, and warps of 32 lanes run in lockstep. A lane that
-// diverges from its warp raises an error here. On a GPU it may hang or give wrong sums.
+// Emulates a GPU in one CPU thread, for tests. The emulator calls a kernel for its indices in ascending order, and runs
+// the 32 lanes of a warp in lockstep. If a lane diverges from its warp, the emulator raises an error. On a GPU, a
+// diverging lane may hang or give wrong sums.
 #pragma once
 
 #include <cstddef>
@@ -10,8 +11,9 @@
 
 namespace fourd::device {
 
-// Runs body(lane) for each lane. A call of one of Lane's functions waits until all lanes have made the same call.
-// Throws std::logic_error if some lanes return while others wait, or if the lanes make different calls.
+// Runs body(lane) for each lane of a warp. A lane that calls a member function of Lane waits until all lanes have
+// called the same function. Throws std::logic_error if some lanes return while others wait, or if lanes call different
+// functions.
 void run_warp(const std::function<void(const Lane&)>& body);
 
 class Executor {
@@ -26,7 +28,7 @@ class Executor {
     template <typename Kernel>
     void for_each_in_warps(std::size_t count, const Kernel& kernel) const {
         for (std::size_t first = 0; first < count; first += kWarpSize) {
-            std::size_t next = first;  // the lanes start in order of their numbers
+            std::size_t next = first;  // Lanes start in the order of their numbers.
             run_warp([&](const Lane& lane) { kernel(next++, lane); });
         }
     }

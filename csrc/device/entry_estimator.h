@@ -1,4 +1,4 @@
-// Predicts the number of entries of an image from earlier images. An entry is one (point, tile) pair.
+// Predicts the number of (point, tile) entries of an image from the numbers of earlier images.
 #pragma once
 
 #include <algorithm>
@@ -7,12 +7,12 @@
 
 namespace fourd::device {
 
-// A number in host memory that the GPU can write. Throws std::runtime_error if it cannot be allocated.
+// Allocates a number in host memory that the GPU can write. Throws std::runtime_error if the allocation fails.
 std::uint64_t* allocate_mapped_counter();
 void free_mapped_counter(std::uint64_t* number);
 
-// There is one estimator per device, for the life of the process. It never waits for the GPU. A prediction uses the
-// last number that the GPU has written by then.
+// Predicts the number of entries of the next image. Each device has one estimator, which exists until the process ends.
+// An estimator never waits for the GPU: it uses the last number that the GPU has already written.
 class EntryEstimator {
   public:
     EntryEstimator() : needed_(allocate_mapped_counter()) { *needed_ = 0; }
@@ -20,8 +20,8 @@ class EntryEstimator {
     EntryEstimator(const EntryEstimator&) = delete;
     EntryEstimator& operator=(const EntryEstimator&) = delete;
 
-    // The number of entries to allocate for the next image, which has count points. It is 25% above the recent maximum.
-    // The maximum decays slowly, because near and far views of a scene may alternate.
+    // The number of entries to allocate for the next image, which has `count` points. This number is 25% above the
+    // recent maximum. The maximum decays slowly, because near and far views of a scene may alternate.
     std::size_t entries(std::size_t count) {
         const std::uint64_t needed = *static_cast<volatile std::uint64_t*>(needed_);
         recent_max_ = std::max(recent_max_ - recent_max_ / 64, needed);
@@ -35,7 +35,8 @@ class EntryEstimator {
 
   private:
     static constexpr std::uint64_t kFirstGuess = 8;
-    static constexpr std::uint64_t kStep = 1 << 16;  // rounds up, so that consecutive images can reuse the same memory
+    // The number of entries is rounded up to a multiple of kStep, so that consecutive images can reuse the same memory.
+    static constexpr std::uint64_t kStep = 1 << 16;
     static constexpr std::uint64_t kMaxEntries = 0x7fff0000;
 
     std::uint64_t* needed_;

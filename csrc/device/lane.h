@@ -1,6 +1,6 @@
-// The GPU operations that kernels may use besides plain arithmetic, which are warp votes, warp sums and atomics. A
-// kernel is a function object that is called once per index. The same source runs on a GPU (device/cuda.h) and, for
-// tests, on the CPU (device/emulated.h).
+// The GPU operations that kernels may use besides plain arithmetic: warp votes, warp sums and atomics. A kernel is a
+// function object that is called once per index. The same source code of a kernel runs on a GPU (device/cuda.h) and,
+// for tests, on the CPU (device/emulated.h).
 #pragma once
 
 #include <cstdint>
@@ -13,14 +13,15 @@ constexpr int kWarpSize = 32;  // threads in lockstep
 
 #ifdef __CUDACC__
 
-// One thread of a warp. All threads of a warp must make the same calls, so they must leave loops and return together.
+// One thread of a warp. All threads of a warp must call the same functions of Lane, so they must leave loops and return
+// together.
 class Lane {
   public:
     FOURD_DEVICE bool any(bool value) const { return __any_sync(kAll, value) != 0; }
 
     FOURD_DEVICE bool is_first() const { return threadIdx.x % kWarpSize == 0; }
 
-    // The sum over the warp, returned to every thread.
+    // Adds the values of all threads of the warp, and returns the sum to every thread.
     FOURD_DEVICE float sum(float value) const {
         for (int step = kWarpSize / 2; step > 0; step /= 2) value += __shfl_xor_sync(kAll, value, step);
         return value;
@@ -40,7 +41,7 @@ class Lane {
 
 #else
 
-// The lanes of an emulated warp synchronise at every call (emulated.h).
+// The lanes of an emulated warp synchronise at every call of a Lane function (emulated.h).
 class Warp;
 
 class Lane {
@@ -59,7 +60,8 @@ class Lane {
 
 #endif
 
-// Atomics. The order of additions is not fixed, so the last bits of float sums can differ between program runs.
+// Atomic operations. The order of atomic additions is not fixed, so the last bits of float sums can differ between
+// program runs.
 FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicAdd(target, value);
@@ -68,7 +70,8 @@ FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #endif
 }
 
-// target and value must not be negative. Their bits then have the same order as their values.
+// target and value must not be negative. For floats of this kind, a comparison of the bits gives the same result as a
+// comparison of the values.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicMax(reinterpret_cast<unsigned*>(target), __float_as_uint(value));

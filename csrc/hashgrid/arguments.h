@@ -1,5 +1,5 @@
 // Checks and converts the arguments of the hash grid, for the CPU and a GPU. fourd/ops/hashgrid/op.py checks values.
-// Shapes are checked here, because a kernel would read past an array with a wrong shape.
+// This file checks shapes, because a kernel would read past the end of an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -27,7 +27,7 @@ struct HashGridArguments {
     std::vector<hashgrid::Level> levels;
     hashgrid::Query query;
 
-    // resolutions is the number of cells per side of each level.
+    // resolutions[l] is the number of cells per side of level l.
     HashGridArguments(const Points<const float>& coordinates, const Rows<const float>& table_,
                       const std::vector<int>& resolutions, int log2_entries, int threads, Simd simd)
         : table(table_) {
@@ -50,7 +50,7 @@ struct HashGridArguments {
 
     std::size_t features() const { return table.shape(1); }
 
-    // rows is (points, levels x features).
+    // Checks that the array `rows` has the shape (points, levels x features).
     template <typename Array>
     void require_rows(const Array& rows, const char* message) const {
         require(rows.shape(0) == query.count && rows.shape(1) == levels.size() * features(), message);

@@ -12,22 +12,22 @@ namespace fourd::hashgrid {
 constexpr int kMaxFeatures = 8;
 
 struct Query {
-    const float* table;        // (entries, features)
-    std::size_t entries;       // entries of all levels, including padding
-    const Level* levels;       // in the order of the table
-    int level_count;           // 1 to kMaxLevels
-    int features;              // 1 to kMaxFeatures
-    const float* coordinates;  // (count, 3), x, y and z; clamped to [0, 1]
+    const float* table;        // (entries, features).
+    std::size_t entries;       // Number of entries of all levels, including padding.
+    const Level* levels;       // Levels in the order of the table.
+    int level_count;           // From 1 to kMaxLevels.
+    int features;              // From 1 to kMaxFeatures.
+    const float* coordinates;  // (count, 3): x, y and z of each point, clamped to [0, 1].
     std::size_t count;
-    int threads;  // at least 1; does not change the result
-    Simd simd;    // an instruction set that this machine supports
+    int threads;  // At least 1. The result is the same for any number of threads.
+    Simd simd;    // An instruction set that this machine supports.
 };
 
-// out (count, level_count * features) is the concatenation of the levels' features.
+// Writes to `out` (count, level_count * features) the concatenated features of all levels.
 void encode(const Query& query, float* out);
 
-// gradient (count, level_count * features). Overwrites grad_table (entries, features) and grad_coordinates (count, 3).
-// Either may be null.
+// gradient (count, level_count * features) is the gradient with respect to the encoding. The function overwrites
+// grad_table (entries, features) and grad_coordinates (count, 3). Each of these two pointers may be null.
 void encode_backward(const Query& query, const float* gradient, float* grad_table, float* grad_coordinates);
 
 }  // namespace fourd::hashgrid

@@ -11,27 +11,29 @@
 namespace fourd::hashgrid {
 
 constexpr int kMaxLevels = 32;
-constexpr int kCorners = 8;  // corners of a cell; bits 0, 1 and 2 of a corner's index select the upper side in x, y, z
+// Number of corners per cell. Bits 0, 1 and 2 of the index of a corner select the upper side in x, y and z.
+constexpr int kCorners = 8;
 
-constexpr std::size_t kAlign = 16;  // each level starts at a multiple of 16 entries, which is the start of a cache line
+constexpr std::size_t kAlign = 16;  // Each level starts at a multiple of kAlign entries, the start of a cache line.
 
-// A level has (resolution + 1)^3 grid vertices on [0, 1]^3. Its entries start at index `first` of the table. Each
-// vertex has its own entry if there are enough entries. Otherwise a spatial hash assigns vertices to entries.
+// A level has (resolution + 1)^3 grid vertices on [0, 1]^3. The entries of the level start at index `first` of the
+// table. If there are enough entries, each vertex has its own entry. Otherwise a spatial hash assigns vertices to
+// entries.
 struct Level {
     std::size_t first;
-    std::uint32_t entries;    // a power of two if hashed
-    std::uint32_t stride[3];  // per axis: factor of the vertex index in entry_of
+    std::uint32_t entries;    // A power of two if the level is hashed.
+    std::uint32_t stride[3];  // For each axis, entry_of multiplies the vertex index by it.
     int resolution;
     bool hashed;
 };
 
-// The number of vertices of a level that has `resolution` cells per side.
+// The number of vertices of a level with `resolution` cells per side.
 FOURD_HD static FOURD_INLINE std::uint64_t samples_of(int resolution) {
     const std::uint64_t side = static_cast<std::uint64_t>(resolution) + 1;
     return side * side * side;
 }
 
-// The level whose entries follow the first `before` entries of the table.
+// Describes a level whose entries follow the first `before` entries of the table.
 FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, std::size_t before) {
     const std::size_t first = (before + kAlign - 1) / kAlign * kAlign;
     const std::uint32_t side = static_cast<std::uint32_t>(resolution) + 1, max_entries = 1u << log2_entries;
@@ -42,12 +44,12 @@ FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, st
     return {first, max_entries, {1u, 2654435761u, 805459861u}, resolution, true};
 }
 
-// A coordinate between two vertices. The vertex at low has weight 1 - fraction, and the next vertex has weight
-// fraction.
+// The interpolation of a coordinate between two vertices. The vertex with index `low` has weight 1 - fraction, and the
+// next vertex has weight fraction.
 struct Interpolation {
     std::uint32_t low;
     float fraction;
-    float slope;  // vertices per unit of the coordinate; 0 if the coordinate was clamped
+    float slope;  // Vertices per unit of the coordinate, or 0 if the coordinate was clamped.
 };
 
 // NaN counts as 0.
@@ -62,14 +64,15 @@ FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, 
     return {static_cast<std::uint32_t>(low), position - static_cast<float>(low), inside ? size : 0.0f};
 }
 
-// The entry of a vertex, relative to the first entry of the level. x, y and z are the vertex indices times stride.
+// The index of the entry of a vertex, relative to the first entry of the level. x, y and z are the indices of the
+// vertex, multiplied by stride.
 FOURD_HD static FOURD_INLINE std::uint32_t entry_of(const Level& level, std::uint32_t x, std::uint32_t y,
                                                     std::uint32_t z) {
     return level.hashed ? (x ^ y ^ z) & (level.entries - 1u) : x + y + z;
 }
 
-// The eight vertices around a point. Corners 2e and 2e + 1 form an edge along x. Their weights are weight[e] * (1 -
-// fraction) and weight[e] * fraction.
+// The eight vertices around a point. Corners 2e and 2e + 1 form edge e, which is parallel to x. The weights of these
+// two corners are weight[e] * (1 - fraction) and weight[e] * fraction.
 struct Cell {
     std::uint32_t entry[kCorners];
     float weight[kCorners / 2];
@@ -93,12 +96,13 @@ FOURD_HD static FOURD_INLINE Cell cell_of(const Level& level, const Interpolatio
     return out;
 }
 
-// Interpolates value (kCorners,) trilinearly, and adds the gradient with respect to the coordinates to out (3,).
+// Computes the gradient of the trilinear interpolation of value (kCorners,) with respect to the coordinates. Adds the
+// gradient to out (3,).
 FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* coordinates, const float* value,
                                              float* out) {
     const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),
                         z = interpolate_axis(level, coordinates[2]);
-    float rise[4], mean[4];  // of each edge along x: difference of its ends, interpolated value
+    float rise[4], mean[4];  // For each edge along x, the difference of its ends and the interpolated value.
     for (int edge = 0; edge < 4; ++edge) {
         rise[edge] = value[2 * edge + 1] - value[2 * edge];
         mean[edge] = value[2 * edge] + x.fraction * rise[edge];

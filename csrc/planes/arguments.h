@@ -1,5 +1,5 @@
-// Checks and converts the arguments of K-Planes, for the CPU and a GPU. fourd/ops/planes/op.py checks values. Shapes
-// are checked here, because a kernel would read past an array with a wrong shape.
+// Checks and converts the arguments of K-Planes, for the CPU and a GPU. fourd/ops/planes/op.py checks values. This file
+// checks shapes, because a kernel would read past the end of an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -24,13 +24,14 @@ struct PlaneArguments {
     using Rows = Array<const float, 2>;
     using RowsOut = Array<float, 2>;
 
-    static constexpr std::size_t kLongestSide = 1 << 24;  // float32 cannot represent larger sample indices exactly
+    static constexpr std::size_t kLongestSide = 1 << 24;  // Up to this size, float32 represents indices exactly.
 
     const std::vector<Values>& values;
     std::vector<planes::Plane> planes;
     planes::Query query;
 
-    // axes holds two coordinates per plane, the first along its columns and the second along its rows.
+    // `axes` has two coordinate indices per plane: the coordinate along the columns of the plane, then the coordinate
+    // along its rows.
     PlaneArguments(const Coordinates& coordinates, const std::vector<Values>& values_, const std::vector<int>& axes,
                    int threads, Simd simd)
         : values(values_) {
@@ -58,7 +59,7 @@ struct PlaneArguments {
 
     std::size_t features() const { return values[0].shape(2); }
 
-    // rows is (points, planes x features).
+    // Checks that the array `rows` has the shape (points, planes x features).
     template <typename Array>
     void require_rows(const Array& rows, const char* message) const {
         require(rows.shape(0) == query.count && rows.shape(1) == planes.size() * features(), message);

@@ -1,5 +1,5 @@
-// Bilinear lookup in feature planes, shared by every backend. It is equivalent to torch's grid_sample with
-// align_corners and border padding.
+// Bilinear lookup in feature planes, shared by every backend. The lookup gives the same results as grid_sample of torch
+// with align_corners=True and border padding.
 #pragma once
 
 #include <cstddef>
@@ -8,22 +8,23 @@
 
 namespace fourd::planes {
 
-// A plane over two of the four coordinates of a query. values is (rows, columns, features), with at least 2 x 2
-// samples.
+// A feature plane over two of the four coordinates of a query. `values` has the shape (rows, columns, features), with
+// at least 2 rows and 2 columns.
 struct Plane {
     const float* values;
     int columns, rows;
-    int x_axis, y_axis;  // indices (0 to 3) of the coordinates along columns and along rows
+    int x_axis, y_axis;  // Indices (0 to 3) of the coordinates along columns and along rows.
 };
 
-// A coordinate between two samples. The sample at low has weight 1 - fraction, and the next sample has weight fraction.
+// The interpolation of a coordinate between two samples. The sample with index `low` has weight 1 - fraction, and the
+// next sample has weight fraction.
 struct Interpolation {
     int low;
     float fraction;
-    float slope;  // samples per unit of the coordinate; 0 if it was clamped to the border
+    float slope;  // Samples per unit of the coordinate, or 0 if the coordinate was clamped.
 };
 
-// Locates a coordinate among size samples, which are evenly spaced on [-1, 1]. NaN counts as -1.
+// Finds the two samples around a coordinate, where `size` samples are evenly spaced on [-1, 1]. NaN counts as -1.
 FOURD_HD static inline Interpolation interpolate_axis(float coordinate, int size) {
     const float last = static_cast<float>(size - 1);
     float position = (coordinate + 1.0f) * 0.5f * last;
@@ -35,9 +36,9 @@ FOURD_HD static inline Interpolation interpolate_axis(float coordinate, int size
     return {low, position - static_cast<float>(low), inside ? 0.5f * last : 0.0f};
 }
 
-// The four samples around a position, and their weights as [row][column].
+// The four samples around a position, with weights indexed as [row][column].
 struct Corners {
-    std::size_t top, bottom;  // offsets of the left samples of both rows; the right samples follow them in memory
+    std::size_t top, bottom;  // Offsets of the left samples. Each right sample follows in memory.
     float weight[2][2];
 };
 

@@ -14,18 +14,19 @@ constexpr int kMaxFeatures = 64;
 struct Query {
     const Plane* planes;
     int plane_count;
-    int features;              // features of every plane, 1 to kMaxFeatures
-    const float* coordinates;  // (count, 4), x, y, z and t; clamped to [-1, 1]
-    std::size_t count;         // below 2^32
-    int threads;               // at least 1; does not change the result
-    Simd simd;                 // an instruction set that this machine supports
+    int features;              // Number of features of every plane, from 1 to kMaxFeatures.
+    const float* coordinates;  // (count, 4): x, y, z and t of each point, clamped to [-1, 1].
+    std::size_t count;         // Below 2^32.
+    int threads;               // At least 1. The result is the same for any number of threads.
+    Simd simd;                 // An instruction set that this machine supports.
 };
 
-// out (count, plane_count * features) is the concatenation of the planes' features.
+// Writes to `out` (count, plane_count * features) the concatenated features of all planes.
 void sample(const Query& query, float* out);
 
-// gradient (count, plane_count * features). Overwrites grad_planes, which has one array per plane with the shape of the
-// plane's values. Also overwrites grad_coordinates (count, 4) unless it is null.
+// gradient (count, plane_count * features) is the gradient with respect to the output of sample(). The function
+// overwrites grad_planes, which has one array per plane, with the shape of the values of the plane. It also overwrites
+// grad_coordinates (count, 4) unless this pointer is null.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates);
 
 }  // namespace fourd::planes

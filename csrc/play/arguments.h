@@ -27,7 +27,7 @@ struct FrameArguments : ShadeArguments<Device, Half> {
         return frame;
     }
 
-    // The frame has only positions, radii and densities.
+    // Makes a frame that has only positions, radii and densities.
     static play::Frame bare_frame(const Xyz& xyz, const Column& radius, const Column& density) {
         const std::size_t count = xyz.shape(0);
         require(count <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");

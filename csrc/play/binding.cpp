@@ -1,4 +1,5 @@
-// Python bindings that draw and depth-sort baked frames. fourd/ops/play/op.py documents the operations.
+// Python bindings for drawing baked frames and for sorting their points by depth. fourd/ops/play/op.py documents the
+// operations.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/string.h>

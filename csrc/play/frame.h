@@ -9,8 +9,8 @@ namespace fourd::play {
 
 struct Frame {
     shade::Points points;
-    const std::uint16_t* radius;   // (count,) float16, world units
-    const std::uint16_t* density;  // (count,) float16
+    const std::uint16_t* radius;   // (count,), as float16 in world units.
+    const std::uint16_t* density;  // (count,), as float16.
 };
 
 }  // namespace fourd::play

@@ -1,5 +1,5 @@
-// Draws and depth-sorts baked frames from their float16 arrays. Objects of both classes keep their memory for the next
-// image. Callers check shapes, and arrays are dense and row-major.
+// Draws baked frames and sorts their points by depth, from float16 arrays. Player and DepthSorter keep their memory for
+// the next image. Callers check shapes, and arrays are dense and row-major.
 #pragma once
 
 #include "common/buffer.h"
@@ -10,7 +10,7 @@
 
 namespace fourd::play {
 
-// The radii and densities of a frame as float32.
+// The radii and densities of the points of a frame, as float32.
 struct Sizes {
     Buffer<float> radius, density;
 
@@ -18,10 +18,11 @@ struct Sizes {
     void convert(const Frame& frame, std::size_t begin, std::size_t end);
 };
 
-// Shades and composites a frame into an image of bytes, in one call.
+// Shades and composites a frame into an 8-bit image, in one call.
 class Player {
   public:
-    // settings and shading must have the same threads and simd. canvas.rgba has the image size of the camera.
+    // `settings` and `shading` must have equal values of threads and simd. canvas.rgba has the image size of the
+    // camera.
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas);
 
@@ -36,8 +37,8 @@ class Player {
 // Sorts points by depth, for renderers that need a depth order.
 class DepthSorter {
   public:
-    // Writes the indices of the visible points to out (count,), nearest first. Points of equal depth are in index
-    // order. Returns the number of visible points. settings.layers is ignored.
+    // Writes the indices of the visible points to `out` (count,), nearest first, and returns the number of visible
+    // points. Points of equal depth are ordered by index. settings.layers is ignored.
     std::size_t sort(const Frame& frame, const points::Settings& settings, std::uint32_t* out);
 
   private:

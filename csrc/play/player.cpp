@@ -10,7 +10,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 8192;
 
-// Calls visit(begin, end) in parallel for consecutive parts of count elements.
+// Splits count elements into consecutive parts and calls visit(begin, end) for the parts in parallel.
 template <typename Visit>
 void in_runs(std::size_t count, Team& team, const Visit& visit) {
     team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
@@ -46,7 +46,7 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
              [&](int index, int) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
 }
 
-// Points are in spatial order, so invisible points form long spans, which are skipped.
+// Skips long spans of invisible points. There are such spans because the points of a frame are in spatial order.
 void Player::shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end) {
     constexpr std::size_t kStretch = 64;
     for (std::size_t first = begin; first < end; first += kStretch) {

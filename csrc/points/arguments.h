@@ -1,5 +1,5 @@
 // Checks and converts the arguments of the point renderer, for the CPU and a GPU. fourd/ops/points/validation.py checks
-// values. Shapes are checked here, because a kernel would read past an array with a wrong shape.
+// values. This file checks shapes, because a kernel would read past the end of an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -14,7 +14,8 @@
 
 namespace fourd {
 
-// camera holds 21 numbers: K and R (both row-major) and T. Throws std::invalid_argument if the size is wrong.
+// `camera` has 21 numbers: the matrices K and R, both row-major, and the vector T. Throws std::invalid_argument if the
+// number is not 21.
 inline points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                         int layers, double near_depth, double transmittance_min, int threads,
                                         const std::string& simd) {
@@ -58,7 +59,7 @@ struct PointArguments {
         return out;
     }
 
-    // The returned cloud has no features.
+    // Makes a cloud without features.
     static points::Cloud bare_cloud(const Xyz& xyz, const Column& radius, const Column& density) {
         const std::size_t count = xyz.shape(0);
         require(count <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");

@@ -16,7 +16,7 @@ namespace {
 
 using Arguments = PointArguments<nb::device::cpu>;
 
-// A thread keeps its workspace between images unless the workspace has more bytes than this.
+// A thread keeps its workspace for the next image unless the workspace has more than kKeptBytes bytes.
 constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
 
 class KeptWorkspace {

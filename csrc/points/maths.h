@@ -1,9 +1,9 @@
-// The point renderer's maths, shared by every backend. The order of operations must not change.
-// fourd/ops/points/reference.py computes the same float32 numbers in the same order, so that both find exactly the same
-// hits.
+// The maths of the point renderer, shared by every backend. The order of operations must not change.
+// fourd/ops/points/reference.py computes the same float32 numbers in the same order, so that kernel and reference find
+// exactly the same hits.
 //
-// All functions are static, because they are compiled once per instruction set. The linker must not merge a version
-// that needs AVX-512 into code for other processors.
+// All functions are static, because they are compiled once per instruction set. The linker must not use a version that
+// needs AVX-512 in code for other processors.
 #pragma once
 
 #include <cmath>
@@ -22,21 +22,21 @@ struct Pinhole {
     int height;
 };
 
-constexpr int kTile = 16;              // side of a tile in pixels
-constexpr int kBlock = 4;              // side of a block in pixels; a tile has 4 x 4 blocks
-constexpr int kLongestSide = 1 << 18;  // largest image side in pixels, because block indices have 16 bits
+constexpr int kTile = 16;              // Side of a tile in pixels.
+constexpr int kBlock = 4;              // Side of a block in pixels. A tile has 4 x 4 blocks.
+constexpr int kLongestSide = 1 << 18;  // Largest image side in pixels. Block indices have 16 bits.
 
-// A projected point: alpha(pixel) = density * (1 - |(u, v) - pixel|^2 * inverse_square).
+// A projected point. Its alpha at a pixel is density * (1 - |(u, v) - pixel|^2 * inverse_square).
 struct alignas(16) Splat {
-    float u, v;            // projected centre, pixels
-    float inverse_square;  // 1 / rho^2
-    float density;         // at most 1
-    float z;               // camera depth
-    float rho;             // projected radius, pixels
-    std::uint16_t left, right, top, bottom;  // blocks that can contain a hit, inclusive, clipped to the image
+    float u, v;            // Projected centre in pixels.
+    float inverse_square;  // 1 / rho^2.
+    float density;         // At most 1.
+    float z;               // Camera depth.
+    float rho;             // Projected radius in pixels.
+    std::uint16_t left, right, top, bottom;  // Inclusive range of blocks that may have hits.
 };
 
-// The range of tiles that a point covers. Bounds are inclusive, and the range is empty if right < left.
+// The range of tiles that a point covers. All bounds are inclusive. The range is empty if right < left.
 struct TileRange {
     std::uint16_t left, right, top, bottom;
 };
@@ -55,19 +55,21 @@ FOURD_HD static inline std::uint64_t tile_count(const TileRange& range) {
     return tiles_across(range) * static_cast<std::uint64_t>(range.bottom - range.top + 1);
 }
 
-// Sums over the pixels of a point. dx, dy, square and falloff sum the gradient with respect to alpha, times dx, dy,
-// distance^2 and falloff. z sums the gradient with respect to the camera depth of the point.
+// Sums of gradients over the pixels of a point. dx, dy, square and falloff are sums of the gradient with respect to
+// alpha, multiplied by dx, dy, distance^2 and falloff. z is the sum of the gradient with respect to the camera depth of
+// the point.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
 
-// The coordinate of a pixel's centre. float32 represents the index exactly.
+// The coordinate of the centre of a pixel. float32 represents pixel indices exactly.
 FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
 
-// Along one axis, the range of pixels whose centres are within rho of `centre`, clipped to [0, size). It is empty if
-// first > last. Clipping before rounding needs no branches, so the code vectorises.
+// The range of pixels along one axis whose centres are within rho of `centre`, clipped to [0, size). The range is empty
+// if first > last. The bounds are clipped before they are rounded. This order needs no branches, so the code
+// vectorises.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
-    // The hit test has a float32 rounding error of about 4e-7 of rho^2. The margin of 1e-6 ensures that the range
+    // The hit test has a float32 rounding error of about 4e-7 of rho^2. A margin of 1e-6 ensures that the pixel range
     // contains all hits.
     const double extent = static_cast<double>(rho) * (1.0 + 1e-6);
     double low = static_cast<double>(centre) - extent - 0.5, high = static_cast<double>(centre) + extent - 0.5;
@@ -75,12 +77,12 @@ FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* 
     low = low < size ? low : size;
     high = high < size - 1 ? high : size - 1;
     high = high > -1.0 ? high : -1.0;
-    const int from = static_cast<int>(low), to = static_cast<int>(high);  // conversion to int rounds towards 0
+    const int from = static_cast<int>(low), to = static_cast<int>(high);  // The conversion to int rounds towards 0.
     *first = from + (from < low ? 1 : 0);
     *last = to - (to > high ? 1 : 0);
 }
 
-// How a point covers a pixel. The point hits the pixel if alpha is above 0.
+// The coverage of a pixel by a point. The point hits the pixel if alpha is above 0.
 struct PixelCoverage {
     float dx, dy, square, falloff, alpha;
 };
@@ -92,15 +94,16 @@ FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x,
     return {dx, dy, square, falloff, splat.density * falloff};
 }
 
-// A projected point. If visible is false, the other members are unspecified.
+// A point after projection. If visible is false, the other members have no defined values.
 struct Projection {
     float u, v, inverse_square, density, z, rho;
     int left, right, top, bottom;
     bool visible;
 };
 
-// Projects a point. The point is culled if it is nearer than near_depth, if it is outside the image, if its radius or
-// density is 0, or if any of its numbers is not finite. The comparisons are written so that they are false for NaN.
+// Projects a point. The point is culled if it is nearer than near_depth or outside the image. It is also culled if its
+// radius or density is 0, or if any of its numbers is not finite. The comparisons are written so that they are false
+// for NaN.
 FOURD_HD static inline Projection project(const Pinhole& camera, float near_depth, const float* xyz, float radius,
                                           float density) {
     const float max_float = 3.402823466e38f;
@@ -123,7 +126,7 @@ FOURD_HD static inline Projection project(const Pinhole& camera, float near_dept
     out.right = last_column / kBlock;
     out.top = first_row / kBlock;
     out.bottom = last_row / kBlock;
-    // & instead of && avoids branches.
+    // The operator & is used instead of && to avoid branches.
     out.visible = (z >= near_depth) & (z <= max_float) & (radius > 0.0f) & (radius <= max_float) & (density > 0.0f) &
                   (density <= max_float) & (out.u >= -max_float) & (out.u <= max_float) & (out.v >= -max_float) &
                   (out.v <= max_float) & (out.inverse_square > 0.0f) & (out.inverse_square <= max_float) &

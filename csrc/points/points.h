@@ -10,39 +10,39 @@
 namespace fourd::points {
 
 struct Cloud {
-    const float* xyz;       // (count, 3)
-    const float* features;  // (count, channels)
-    const float* radius;    // (count,)
-    const float* density;   // (count,)
-    std::size_t count;      // below 2^31
-    int channels;           // 1 to 32
+    const float* xyz;       // (count, 3).
+    const float* features;  // (count, channels).
+    const float* radius;    // (count,).
+    const float* density;   // (count,).
+    std::size_t count;      // Below 2^31.
+    int channels;           // From 1 to 32.
 };
 
 struct Settings {
     Pinhole camera;
-    float near_depth;         // positive; points with a smaller camera depth are culled
-    int layers;               // K, at least 1
-    float transmittance_min;  // a pixel is complete at or below this transmittance; 0 is exact
-    int threads;              // at least 1; does not change the result
-    Simd simd;                // an instruction set that this machine supports
+    float near_depth;         // Positive. Points with a smaller camera depth are culled.
+    int layers;               // Number K of depth layers, at least 1.
+    float transmittance_min;  // A pixel is complete at or below this transmittance. The value 0 is exact.
+    int threads;              // At least 1. The result is the same for any number of threads.
+    Simd simd;                // An instruction set that this machine supports.
 };
 
 struct Image {
-    float* features;  // (height, width, channels)
-    float* alpha;     // (height, width)
-    float* depth;     // (height, width), 0 where alpha is 0
+    float* features;  // (height, width, channels).
+    float* alpha;     // (height, width).
+    float* depth;     // (height, width). Where alpha is 0, depth is 0.
 };
 
-// An image of three channels, as bytes.
+// An 8-bit image of three colour channels and alpha.
 struct Canvas {
-    std::uint8_t* rgba;   // (height, width, 4): colours over the background and alpha, rounded
-    float background[3];  // in [0, 1]
+    std::uint8_t* rgba;   // (height, width, 4): rounded colours over the background, then alpha.
+    float background[3];  // Each channel is in [0, 1].
 };
 
 struct ImageGradient {
     const float* features;
     const float* alpha;
-    const float* depth;  // may be null
+    const float* depth;  // May be null.
 };
 
 struct CloudGradient {
@@ -52,15 +52,17 @@ struct CloudGradient {
     float* density;
 };
 
-struct Workspace;  // reusable memory, defined in cpu/workspace.h
+struct Workspace;  // Reusable memory, which cpu/workspace.h defines.
 
 void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, const Image& out);
 
-// transmittance_min is ignored, because the backward pass always uses all K layers.
+// Computes the gradient of render(). settings.transmittance_min is ignored, because the backward pass always uses all K
+// depth layers.
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,
                      const CloudGradient& out);
 
-// out (count,) is the largest weight (transmittance * alpha) of each point in any pixel. cloud.features is not read.
+// Writes to `out` (count,) the largest weight (transmittance * alpha) of each point in any pixel. cloud.features is not
+// read.
 void visibility(const Cloud& cloud, const Settings& settings, Workspace& workspace, float* out);
 
 }  // namespace fourd::points

@@ -12,7 +12,7 @@
 
 namespace fourd {
 
-// The indices of the views to blend, and the centre of a camera. Both are in host memory.
+// The indices of the views to blend, and the centre of a camera. Both arrays are in host memory.
 using ChosenArray = nanobind::ndarray<const std::int32_t, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
 using CentreArray = nanobind::ndarray<const double, nanobind::shape<3>, nanobind::c_contig, nanobind::device::cpu>;
 
@@ -32,7 +32,7 @@ inline shade::Settings shade_settings(const ChosenArray& chosen, std::size_t vie
             simd_named(simd.c_str())};
 }
 
-// Half is the 16-bit integer type in which float16 values are passed.
+// The template argument Half is the 16-bit integer type of arrays of float16 values.
 template <typename Device, typename Half>
 struct ShadeArguments {
     static_assert(sizeof(Half) == sizeof(std::uint16_t));

@@ -1,4 +1,4 @@
-// The shading of a point, shared by every backend.
+// The maths of shading a point, shared by every backend.
 #pragma once
 
 #include <cmath>
@@ -8,8 +8,8 @@
 
 namespace fourd::shade {
 
-// tanh with an error of at most 4e-7. On the interval where tanh does not round to -1 or 1 in float32, it is a rational
-// function with Eigen's coefficients.
+// Approximates tanh with an error of at most 4e-7. Where tanh does not round to -1 or 1 in float32, the approximation
+// is a rational function with the coefficients of Eigen.
 FOURD_HD FOURD_INLINE float fast_tanh(float x) {
     constexpr float kLimit = 7.90531110763549805f;
     x = x < -kLimit ? -kLimit : x;
@@ -29,8 +29,8 @@ FOURD_HD FOURD_INLINE float fast_tanh(float x) {
     return x * p / q;
 }
 
-// Calls `to(k, value)` for each of the 16 real spherical harmonics up to degree 3 in the direction (dx, dy, dz). This
-// vector may have any length.
+// Calls `to(k, value)` for each of the 16 real spherical harmonics up to degree 3 in the direction (dx, dy, dz). The
+// direction vector may have any length.
 template <typename To>
 FOURD_HD FOURD_INLINE void harmonics(float dx, float dy, float dz, const To& to) {
     const float square = dx * dx + dy * dy + dz * dz;

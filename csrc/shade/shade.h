@@ -9,32 +9,33 @@
 
 namespace fourd::shade {
 
-constexpr int kTerms = 16;      // real spherical harmonics up to degree 3
-constexpr int kMaxChosen = 64;  // maximum number of source views to blend
+constexpr int kTerms = 16;      // Number of real spherical harmonics up to degree 3.
+constexpr int kMaxChosen = 64;  // Maximum number of source views to blend.
 
 struct Points {
-    const float* xyz;              // (count, 3)
-    const std::uint16_t* sh;       // (count, 3, 16) float16
-    const std::uint16_t* weights;  // (count, views) float16, not negative
-    const std::uint8_t* rgb;       // (count, views, 3)
+    const float* xyz;              // (count, 3).
+    const std::uint16_t* sh;       // (count, 3, 16), as float16.
+    const std::uint16_t* weights;  // (count, views), as float16. Weights are not negative.
+    const std::uint8_t* rgb;       // (count, views, 3).
     std::size_t count;
     std::size_t views;
 };
 
 struct Settings {
-    const std::int32_t* chosen;  // (chosen_count,) columns of the views to blend
-    int chosen_count;            // 0 to kMaxChosen
-    double centre[3];            // position of the camera in the world
-    float sh_range;              // colour += sh_base + sh_range * tanh(sh . Y(d))
+    const std::int32_t* chosen;  // (chosen_count,): indices of the views to blend.
+    int chosen_count;            // From 0 to kMaxChosen.
+    double centre[3];            // Position of the camera in world coordinates.
+    float sh_range;              // The SH colour is sh_base + sh_range * tanh(sh . Y(direction)).
     float sh_base;
-    int threads;  // at least 1; does not change the result
-    Simd simd;    // an instruction set that this machine supports
+    int threads;  // At least 1. The result is the same for any number of threads.
+    Simd simd;    // An instruction set that this machine supports.
 };
 
-// Writes the colours to out (count, 3). The bits are the same for any number of threads.
+// Writes the colours to `out` (count, 3). They have the same bits for any number of threads.
 void shade(const Points& points, const Settings& settings, float* out);
 
-// Shades points [begin, end) on the caller's thread. out is indexed by point.
+// Computes the colours of points [begin, end) on the thread of the caller. `out` is indexed by point, starting with
+// point 0.
 void shade_some(const Points& points, const Settings& settings, std::size_t begin, std::size_t end, float* out);
 
 }  // namespace fourd::shade

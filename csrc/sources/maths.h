@@ -15,9 +15,10 @@ struct Pinhole {
     float translation[3];
 };
 
-// A point projected into a view. Points behind the camera are placed far outside the image and have no gradient.
+// A point projected into a source view. A point behind the camera gets a position far outside the image and has no
+// gradient.
 struct Projection {
-    float u, v;  // pixels of the image
+    float u, v;  // Position in pixels of the image.
     float z;
     bool in_front;
 };
@@ -33,8 +34,8 @@ FOURD_HD FOURD_INLINE Projection project(const Pinhole& camera, const float* xyz
             at[2], true};
 }
 
-// Back-propagates the gradient with respect to the pixel position to the point. Leaves grad_xyz unchanged for points
-// behind the camera.
+// Back-propagates the gradient with respect to the pixel position to the point. If the point is behind the camera, the
+// function does not change grad_xyz.
 FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Projection& at, float grad_u, float grad_v,
                                             float* grad_xyz) {
     if (!at.in_front) return;
@@ -45,19 +46,19 @@ FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Project
     for (int i = 0; i < 3; ++i) grad_xyz[i] = r[i] * x + r[3 + i] * y + r[6 + i] * z;
 }
 
-// The four samples around a position in a map of height x width, row by row. As in torch's grid_sample without
-// align_corners, the centre of sample (0, 0) is half a sample from the border. A sample outside the map has weight 0.
-// Its offset is that of a sample inside, which can be read safely.
+// The four samples around a position in a map of height x width samples, row by row. As in grid_sample of torch with
+// align_corners=False, the centre of sample (0, 0) is half a sample from the border. A sample outside the map has
+// weight 0, and its offset is that of a sample inside the map, which can be read safely.
 struct Bilinear {
     std::size_t offset[4];
     float weight[4];
-    float slope_x[4];  // derivatives of the weights with respect to x, which is measured in samples
+    float slope_x[4];  // Derivatives of the weights with respect to x, in samples.
     float slope_y[4];
 };
 
 FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int height) {
-    // NaN and positions outside these bounds do not use any sample. They are moved to a position where all weights are
-    // 0.
+    // NaN and positions outside these bounds do not use any sample. Such a position is replaced by a position where all
+    // weights are 0.
     const bool inside = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
     x = inside ? x : -1.0f;
     y = inside ? y : -1.0f;
@@ -81,7 +82,7 @@ FOURD_HD FOURD_INLINE float sample(const float* map, const Bilinear& at) {
            at.weight[3] * map[at.offset[3]];
 }
 
-// A gradient with respect to a position, which is measured in samples.
+// A gradient with respect to a position. The position is measured in samples.
 struct PixelGradient {
     float u, v;
 };

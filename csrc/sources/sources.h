@@ -10,45 +10,46 @@
 
 namespace fourd::sources {
 
+// Maps of the source views. Each map covers the whole image of its view.
 struct Maps {
-    const float* images;    // (views, 3, height, width)
-    const float* mattes;    // (views, height, width) in [0, 1]
-    const float* depth;     // (views, height, width), depth of the nearest surface; null for no occlusion
-    const float* features;  // (views, feature_height, feature_width, channels), cover the whole image; may be null
+    const float* images;    // (views, 3, height, width).
+    const float* mattes;    // (views, height, width). Values are in [0, 1].
+    const float* depth;     // (views, height, width): depth of the nearest surface. Null if there is no occlusion test.
+    const float* features;  // (views, feature_height, feature_width, channels). May be null.
     int width, height;
-    int channels, feature_width, feature_height;  // 0 if there are no features
+    int channels, feature_width, feature_height;  // These are 0 if there are no features.
 };
 
 struct Query {
     Maps maps;
-    const Pinhole* cameras;  // (views,)
+    const Pinhole* cameras;  // (views,).
     int views;
-    const float* xyz;  // (count, 3)
+    const float* xyz;  // (count, 3).
     std::size_t count;
-    const float*
-        softness;  // (count,) decay length of the visibility behind a surface, in world units; unused by the gradient
-    int threads;   // at least 1; does not change the result; used on the CPU only
-    Simd simd;     // an instruction set that this machine supports; used on the CPU only
+    // (count,): decay length of the visibility behind a surface, in world units. The gradient does not use it.
+    const float* softness;
+    int threads;  // At least 1. Only the CPU uses it, and the result does not depend on it.
+    Simd simd;    // An instruction set that this machine supports. Only the CPU uses it.
 };
 
 struct Samples {
-    float* channels;    // (views, channels + 3, count): features, then red, green and blue
-    float* visibility;  // (views, count)
+    float* channels;    // (views, channels + 3, count): features, then red, green and blue.
+    float* visibility;  // (views, count).
 };
 
-// Gradients with respect to the inputs, computed from the gradient with respect to Samples::channels. The visibility is
-// treated as constant.
+// Gradients with respect to the inputs. They are computed from the gradient with respect to Samples::channels. The
+// visibility is treated as constant.
 struct Gradients {
-    float* xyz;       // (count, 3)
-    float* features;  // shaped as Maps' features; may be null
+    float* xyz;       // (count, 3).
+    float* features;  // The shape is that of Maps::features. May be null.
 };
 
-// The samples around a point in the image and in the features of a view.
+// The four samples around a projected point, in the image of a view.
 FOURD_HD FOURD_INLINE Bilinear bilinear_in_image(const Maps& maps, const Projection& at) {
     return bilinear_at(at.u - 0.5f, at.v - 0.5f, maps.width, maps.height);
 }
 
-// Number of feature samples per pixel of the image.
+// Number of feature samples per image pixel, along x.
 FOURD_HD FOURD_INLINE float feature_scale_x(const Maps& maps) {
     return static_cast<float>(maps.feature_width) / static_cast<float>(maps.width);
 }
@@ -57,6 +58,7 @@ FOURD_HD FOURD_INLINE float feature_scale_y(const Maps& maps) {
     return static_cast<float>(maps.feature_height) / static_cast<float>(maps.height);
 }
 
+// The four samples around a projected point, in the features of a view.
 FOURD_HD FOURD_INLINE Bilinear bilinear_in_features(const Maps& maps, const Projection& at) {
     return bilinear_at(at.u * feature_scale_x(maps) - 0.5f, at.v * feature_scale_y(maps) - 0.5f, maps.feature_width,
                        maps.feature_height);
@@ -68,11 +70,11 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
     return static_cast<int>(std::rint(place < last ? place : last));
 }
 
-constexpr float kMinSoftness = 1e-12f;  // replaces a softness that is smaller or NaN
+constexpr float kMinSoftness = 1e-12f;  // Replaces a softness that is smaller or NaN.
 
-// The visibility weight of a view at a point. It is the squared matte times a decay factor. The factor is 1 up to twice
-// the softness behind the surface, and decays exponentially from there. The matte is squared because pixels on the
-// silhouette contain some background.
+// The visibility weight of a view at a point: the squared matte times a decay factor. If the point is at most twice the
+// softness behind the visible surface, the factor is 1. From there the factor decays exponentially. The matte is
+// squared because pixels on the silhouette contain some background.
 FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const Projection& at, const Bilinear& image,
                                        float softness) {
     if (!(at.z > 0.0f)) return 0.0f;
@@ -87,7 +89,7 @@ FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const
 
 void sample(const Query& query, const Samples& out);
 
-// Overwrites all arrays of out.
+// Computes the gradients, and overwrites all arrays of `out`.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out);
 
 }  // namespace fourd::sources

@@ -10,7 +10,7 @@ struct HashGridInputs {
     Floats coordinates, table;
     std::vector<hashgrid::Level> levels;
     hashgrid::Query query{};
-    Floats out, to_table, to_coordinates;  // results
+    Floats out, to_table, to_coordinates;  // Results.
 
     HashGridInputs(Random& random, int count, float hostile) {
         const int features =
@@ -31,7 +31,7 @@ struct HashGridInputs {
                  features,      coordinates.data(),
                  points,        random_int(random, 1, 4),
                  Simd::baseline};
-        // Results start as NaN, so that tests find results that are not written.
+        // Results are initialised with NaN, so that tests detect results that the kernels do not write.
         out.assign(points * levels.size() * features, kNan);
         to_table.assign(random_int(random, 0, 4) ? table.size() : 0, kNan);
         to_coordinates.assign(random_int(random, 0, 2) ? coordinates.size() : 0, kNan);

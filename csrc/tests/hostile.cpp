@@ -1,5 +1,5 @@
-// Runs the kernels on small random and invalid inputs, in sanitizer builds. It checks that there are no accesses out of
-// bounds and no data races, and that results are finite for any points.
+// Runs the kernels on small random and invalid inputs, in sanitizer builds. This program checks that there are no
+// accesses out of bounds and no data races, and that results are finite for any points.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>

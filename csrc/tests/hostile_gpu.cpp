@@ -1,6 +1,6 @@
-// Runs the emulated CUDA kernels on small random and invalid inputs, in sanitizer builds. It checks that there are no
-// accesses out of bounds and no diverging lanes, and that results are finite for any points and any size of the
-// workspace.
+// Runs the emulated CUDA kernels on small random and invalid inputs, in sanitizer builds. This program checks that
+// there are no accesses out of bounds and no diverging lanes. It also checks that results are finite for any points and
+// any size of the workspace.
 #include <cstdio>
 #include <cstdlib>
 #include <vector>
@@ -23,7 +23,7 @@ using fourd::tests::random_floats;
 using fourd::tests::random_int;
 using fourd::tests::random_settings;
 
-// Memory of exactly the requested size.
+// A workspace of exactly the requested size.
 class Memory {
   public:
     Memory(std::size_t bytes, std::size_t entries) : bytes_(bytes), buffer_{bytes_.data(), entries, &needed_} {}

@@ -10,7 +10,7 @@ struct SourceInputs {
     Floats images, mattes, depth, features, xyz, softness;
     std::vector<sources::Pinhole> cameras;
     sources::Query query{};
-    Floats samples, visibility, to_xyz, to_features;  // results
+    Floats samples, visibility, to_xyz, to_features;  // Results.
 
     SourceInputs(Random& random, float hostile) {
         const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 200)),

@@ -1,7 +1,8 @@
-// Runs one kernel on synthetic points, for profilers and for counting instructions:
+// Runs one kernel on synthetic points, for profilers and for counting instructions. The program prints the milliseconds
+// per repeat. Usage:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
 // KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity, hashgrid or
-// hashgrid_backward (where LAYERS is log2 of a level's maximum number of entries). Prints the milliseconds per repeat.
+// hashgrid_backward. For the hash grid, LAYERS is the logarithm to base 2 of the maximum number of entries per level.
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -30,8 +31,7 @@ struct Size {
     fourd::Simd simd;
 };
 
-// The same figure as in fourd/benchmarks/workloads.py. It is a closed surface of evenly spaced points that covers 40%
-// of the image.
+// The figure of fourd/benchmarks/workloads.py: a closed surface of evenly spaced points that covers 40% of the image.
 struct Figure {
     Floats xyz, features, radius, density;
 
@@ -97,7 +97,7 @@ std::function<void()> play_workload(const Size& size) {
     std::mt19937 random(5);
     const auto halves = [&](std::size_t count) {
         std::vector<std::uint16_t> out(count);
-        for (auto& half : out) half = static_cast<std::uint16_t>(0x3000 + random() % 0x800);  // 0.125 to 0.5
+        for (auto& half : out) half = static_cast<std::uint16_t>(0x3000 + random() % 0x800);  // From 0.125 to 0.5.
         return out;
     };
     std::vector<std::uint16_t> radius(size.points);
@@ -153,8 +153,8 @@ std::function<void()> planes_workload(const Size& size, bool backward) {
     };
 }
 
-// Points along random lines, like samples of rays. The grid has 16 levels of 2 features, from 16 to 2048 cells per
-// side. Each level has up to 2^layers entries.
+// Hash grid lookups at points along random lines, like samples of rays. The hash grid has 16 levels of 2 features, from
+// 16 to 2048 cells per side. Each level has at most 2^layers entries.
 std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     constexpr std::size_t kPerLine = 128;
     constexpr int kLevels = 16, kFeatures = 2;
@@ -189,7 +189,7 @@ std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     };
 }
 
-// Four adjacent views, with 16 feature channels at half the resolution of the images.
+// Sampling of four adjacent source views, with 16 feature channels at half the resolution of the images.
 std::function<void()> sources_workload(const Size& size, bool backward) {
     constexpr int kViews = 4, kChannels = 16;
     const Figure figure(size.points);

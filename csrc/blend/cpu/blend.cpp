@@ -14,7 +14,7 @@ constexpr std::size_t kPointsPerTask = 64 * kRun;
 
 int task_count(const Inputs& inputs) { return static_cast<int>((inputs.count + kPointsPerTask - 1) / kPointsPerTask); }
 
-// Calls work(first, count) for each batch of a task's points.
+// Calls work(first, count) for each batch of the points of a task.
 template <typename Work>
 void for_runs(const Inputs& inputs, int task, const Work& work) {
     const std::size_t begin = task * kPointsPerTask, end = std::min(inputs.count, begin + kPointsPerTask);
@@ -23,7 +23,7 @@ void for_runs(const Inputs& inputs, int task, const Work& work) {
     }
 }
 
-// The number of floats in the partial sums of a task.
+// The number of floats that the partial sums of one task need.
 std::size_t sums_size(const Mlp& mlp) {
     return (static_cast<std::size_t>(mlp.channels) * mlp.hidden + mlp.hidden + 1) * kLanes;
 }
@@ -49,8 +49,8 @@ void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, 
                      const Gradients& out) {
     const Loops& loops = select_loops(inputs.simd);
     const std::size_t weights = static_cast<std::size_t>(mlp.channels) * mlp.hidden;
-    // Each task has its own sums, which are added in task order. The result therefore does not depend on the number of
-    // threads.
+    // Each task has its own sums. The sums of all tasks are added in the order of the tasks, so the result does not
+    // depend on the number of threads.
     std::vector<float> sums(task_count(inputs) * sums_size(mlp), 0.0f);
     Team team(inputs.threads);
     team.run(task_count(inputs), [&](int task, int) {

@@ -1,5 +1,5 @@
-// Inner loops over batches of kRun consecutive points. Each SIMD lane holds one point. The loops therefore never add
-// the lanes of a vector, and each MLP weight is broadcast to all lanes.
+// Inner loops over batches of kRun consecutive points. Each SIMD lane computes one point. The loops therefore never add
+// the lanes of a vector, and they broadcast each MLP weight to all lanes.
 #include <cmath>
 #include <cstring>
 
@@ -24,7 +24,7 @@ typedef float Vector __attribute__((vector_size(4 * kNative)));
 
 inline Vector broadcast(float x) { return x - Vector{}; }
 
-// The lanes of value where x is positive, and 0 in the other lanes.
+// Selects the lanes of value where x is positive, and 0 in the other lanes.
 inline Vector where_positive(const Vector& x, const Vector& value) { return x > 0.0f ? value : Vector{}; }
 
 #else
@@ -66,7 +66,7 @@ inline Vector where_positive(const Vector& x, const Vector& value) {
 
 #endif
 
-// One value per point of a batch. The last batch is padded with 0.
+// One value for each point of a batch. The last batch is padded with zeros.
 struct RunValues {
     Vector part[kParts];
 };
@@ -82,7 +82,7 @@ inline void load_run(const float* from, int count, RunValues* to) {
 
 inline void store_run(const RunValues& from, int count, float* to) { std::memcpy(to, &from, count * sizeof(float)); }
 
-// out[h] holds value h of every point.
+// Transposes the rows of count points. out[h] receives value h of every point.
 inline void load_transposed(const float* from, int width, int count, RunValues* out) {
     if (count < kRun) std::memset(out, 0, width * sizeof(RunValues));
     float* to = reinterpret_cast<float*>(out);
@@ -98,12 +98,12 @@ inline void store_transposed(const RunValues* from, int width, int count, float*
     }
 }
 
-// Offset of the samples of channel c in one view, starting at point first.
+// The offset of the samples of channel c in one view, for the point with index `first`.
 inline std::size_t sample_at(const Mlp& mlp, const Inputs& inputs, std::size_t view, int c, std::size_t first) {
     return (view * mlp.channels + c) * inputs.count + first;
 }
 
-// Hidden unit h of every point before the ReLU.
+// The values of hidden unit h for every point of a batch, before the ReLU.
 inline RunValues hidden_values(const Mlp& mlp, const RunValues& point, const RunValues* samples, int h) {
     RunValues sum = point;
     for (int c = 0; c < mlp.channels; ++c) {
@@ -135,7 +135,7 @@ void forward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count,
     }
 }
 
-// Adds a * b, summed over points, to kLanes partial sums.
+// Adds the products a * b of all points to kLanes partial sums.
 inline void add_products(const RunValues& a, const RunValues& b, float* sum) {
     for (int first = 0; first < kSums; ++first) {
         Vector total;

@@ -8,11 +8,11 @@
 namespace fourd::hashgrid {
 namespace {
 
-// Points per part. The encoding of a part's points stays in the L2 cache from level to level. The entries of a level
-// are reused for many points.
+// Number of points per part. The encodings of the points of one part stay in the L2 cache from level to level. The
+// table entries of a level are reused for many points.
 constexpr std::size_t kPointsPerTask = 4096;
 
-// Calls work(begin, end) for parts of the points, on every worker of the team.
+// Splits the points into parts and calls work(begin, end) for each part, on all workers of the team.
 template <typename Work>
 void for_stretches(const Query& query, Team& team, const Work& work) {
     team.run(static_cast<int>((query.count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
@@ -21,7 +21,7 @@ void for_stretches(const Query& query, Team& team, const Work& work) {
     });
 }
 
-// Zeroes a level's entries and the padding after them.
+// Sets the entries of a level, and the padding after them, to zero.
 void clear(const Query& query, int l, float* grad_table) {
     const std::size_t begin = query.levels[l].first;
     const std::size_t end = l + 1 < query.level_count ? query.levels[l + 1].first : query.entries;
@@ -43,10 +43,10 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     Team team(query.threads);
     if (grad_table != nullptr) {
         prefer_huge_pages(grad_table, query.entries * query.features * sizeof(float));
-        // One worker processes all points of a level in order, so that no locks are needed and the order of sums is
+        // One worker processes all points of a level in order. No locks are therefore needed, and the order of sums is
         // fixed.
         team.run(query.level_count, [&](int task, int) {
-            const int l = query.level_count - 1 - task;  // small levels last, to balance the load
+            const int l = query.level_count - 1 - task;  // Small levels come last, to balance the load.
             clear(query, l, grad_table);
             loops.scatter(query, l, gradient, grad_table);
         });

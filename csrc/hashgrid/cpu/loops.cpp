@@ -9,9 +9,9 @@
 namespace fourd::hashgrid::FOURD_SIMD {
 namespace {
 
-constexpr int kRun = 16;  // points per batch; the next batch is prefetched meanwhile
+constexpr int kRun = 16;  // Number of points per batch. While one batch is processed, the next batch is prefetched.
 
-// A vector of Width floats.
+// A vector of Width float values.
 template <int Width>
 struct Vector;
 template <>
@@ -32,7 +32,7 @@ constexpr int width_of(int features) { return features % 4 == 0 ? 4 : features %
 constexpr int width_of(int) { return 1; }
 #endif
 
-// The features of an entry, or their gradient.
+// The features of a table entry, or the gradient with respect to these features.
 template <int Features>
 struct Entry {
     static constexpr int kWidth = width_of(Features), kParts = Features / kWidth;
@@ -61,14 +61,14 @@ FOURD_INLINE void add(float weight, const Entry<Features>& from, Entry<Features>
     for (int part = 0; part < Entry<Features>::kParts; ++part) to->parts[part] += weight * from.parts[part];
 }
 
-// The cells of a batch of points, by corner and by edge.
+// The cells of the points of a batch. Arrays are indexed by corner or edge, then by point.
 struct Cells {
     std::uint32_t entry[kCorners][kRun];
     float weight[kCorners / 2][kRun];
     float fraction[kRun];
 };
 
-// The coordinates of a batch of points, by axis. They are 0 after the last point.
+// The coordinates of the points of a batch, indexed by axis, then by point. Places after the last point contain 0.
 struct Coordinates {
     float at[3][kRun];
 };
@@ -95,8 +95,8 @@ FOURD_INLINE void find_cells_as(const Level& level, const Coordinates& from, Cel
     }
 }
 
-// Finds the cells of count points, at most kRun. This function is not forced inline: it is most of the code, and all
-// callers can share one copy.
+// Finds the cells of `count` points. The number `count` is at most kRun. This function is not forced inline, because it
+// has most of the code and all callers can share one copy.
 void find_cells(const Level& level, const float* coordinates, int count, Cells* out) {
     Coordinates run;
     gather(coordinates, count, &run);
@@ -112,7 +112,7 @@ FOURD_INLINE std::size_t entry_of(const Cells& cells, int corner, int i) {
     return std::size_t{cells.entry[corner][i]} * Features;
 }
 
-// Prefetches the entries of point i.
+// Prefetches the eight table entries around point i.
 template <int Features, int Write>
 FOURD_INLINE void prefetch_entries(const Cells& cells, int i, const float* values) {
     for (int corner = 0; corner < kCorners; ++corner) {
@@ -124,7 +124,7 @@ FOURD_INLINE void prefetch_entries(const Cells& cells, int i, const float* value
     }
 }
 
-// The trilinear interpolation of the corners' entries.
+// Interpolates the table entries at the corners of a point's cell trilinearly.
 template <int Features>
 FOURD_INLINE void interpolate(const Cells& cells, int i, const float* values, float* out) {
     Entry<Features> lower = {}, upper = {}, entry;
@@ -139,7 +139,8 @@ FOURD_INLINE void interpolate(const Cells& cells, int i, const float* values, fl
     store(lower, out);
 }
 
-// Adds each corner's share of a point's gradient to the gradient of the corner's entry.
+// Distributes the gradient of a point to the gradients of the table entries at the corners of its cell, by the
+// interpolation weights.
 template <int Features>
 FOURD_INLINE void scatter_sample(const Cells& cells, int i, const float* gradient, float* values) {
     Entry<Features> lower, upper = {}, entry;
@@ -158,7 +159,8 @@ FOURD_INLINE int run_length(std::size_t begin, std::size_t end) {
     return end - begin < kRun ? static_cast<int>(end - begin) : kRun;
 }
 
-// Calls use(cells, i, point) for the points in [begin, end), and prefetch_entries(cells, i, point) one batch earlier.
+// Calls use(cells, i, point) for each point in [begin, end). Calls prefetch_entries(cells, i, point) for the same point
+// one batch earlier.
 template <typename Fetch, typename Use>
 FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::size_t begin, std::size_t end,
                             const Fetch& prefetch_entries, const Use& use) {
@@ -179,13 +181,13 @@ FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::s
     }
 }
 
-// The part of the arrays that belongs to one level.
+// The part of the arrays of a query that belongs to one level.
 template <int Features>
 struct LevelView {
     const Level& level;
-    std::size_t width;   // floats per row of the encoding
-    std::size_t column;  // offset of the level's first feature in a row
-    std::size_t values;  // offset of the level's entries in the table
+    std::size_t width;   // Number of floats per row of the encoding.
+    std::size_t column;  // Offset of the level's first feature in a row.
+    std::size_t values;  // Offset of the level's entries in the table.
 
     LevelView(const Query& query, int l)
         : level(query.levels[l]),
@@ -194,7 +196,7 @@ struct LevelView {
           values(query.levels[l].first * Features) {}
 };
 
-// Encodes the points from begin to end at one level.
+// Writes the features of one level into the encoding of the points in [begin, end).
 template <int Features>
 FOURD_INLINE void encode_level(const Query& query, int l, std::size_t begin, std::size_t end, float* out) {
     const LevelView<Features> at(query, l);
@@ -207,7 +209,7 @@ FOURD_INLINE void encode_level(const Query& query, int l, std::size_t begin, std
             FOURD_INLINE_LAMBDA { interpolate<Features>(cells, i, values, out + at.width * point + at.column); });
 }
 
-// Adds the contributions of all points to the gradient of one level's entries.
+// Adds the contributions of all points to the gradient of the table entries of one level.
 template <int Features>
 FOURD_INLINE void scatter_level(const Query& query, int l, const float* gradient, float* grad_table) {
     const LevelView<Features> at(query, l);
@@ -235,7 +237,7 @@ FOURD_INLINE void coordinate_gradient_level(const Query& query, int l, std::size
             FOURD_INLINE_LAMBDA { prefetch_entries<Features, 0>(cells, i, values); },
         [&](const Cells& cells, int i, std::size_t point) FOURD_INLINE_LAMBDA {
             const float* const from = gradient + at.width * point + at.column;
-            float grad_corner[kCorners];  // by corner: dot product of its entry and the point's gradient
+            float grad_corner[kCorners];  // For each corner, its entry times the point's gradient.
             for (int corner = 0; corner < kCorners; ++corner) {
                 const float* const entry = values + entry_of<Features>(cells, corner, i);
                 grad_corner[corner] = 0.0f;

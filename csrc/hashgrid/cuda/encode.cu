@@ -6,8 +6,8 @@
 namespace fourd::hashgrid::cuda {
 namespace {
 
-// Kernels over the levels and points of a query. They process one level after another, so that concurrent threads share
-// the entries of one level in the cache (sec. 4 of the paper).
+// The levels and points that a kernel processes. Kernels process one level after another. Threads that run at the same
+// time then share the table entries of one level in the cache (sec. 4 of the paper).
 struct Grid {
     Level levels[kMaxLevels];
     int level_count, features;
@@ -27,7 +27,7 @@ struct Grid {
 
 struct Location {
     const Level& level;
-    std::size_t row;  // index of the point's first feature of this level in the encoding
+    std::size_t row;  // Index in the encoding of the first feature of this level.
     const float* coordinates;
     std::size_t point;
     Cell cell;
@@ -40,7 +40,7 @@ struct Location {
                        interpolate_axis(level, coordinates[2]));
     }
 
-    // Offset of a corner's entry in the table.
+    // The offset in the table of the entry at a corner of the cell.
     FOURD_DEVICE std::size_t at(const Grid& grid, int corner) const {
         return (level.first + cell.entry[corner]) * grid.features;
     }
@@ -56,8 +56,8 @@ struct Encode {
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);
-        // The loop processes one feature at a time. An array with a run-time index would be in local memory, not in
-        // registers.
+        // This loop processes one feature at a time. If it kept all features in an array with a run-time index, the
+        // array would be in local memory, not in registers.
         for (int f = 0; f < grid.features; ++f) {
             float sum = 0.0f;
             for (int corner = 0; corner < kCorners; ++corner) {
@@ -71,13 +71,13 @@ struct Encode {
 struct EncodeBackward {
     Grid grid;
     const float* gradient;
-    float* to_table;        // may be null
-    float* to_coordinates;  // may be null
+    float* to_table;        // May be null.
+    float* to_coordinates;  // May be null.
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);
         const float* from = gradient + location.row;
-        float grad_corner[kCorners];  // by corner: dot product of its entry and the point's gradient
+        float grad_corner[kCorners];  // For each corner, the dot product of its entry and the point's gradient.
         for (int corner = 0; corner < kCorners; ++corner) {
             const std::size_t at = location.at(grid, corner);
             grad_corner[corner] = 0.0f;

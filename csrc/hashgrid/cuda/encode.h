@@ -1,5 +1,5 @@
-// The hash grid (hashgrid/hashgrid.h) on a GPU. Calls are asynchronous, as in points/cuda/render.h. Arrays are in GPU
-// memory, but query.levels is in host memory.
+// The hash grid (hashgrid/hashgrid.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are
+// in GPU memory, except query.levels, which is in host memory.
 #pragma once
 
 #include "hashgrid/hashgrid.h"
@@ -8,7 +8,7 @@ namespace fourd::hashgrid::cuda {
 
 void encode(const Query& query, float* out, void* stream);
 
-// The order of sums over points is not fixed, so the last bits can differ between calls.
+// Sums over points have no fixed order, so the last bits of the gradients can differ between calls.
 void encode_backward(const Query& query, const float* gradient, float* grad_table, float* grad_coordinates,
                      void* stream);
 

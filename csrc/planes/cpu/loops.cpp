@@ -29,8 +29,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples around point i of a batch, in those of planes [first, last) that are large. values(k) is the
-// array of plane k, or an array of the same shape.
+// Prefetches the samples around point i of a batch, in the large planes among planes [first, last). values(k) returns
+// the array of plane k, or an array of the same shape.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {
@@ -49,7 +49,8 @@ FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positio
     }
 }
 
-// Bilinear interpolation of four samples: the samples at top and at bottom, and their right neighbours.
+// Interpolates four samples bilinearly. `top` and `bottom` point to the left samples, and the right samples follow them
+// in memory.
 template <int Features>
 FOURD_INLINE void interpolate(const Corners& c, const float* top, const float* bottom, int features, float* to) {
 #if defined(FOURD_EIGHT)
@@ -92,7 +93,7 @@ FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int fe
     }
 }
 
-// For each feature, adds the gradient with respect to the position to along_x and along_y.
+// Adds the gradient with respect to the position, separately for each feature, to along_x and along_y.
 template <int Features>
 FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, const float* gradient, const float* top,
                              const float* bottom, int features, float* along_x, float* along_y) {
@@ -120,7 +121,8 @@ FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, con
     }
 }
 
-// Features is the number of features if it is known at compile time. 0 stands for the number of features of the query.
+// The template argument Features is the number of features if it is known at compile time. Otherwise Features is 0, and
+// the query has the number of features.
 template <int Features>
 FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions,
                              float* out) {
@@ -154,7 +156,7 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
         if (i + kPrefetchDistance < count)
             prefetch_samples(plan, positions, i + kPrefetchDistance, 0, query.plane_count, values);
         const float* from = gradient + width * plan.order[begin + i];
-        float total[4][Features > 0 ? Features : kMaxFeatures] = {};  // indexed by coordinate and feature
+        float total[4][Features > 0 ? Features : kMaxFeatures] = {};  // Indexed by coordinate, then by feature.
         for (int k = 0; k < query.plane_count; ++k, from += features) {
             const Plane& plane = query.planes[k];
             const Interpolation x = positions.at(plan.x_axis[k], i), y = positions.at(plan.y_axis[k], i);
@@ -171,8 +173,8 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
     }
 }
 
-// Adds the batch's contribution to the gradients of planes [first, last), which are in out. The arrays of out have the
-// shapes of the planes' values.
+// Adds the contribution of a batch to the gradients of planes [first, last). out[k] is the gradient of plane k and has
+// the shape of the values of the plane.
 template <int Features>
 FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions, int first,
                               int last, const float* gradient, float* const* out) {

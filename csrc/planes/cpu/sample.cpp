@@ -12,18 +12,18 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 16 * kRun;
 constexpr std::size_t kCachedBytes = 1 << 20;
-constexpr int kCellBits = 5;  // cells of the spatial order cover 16 x 16 samples of a 512 x 512 plane
+constexpr int kCellBits = 5;  // On a plane of 512 x 512 samples, a cell covers 16 x 16 samples.
 
 std::size_t bytes_of(const Query& query, int k) {
     return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features * sizeof(float);
 }
 
-// The cell of the coordinate on a grid of 2^kCellBits cells over [-1, 1].
+// The index of the cell that contains a coordinate, in a grid of 2^kCellBits cells over [-1, 1].
 std::uint32_t cell_of(float coordinate) {
     return static_cast<std::uint32_t>(interpolate_axis(coordinate, (1 << kCellBits) + 1).low);
 }
 
-// The points sorted by their spatial cell, then by index.
+// The indices of the points, sorted by spatial cell. Points of the same cell are sorted by index.
 Buffer<std::uint32_t> order_by_cell(const Query& query) {
     constexpr std::size_t kCells = std::size_t{1} << (3 * kCellBits);
     Buffer<std::uint32_t> cells(query.count), order(query.count);
@@ -38,7 +38,7 @@ Buffer<std::uint32_t> order_by_cell(const Query& query) {
     return order;
 }
 
-// Owns the arrays of a Plan and, for each worker, the memory of one batch.
+// Owns the arrays of a Plan and, for each worker, the memory for one batch.
 class QueryPlan {
   public:
     QueryPlan(const Query& query, int workers) : order_(order_by_cell(query)) {
@@ -83,13 +83,13 @@ class QueryPlan {
     Plan plan_{};
 };
 
-// Calls work(begin, count) for batches of the points in [begin, end).
+// Splits the points in [begin, end) into batches and calls work(begin, count) for each batch.
 template <typename Work>
 void for_runs(std::size_t begin, std::size_t end, const Work& work) {
     for (; begin < end; begin += kRun) work(begin, static_cast<int>(std::min<std::size_t>(kRun, end - begin)));
 }
 
-// Calls work(begin, count, worker) for batches of all points, on all workers of the team.
+// Splits all points into batches and calls work(begin, count, worker) for each batch, on all workers of the team.
 template <typename Work>
 void for_all_runs(const Query& query, Team& team, const Work& work) {
     team.run(static_cast<int>((query.count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int worker) {
@@ -115,8 +115,9 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     QueryPlan planned(query, team.size());
-    // One worker processes all points of a plane in order, so that no locks are needed and the order of sums is fixed.
-    // A worker processes its planes together, because their parts of `gradient` share cache lines.
+    // One worker processes all points of a plane in order. No locks are therefore needed, and the order of sums is
+    // fixed. Each worker processes its planes together, because the gradients of these planes share cache lines of
+    // `gradient`.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

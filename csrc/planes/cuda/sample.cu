@@ -6,7 +6,7 @@
 namespace fourd::planes::cuda {
 namespace {
 
-// Kernels over the points and planes of a query. Consecutive threads process the planes of one point, so that adjacent
+// The planes and points that a kernel processes. Consecutive threads process the planes of one point, so that adjacent
 // threads write adjacent memory.
 struct PlaneTable {
     Plane planes[kMaxPlanes];

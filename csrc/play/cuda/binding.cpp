@@ -18,7 +18,7 @@ namespace nb = nanobind;
 namespace fourd::cuda {
 namespace {
 
-// torch passes float16 values as int16.
+// torch passes float16 arrays as int16.
 using Arguments = FrameArguments<Where, std::int16_t>;
 using Picture = Array<std::uint8_t, nb::shape<-1, -1, 4>>;
 using ColourOut = Array<float, nb::shape<-1, 3>>;

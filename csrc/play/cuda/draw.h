@@ -1,5 +1,5 @@
-// Draws a baked frame on a GPU, from float16 arrays to bytes. Calls are asynchronous, as in points/cuda/render.h.
-// Pointers point to GPU memory.
+// Draws a baked frame on a GPU, from float16 arrays to an 8-bit image. Functions are asynchronous, as in
+// points/cuda/render.h. Pointers point to GPU memory.
 #pragma once
 
 #include "play/frame.h"
@@ -9,11 +9,11 @@ namespace fourd::play::cuda {
 
 std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_t entries);
 
-// shading.chosen is in host memory.
+// Draws a frame. The array shading.chosen is in host memory.
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
           const points::cuda::EntryBuffer& buffer, const points::Canvas& canvas, void* stream);
 
-// Computes only the colours (count, 3).
+// Computes only the colours of the points, with the shape (count, 3).
 void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream);
 
 }  // namespace fourd::play::cuda

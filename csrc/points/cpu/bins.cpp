@@ -16,7 +16,7 @@ struct KeyRange {
     }
 };
 
-// Calls visit(tile) for each tile in a tile range.
+// Calls visit(tile) for each tile of a tile range.
 template <typename Visit>
 void for_each_tile(const TileRange& range, int columns, Visit visit) {
     for (int row = range.top; row <= range.bottom; ++row) {
@@ -34,7 +34,7 @@ std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
     return runs;
 }
 
-// Projects all points. Each returned span holds only the items of visible points.
+// Projects all points and returns spans of items. The spans contain only the items of visible points.
 std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& settings, Team& team) {
     const Loops& loops = select_loops(settings.simd);
     std::vector<Run> runs = split(cloud.count, team.size());
@@ -48,7 +48,8 @@ std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& set
     return runs;
 }
 
-// One stable pass of the radix sort, from items_ to spare_. The digit is the bits of (key - low) that start at shift.
+// Runs one stable pass of the radix sort, from items_ to spare_. The digit of an item consists of the bits of (key -
+// low) that start at bit `shift`.
 void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team) {
     const Item* const from = items_.data();
     Item* const to = spare_.data();
@@ -77,7 +78,7 @@ void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift
     std::swap(items_, spare_);
 }
 
-// Sorts the spans of items_ stably by key, and makes them contiguous.
+// Sorts the items of all spans stably by key. The sorted items are contiguous.
 void Bins::sort(std::vector<Run> runs, Team& team) {
     std::vector<KeyRange> ranges(runs.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
@@ -90,7 +91,7 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
     const std::uint32_t low = all.low, high = all.high;
     int bits = 0;
     while (visible_ > 0 && bits < 32 && ((high - low) >> bits) != 0) ++bits;
-    constexpr int kMaxBits = 12;  // a histogram of 4096 counters stays in the L1 cache
+    constexpr int kMaxBits = 12;  // With 12 bits, a histogram has 4096 counters and stays in the L1 cache.
     const int passes = std::max(1, (bits + kMaxBits - 1) / kMaxBits);
     const int digit = std::max(1, (bits + passes - 1) / passes);
     for (int pass = 0; pass < passes; ++pass) {
@@ -99,7 +100,7 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// Counts the entries of each part by tile, and copies the tile ranges in the order of ranks.
+// Counts, for each part, the entries of every tile. Also copies the tile ranges into the order of ranks.
 std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());
@@ -116,7 +117,8 @@ std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team&
     return counts;
 }
 
-// Each part writes its entries after the entries of the previous parts. places holds the counts from count_entries.
+// Writes the entries of all tiles. In each tile, a part writes its entries after those of the previous parts. The
+// argument `places` has the counts from count_entries.
 void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
     std::size_t total = 0;

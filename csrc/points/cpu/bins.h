@@ -1,4 +1,5 @@
-// Projects points, sorts them by depth and bins them into tiles of 16 x 16 pixels. An entry is one (point, tile) pair.
+// Projects points, sorts them by depth and bins them into tiles of 16 x 16 pixels. A tile has one entry for each point
+// that covers the tile.
 #pragma once
 
 #include <cstdint>
@@ -11,30 +12,31 @@
 
 namespace fourd::points {
 
-// The rank of a visible point is its position in depth order. The nearest point has rank 0, and points of equal depth
-// are ranked by index. The buffers are kept between images and may be larger than their contents.
+// The points of an image, sorted by depth and binned into tiles. The rank of a visible point is its position in depth
+// order. The nearest point has rank 0, and points of equal depth are ranked by index. Buffers are kept between images
+// and may be larger than their contents.
 class Bins {
   public:
-    // Projects, sorts and bins; replaces the previous contents.
+    // Projects, sorts and bins the points of a cloud, and replaces the previous contents.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // Projects and sorts only, which fills order().
+    // Projects and sorts the points, without binning them. order() then returns the sorted items.
     void sort_points(const Cloud& cloud, const Settings& settings, Team& team);
-    const Item* order() const { return items_.data(); }  // indexed by rank
+    const Item* order() const { return items_.data(); }  // Indexed by rank.
 
-    int columns() const { return columns_; }  // number of tiles per row
+    int columns() const { return columns_; }  // Number of tiles per row.
     int tiles() const { return columns_ * rows_; }
-    std::size_t visible() const { return visible_; }        // number of visible points
-    const Splat* splats() const { return splats_.data(); }  // indexed by point; valid only for visible points
+    std::size_t visible() const { return visible_; }        // Number of visible points.
+    const Splat* splats() const { return splats_.data(); }  // Indexed by point. Only visible points have a valid splat.
     const TileRange& tile_range(std::size_t point) const { return tile_ranges_[point]; }
-    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,) offsets into entries
-    const std::uint32_t* entries() const { return entries_.data(); }      // each tile's points, in the order of ranks
+    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,): offsets into entries.
+    const std::uint32_t* entries() const { return entries_.data(); }      // Points of each tile, in the order of ranks.
 
-    std::size_t bytes() const;  // of the memory that is kept
+    std::size_t bytes() const;  // Size of the memory that is kept between images.
 
   private:
-    // A span of consecutive items. In each pass, one thread processes the span. Spans are merged in order, so that the
-    // result does not depend on the number of spans.
+    // A span of consecutive items, which one thread processes in each pass. Spans are merged in order, so the result
+    // does not depend on the number of spans.
     struct Run {
         std::size_t begin, end;
     };
@@ -49,7 +51,7 @@ class Bins {
     int columns_ = 0, rows_ = 0;
     std::size_t visible_ = 0;
     Buffer<Splat> splats_;
-    Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // by point, by rank
+    Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // Indexed by point, and by rank.
     Buffer<Item> items_, spare_;
     Buffer<std::uint32_t> entries_;
     Buffer<std::size_t> tile_begin_;

@@ -1,5 +1,6 @@
-// 16 floats, one per pixel of a 4 x 4 block, in vectors of the instruction set that this file is compiled for.
-// tiles.cpp includes this file inside its namespace. All instruction sets add in the same order and give the same bits.
+// The type Lanes: 16 floats, one per pixel of a 4 x 4 block. Their vector type depends on the instruction set that this
+// file is compiled for. tiles.cpp includes this file inside its namespace. Additions have the same order for all
+// instruction sets, so results have the same bits.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 
@@ -22,8 +23,8 @@ inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & 
 inline bool any(Mask a) { return a.bits != 0; }
 inline Lanes select(Mask m, Lanes a, Lanes b) { return {_mm512_mask_blend_ps(m.bits, b.value, a.value)}; }
 inline Lanes keep(Mask m, Lanes a) { return {_mm512_maskz_mov_ps(m.bits, a.value)}; }
-// Packs four Lanes into one 32-bit word per lane. Values from 0 to 255.99 are truncated to bytes, and the first Lanes
-// gives the lowest byte.
+// Packs four Lanes into one 32-bit word per pixel. Values from 0 to 255.99 are truncated to bytes. The first Lanes
+// becomes the lowest byte of each word.
 inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     __m512i packed = _mm512_cvttps_epi32(bytes[0].value);
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[1].value), 8));
@@ -31,7 +32,7 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[3].value), 24));
     _mm512_storeu_si512(to, packed);
 }
-// Adds lane i + 8 to lane i, and then lane i + 4 to lane i.
+// Adds lane i + 8 to lane i, then lane i + 4 to lane i, and returns lanes 0 to 3.
 #define FOURD_SUM_OF_QUARTERS
 inline __m128 sum_of_quarters(Lanes a) {
     const __m256 half = _mm256_add_ps(_mm512_castps512_ps256(a.value), _mm512_extractf32x8_ps(a.value, 1));
@@ -208,7 +209,7 @@ inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
 
 #endif
 
-// The sum of all lanes. It adds lanes i and i + 8, then i and i + 4, then i and i + 2, then i and i + 1.
+// The sum of all lanes. The function adds lanes i and i + 8, then i and i + 4, then i and i + 2, then i and i + 1.
 inline float sum(Lanes a) {
     float v[16];
     store(v, a);
@@ -218,7 +219,7 @@ inline float sum(Lanes a) {
     return v[0];
 }
 
-// The sums of several Lanes, computed four at a time. The order of additions is the same.
+// Writes the sums of several Lanes, computed four at a time. Each sum has the same order of additions as in sum().
 inline void store_sums(const Lanes* from, int count, float* to) {
     int k = 0;
 #if defined(FOURD_SUM_OF_QUARTERS)
@@ -233,7 +234,7 @@ inline void store_sums(const Lanes* from, int count, float* to) {
     for (; k < count; ++k) to[k] = sum(from[k]);
 }
 
-// The maximum of all lanes.
+// The largest value of all lanes.
 inline float max_lane(Lanes a) {
     float v[16];
     store(v, a);

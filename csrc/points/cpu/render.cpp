@@ -8,7 +8,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 4096;
 
-// Calls work(begin, end) for parts of the points.
+// Splits the points into parts and calls work(begin, end) for each part.
 template <typename Work>
 void for_points(std::size_t count, Team& team, const Work& work) {
     team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
@@ -29,8 +29,8 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-// Sums the slots of a point in order and back-projects the sum. Channels is the number of channels if it is known at
-// compile time. 0 stands for cloud.channels.
+// Sums the slots of a point in order and back-projects the sum to the point. The template argument Channels is the
+// number of channels if it is known at compile time. Otherwise Channels is 0, and cloud.channels is the number.
 template <int Channels>
 void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& workspace, std::size_t point,
                      const CloudGradient& out) {

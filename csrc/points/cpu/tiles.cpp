@@ -22,7 +22,7 @@ constexpr int kMaxChannels = 32;
 struct Projections {
     static constexpr std::size_t kMax = 64;
     float u[kMax], v[kMax], inverse_square[kMax], density[kMax], z[kMax], rho[kMax];
-    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // lower 16 bits: first block; upper 16 bits: last block
+    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // First block in the lower 16 bits, last in the upper.
     std::uint32_t tiles_across[kMax], tiles_down[kMax];
     std::uint32_t visible[kMax];
 };
@@ -31,11 +31,11 @@ inline std::uint32_t pair(int first, int last) {
     return static_cast<std::uint32_t>(first) | static_cast<std::uint32_t>(last) << 16;
 }
 
-// Projects count points, starting at begin. Returns the number of visible points.
+// Projects `count` points, starting with point `begin`. Returns the number of visible points.
 inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t count,
                                   Projections& out) {
     constexpr int kBlocksPerSide = kTile / kBlock;
-    const Pinhole camera = settings.camera;  // a copy, so that the compiler knows that no write aliases it
+    const Pinhole camera = settings.camera;  // The compiler knows that no write can change this copy.
     const float near_depth = settings.near_depth;
     std::uint32_t visible = 0;
     for (std::size_t i = 0; i < count; ++i) {
@@ -60,7 +60,7 @@ inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, 
     return visible;
 }
 
-// The bits of a 32-bit value.
+// Returns the bits of a 32-bit value as an integer.
 template <typename Number>
 inline std::uint32_t word(const Number& number) {
     static_assert(sizeof number == sizeof(std::uint32_t), "one word");
@@ -69,7 +69,8 @@ inline std::uint32_t word(const Number& number) {
     return out;
 }
 
-// Interleaves the arrays into splats, word by word. The splats of invisible points are written but never read.
+// Copies the projections, word by word, from arrays into splats. The splats of invisible points are written but never
+// read.
 inline void store_splats(const Projections& some, std::size_t count, Splat* splats) {
     std::uint32_t words[8 * Projections::kMax];
     static_assert(sizeof(Splat) == 32, "eight words, in the order of Splat's members");
@@ -107,8 +108,8 @@ std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_
         if (visible == 0) continue;
         store_splats(some, here, splats + first);
         for (std::size_t i = 0; i < here; ++i) {
-            // Branch-free: the item is always written, but count advances only if the point is visible. count is at
-            // most first + i - begin.
+            // This loop has no branches. The item is always written, but `count` increases only if the point is
+            // visible. `count` never exceeds first + i - begin.
             items[count] = {word(some.z[i]), static_cast<std::uint32_t>(first + i)};
             count += some.visible[i];
         }

@@ -1,5 +1,5 @@
-// The memory that rendering an image uses. It is kept for the next image. If each image allocated new memory,
-// allocation would take a fifth of the time.
+// The memory for rendering an image. It is kept for the next image, because a new allocation for each image would take
+// a fifth of the time.
 #pragma once
 
 #include <vector>
@@ -10,38 +10,38 @@
 namespace fourd::points {
 
 struct Workspace {
-    // The memory that a worker uses for one tile.
+    // The memory of one worker for one tile.
     struct Scratch {
         Buffer<std::size_t> slots;
         Buffer<float> transmittance;
         Buffer<std::uint64_t> tags;
     };
 
-    Fingerprint source_fingerprint;  // of the inputs of the last render, if its bins are still here
+    Fingerprint source_fingerprint;  // Identifies the inputs of the last render, whose bins are in `bins`.
     Bins bins;
-    Buffer<std::size_t> slots;               // by point: its first slot
-    Buffer<float> sums;                      // indexed by slot
-    std::vector<Scratch> scratch_by_worker;  // indexed by worker
+    Buffer<std::size_t> slots;               // The first slot of each point.
+    Buffer<float> sums;                      // Indexed by slot.
+    std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
 
-    // Projects and bins the points.
+    // Projects, sorts and bins the points of a cloud.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // Calls fill unless the last render had the same inputs. A backward pass usually finds the same inputs, because the
-    // last render was its forward pass.
+    // Calls fill unless the last render had the same inputs. In a backward pass the inputs are usually the same,
+    // because the last render was the forward pass.
     void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // Gives each (point, tile) entry a slot, in which the tile writes its result for the point. Returns the number of
-    // slots. The slots of a point are adjacent and are summed in a fixed order, so the sum does not depend on which
-    // thread filled them. Call fill before, with a cloud of `count` points.
+    // Assigns a slot to each (point, tile) entry, and returns the number of slots. The tile of an entry writes its
+    // result for the point into the slot. The slots of a point are adjacent and are summed in a fixed order, so the sum
+    // does not depend on which thread filled them. Before this function, call fill with a cloud of `count` points.
     std::size_t assign_slots(std::size_t count);
 
-    // Writes the slots of the entries of a tile to out.
+    // Writes to `out` the slots of all entries of a tile.
     void slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const;
 
-    // The inputs for the tile with this index. Tiles are numbered row by row. Call fill before.
+    // The inputs for rendering the tile with this index. Tiles are numbered row by row. Call fill before this function.
     Tile tile(const Cloud& cloud, const Settings& settings, int index) const;
 
-    std::size_t bytes() const;  // size of the memory that is kept
+    std::size_t bytes() const;  // Size of the memory that is kept between images.
 };
 
 }  // namespace fourd::points

@@ -10,7 +10,7 @@
 namespace fourd::points::cuda {
 
 constexpr int kTilePixels = kTile * kTile;
-constexpr std::uint32_t kCulled = 0xffffffffu;  // sort key of culled points, above the key of any depth
+constexpr std::uint32_t kCulled = 0xffffffffu;  // Sort key of culled points. It is above the key of any depth.
 
 struct Tiles {
     int columns, rows;
@@ -20,30 +20,30 @@ struct Tiles {
 
 inline Tiles make_tiles(int width, int height) { return {(width + kTile - 1) / kTile, (height + kTile - 1) / kTile}; }
 
-// The arrays of the workspace. The rank of a point is its position in depth order. Points of equal depth are ranked by
-// index, and culled points come last. An entry is one (point, tile) pair.
+// The arrays of the workspace of an image. The rank of a point is its position in depth order. Points of equal depth
+// are ranked by index, and culled points come last. An entry is one (point, tile) pair.
 struct Entries {
-    std::size_t count;     // number of points
-    std::size_t capacity;  // maximum number of entries
+    std::size_t count;     // Number of points.
+    std::size_t capacity;  // Maximum number of entries.
     Tiles tiles;
     Splat* by_point;
-    Splat* splats;               // indexed by rank
-    std::uint32_t* keys;         // sort keys: first depths by point, then tiles by entry
-    std::uint32_t* values;       // sort values: first points, then ranks by entry
-    std::uint32_t* depths;       // by rank: bits of the depth
-    std::uint32_t* points;       // indexed by rank
-    std::uint64_t* tile_counts;  // by rank: number of tiles; followed by a 0
-    std::uint64_t* begin;        // by rank: exclusive sum of tile_counts; followed by the number of entries
-    std::uint32_t* entry_tiles;  // sorted by tile
-    std::uint32_t* entry_ranks;  // rank of each entry, sorted by tile, then by rank
-    std::uint32_t* tile_begin;   // by tile: first entry; followed by the number of entries
-    std::uint32_t* visible;      // number of visible points
-    float* sums;                 // by rank: sums of gradients over pixels
+    Splat* splats;               // Indexed by rank.
+    std::uint32_t* keys;         // Sort keys: first the depths of points, then the tiles of entries.
+    std::uint32_t* values;       // Sort values: first points, then the ranks of entries.
+    std::uint32_t* depths;       // Bits of the depth, indexed by rank.
+    std::uint32_t* points;       // Indexed by rank.
+    std::uint64_t* tile_counts;  // Number of tiles of each rank, followed by a 0.
+    std::uint64_t* begin;        // First entry of each rank, followed by the number of entries.
+    std::uint32_t* entry_tiles;  // Tile of each entry, in ascending order.
+    std::uint32_t* entry_ranks;  // Rank of each entry, sorted by tile, then by rank.
+    std::uint32_t* tile_begin;   // First entry of each tile, followed by the number of entries.
+    std::uint32_t* visible;      // Number of visible points.
+    float* sums;                 // Sums of gradients over pixels, indexed by rank.
     void* scratch;
     std::size_t scratch_bytes;
 };
 
-// `sums` is the number of floats that Entries::sums has per point.
+// Allocates the arrays. `sums` is the number of floats that Entries::sums has per point.
 inline Entries allocate_entries(device::Arena& arena, std::size_t count, int sums, Tiles tiles, std::size_t capacity) {
     Entries out{};
     const std::size_t sorted = count > capacity ? count : capacity;
@@ -68,7 +68,7 @@ inline Entries allocate_entries(device::Arena& arena, std::size_t count, int sum
     return out;
 }
 
-// The index of the first element of an ascending array that is not below value.
+// The index of the first element that is not below value, in an ascending array.
 template <typename T>
 FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t count, T value) {
     std::size_t first = 0;
@@ -101,8 +101,8 @@ struct ProjectPoint {
     }
 };
 
-// Called for ranks 0 to `count`, inclusive. Rank `count` is not a point. The exclusive sum at this rank is the number
-// of entries.
+// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a point: the exclusive sum at this rank
+// is the number of entries.
 struct GatherRank {
     Entries to;
 
@@ -118,16 +118,17 @@ struct GatherRank {
     }
 };
 
-// There is one thread per entry, not per point, because the number of tiles per point ranges from one to all.
+// This kernel has one thread per entry, not per point, because the number of tiles of a point ranges from one to all
+// tiles.
 struct EmitEntry {
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // not a tile; sorts after all tiles
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // Not a tile. It sorts after all tiles.
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
-            // The last rank whose first entry is at or before this entry. A rank without tiles has the same first entry
-            // as the next rank, so it is never the last.
+            // The rank of an entry is the last rank whose first entry is at or before this entry. A rank without tiles
+            // has the same first entry as the next rank, so this search never finds a rank without tiles.
             rank = static_cast<std::uint32_t>(lower_bound(to.begin, to.count + 1, std::uint64_t{entry} + 1) - 1);
             const TileRange range = tile_range_of(to.splats[rank]);
             const std::uint64_t place = entry - to.begin[rank];
@@ -158,7 +159,7 @@ inline int bit_count(std::size_t max) {
     return bits;
 }
 
-// Builds the entries of a cloud, with space for `sums` floats per point.
+// Builds the entries of a cloud, and allocates `sums` floats per point.
 inline Entries fill(const device::Executor& executor, const Cloud& cloud, const Settings& settings,
                     const EntryBuffer& buffer, int sums) {
     device::Arena arena(buffer.memory);

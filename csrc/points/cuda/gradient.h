@@ -1,12 +1,12 @@
-// The backward pass of an image: first a kernel over pixels, then a kernel over points.
+// Computes the backward pass of an image with two kernels: one over pixels, then one over points.
 #pragma once
 
 #include "points/cuda/picture.h"
 
 namespace fourd::points::cuda {
 
-// The gradient with respect to the image at one pixel, for the same formula as in points/cpu/gradient.inc. The alpha
-// term is computed separately. As a further channel, it would suffer cancellation near alpha = 1.
+// The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula. The
+// term for alpha is computed separately: as a further channel, it would suffer cancellation where alpha is close to 1.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];
@@ -21,12 +21,13 @@ struct Upstream {
     }
 };
 
-// A thread composites its pixel front to back and records the layers. It then processes the layers back to front. On
-// the way back, the threads of a warp stay together: they stop at every entry that at least one of them recorded.
+// A thread composites its pixel front to back and records the layers. Then the thread processes these layers back to
+// front. On the way back, the threads of a warp stay together: they stop at every entry that at least one of them
+// recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
-    View view;              // layers is at most kLayers
-    const float* features;  // indexed by point
+    View view;              // The value of view.layers is at most kLayers.
+    const float* features;  // Indexed by point.
     int channels;
     ImageGradient gradient;
 
@@ -37,7 +38,7 @@ struct GradientPixel {
         float transmittances[kLayers];
         int count = 0;
         DepthSum depth;
-        // A pixel continues here even at a transmittance of exactly 0, because the gradient of a point with alpha 1
+        // The traversal continues even at a transmittance of exactly 0, because the gradient of a point with alpha 1
         // depends on the points behind it.
         const float transmittance = traverse(view.entries, list, pixel, view.layers, -1.0f, lane,
                                              [&](std::size_t position, std::size_t, const Splat& splat,
@@ -51,14 +52,14 @@ struct GradientPixel {
         const Upstream<kCapacity> upstream(gradient, pixel, channels);
         const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
         const float mean_behind = seen ? depth.mean_behind() : 0.0f;
-        float behind = 0.0f;                // composited value of the layers behind
-        float transmittance_behind = 1.0f;  // transmittance of the layers behind
+        float behind = 0.0f;                // Composited value of the layers behind the current layer.
+        float transmittance_behind = 1.0f;  // Transmittance of the layers behind the current layer.
         while (true) {
             const std::uint32_t own_entry = count > 0 ? positions[count - 1] + 1 : 0;
             const std::uint32_t next_entry = lane.max(own_entry);
             if (next_entry == 0) break;
             const std::size_t rank = list.rank(next_entry - 1);
-            float parts[5 + kCapacity] = {};  // sums of SplatGradient's members, then of the features
+            float parts[5 + kCapacity] = {};  // First the members of SplatGradient, then the features.
             if (own_entry == next_entry) {
                 --count;
                 const Splat& splat = view.entries.splats[rank];
@@ -96,7 +97,7 @@ struct GradientPixel {
     }
 };
 
-// Back-projects the sums of a rank to the gradient of its point. Culled points get zeros.
+// Back-projects the sums of a rank to the gradient of its point. Culled points get zero gradients.
 struct GradientPoint {
     Entries entries;
     Pinhole camera;

@@ -1,12 +1,12 @@
-// Kernels that render images or compute the largest weight of each point. There is one thread per pixel, including
-// pixels outside the image in tiles at its border (traversal.h).
+// Kernels that render images or compute the largest weight of each point. Each pixel has one thread, including pixels
+// outside the image in tiles at its border (traversal.h).
 #pragma once
 
 #include "points/cuda/traversal.h"
 
 namespace fourd::points::cuda {
 
-// The inputs that all kernels over pixels share.
+// The inputs of all kernels that run over pixels.
 struct View {
     Entries entries;
     int width, height, layers;
@@ -15,8 +15,8 @@ struct View {
     FOURD_DEVICE Pixel pixel(std::size_t index) const { return pixel_of(index, entries.tiles, width, height); }
 };
 
-// The depth of a pixel from the depths and weights of its layers. Depths are stored relative to the nearest layer, to
-// limit rounding errors when weights are small.
+// Computes the depth of a pixel from the depths and weights of its layers. Depths are stored relative to the depth of
+// the nearest layer, to limit rounding errors when weights are small.
 struct DepthSum {
     float nearest = -1.0f, weight = 0.0f, behind = 0.0f;
 
@@ -26,12 +26,12 @@ struct DepthSum {
         behind += w * (z - nearest);
     }
 
-    // Call this only for alpha above 0. At alpha 0, depth is undefined.
+    // Call this function only if alpha is above 0. At alpha 0, the depth is undefined.
     FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 
-// kCapacity is at least the number of channels. Loops up to kCapacity have constant indices, which keeps arrays in
-// registers.
+// kCapacity must be at least the number of channels. Loops up to kCapacity have constant indices, so the compiler can
+// keep arrays in registers.
 template <int kCapacity>
 struct RenderPixel {
     View view;

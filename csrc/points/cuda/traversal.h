@@ -1,5 +1,5 @@
-// Front-to-back traversal of a tile's points. There is one thread per pixel. A warp covers 8 x 4 pixels, which process
-// the same point at the same time.
+// Front-to-back traversal of the points of a tile. Each pixel has one thread. A warp covers 8 x 4 pixels and processes
+// the same point for all of them at the same time.
 #pragma once
 
 #include "points/cuda/entries.h"
@@ -7,13 +7,13 @@
 namespace fourd::points::cuda {
 
 struct Pixel {
-    float x, y;         // coordinates of the pixel's centre
-    bool inside;        // whether the pixel is in the image
-    std::size_t index;  // index in the image, row by row; valid only if inside
+    float x, y;         // Coordinates of the centre of the pixel.
+    bool inside;        // Whether the pixel is inside the image.
+    std::size_t index;  // Index in the image, row by row. Valid only if inside is true.
     std::size_t tile;
 };
 
-// index counts all pixels of all tiles, tile by tile, including pixels outside the image.
+// Finds the pixel of a thread. `index` counts the pixels tile by tile, including pixels outside the image.
 FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles, int width, int height) {
     constexpr int kAcross = 8, kDown = device::kWarpSize / kAcross;
     const std::size_t tile = index / kTilePixels;
@@ -25,10 +25,10 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
             static_cast<std::size_t>(row) * width + column, tile};
 }
 
-// The points that the pixels of a tile process, nearest first. They are the entries of the tile, or all visible points
-// if the entries did not fit.
+// The points that the pixels of a tile process, nearest first. These points are the entries of the tile, or all visible
+// points if the entries do not fit into the workspace.
 struct EntryList {
-    const std::uint32_t* ranks;  // of the points; null if the point at position i has rank i
+    const std::uint32_t* ranks;  // Ranks of the points. If null, the point at position i has rank i.
     std::size_t count;
 
     FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }

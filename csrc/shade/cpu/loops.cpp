@@ -1,4 +1,4 @@
-// Shades batches of points, in loops that compilers vectorise.
+// Computes the colours of batches of points, in loops that compilers vectorise.
 #include <cmath>
 #include <cstring>
 
@@ -15,11 +15,11 @@
 namespace fourd::shade::FOURD_SIMD {
 namespace {
 
-// basis[k][i] is harmonic k in the direction from the camera to point i.
+// Computes basis[k][i], which is harmonic k in the direction from the camera to point i.
 FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, float (*basis)[kBlock]) {
     float dx[kBlock], dy[kBlock], dz[kBlock];
     for (int i = 0; i < count; ++i) {
-        // Subtracted in double precision, because a camera may be far from the origin but near the point.
+        // The subtraction uses double precision, because a camera may be far from the origin but near the point.
         dx[i] = static_cast<float>(xyz[3 * i] - centre[0]);
         dy[i] = static_cast<float>(xyz[3 * i + 1] - centre[1]);
         dz[i] = static_cast<float>(xyz[3 * i + 2] - centre[2]);
@@ -31,7 +31,7 @@ FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, 
 
 #ifdef FOURD_SHADE_VECTORS
 
-// Transposes an 8 x 8 matrix, which holds eight harmonics at eight points.
+// Transposes a matrix of 8 harmonics at 8 points.
 FOURD_INLINE void transpose(const float (*basis)[kBlock], int first, __m256* rows) {
     __m256 a[8], b[8];
     for (int k = 0; k < 8; ++k) a[k] = _mm256_loadu_ps(basis[k] + first);
@@ -55,7 +55,7 @@ FOURD_INLINE __m256 halves(const std::uint16_t* from) {
     return _mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from)));
 }
 
-// colour (count, 3) = sh . basis
+// Writes to colour (count, 3) the product of the SH coefficients and the basis.
 FOURD_INLINE void dot_harmonics(const std::uint16_t* sh, int count, const float (*basis)[kBlock], float* colour) {
     for (int first = 0; first < count; first += 8) {
         __m256 low[8], high[8];
@@ -78,7 +78,7 @@ FOURD_INLINE void dot_harmonics(const std::uint16_t* sh, int count, const float 
 
 #else
 
-// colour (count, 3) = sh . basis
+// Writes to colour (count, 3) the product of the SH coefficients and the basis.
 FOURD_INLINE void dot_harmonics(const std::uint16_t* sh, int count, const float (*basis)[kBlock], float* colour) {
     for (int i = 0; i < count; ++i) {
         float direction[kTerms];
@@ -108,7 +108,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
     float total = 0;
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::size_t at = row + static_cast<std::size_t>(settings.chosen[v]);
-        std::uint32_t bytes = 0;  // the fourth byte belongs to the next view and is not used
+        std::uint32_t bytes = 0;  // The fourth byte belongs to the next view and is unused.
         if (at < last) {
             std::memcpy(&bytes, points.rgb + 3 * at, 4);
         } else {
@@ -136,8 +136,8 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
 #endif
 }
 
-// Computes the sum of the colours without weights. It is used if all chosen views have weight 0 at the point. Returns
-// the number of chosen views.
+// Computes the sum of the colours of the chosen views without weights, and returns the number of these views. This sum
+// is used if all chosen views have weight 0 at the point.
 FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
     *out = {{0, 0, 0}};
     for (int v = 0; v < settings.chosen_count; ++v) {
@@ -147,7 +147,7 @@ FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settin
     return static_cast<float>(settings.chosen_count);
 }
 
-// Adds the colours of the chosen views, blended with normalised weights, to colour (count, 3).
+// Blends the colours of the chosen views with normalised weights, and adds the result to colour (count, 3).
 FOURD_INLINE void add_blend(const Points& points, std::size_t first, int count, const Settings& settings,
                             float* colour) {
     if (settings.chosen_count == 0) return;

@@ -6,14 +6,14 @@
 
 namespace fourd::shade {
 
-constexpr int kBlock = 64;  // points per batch; their intermediate values stay in the L1 cache
+constexpr int kBlock = 64;  // Number of points per batch. Intermediate values of a batch stay in the L1 cache.
 
 struct Loops {
-    // Computes the colours of points [begin, end). out is indexed by point.
+    // Computes the colours of points [begin, end). `out` is indexed by point, starting with point 0.
     void (*shade)(const Points& points, std::size_t begin, std::size_t end, const Settings& settings, float* out);
 };
 
-// The 16 harmonics and 4 views of a point fill AVX2 vectors, so there are no loops for AVX-512.
+// The loops are not compiled for AVX-512, because the 16 harmonics and 4 views of a point fill AVX2 vectors.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::shade

@@ -1,4 +1,4 @@
-// Shading of baked points (shade/shade.h) on a GPU. Pointers point to GPU memory.
+// Shading of baked points (shade/shade.h) on a GPU. All pointers point to GPU memory.
 #pragma once
 
 #include "common/half.h"
@@ -25,7 +25,7 @@ class ShadePoint {
         const float* xyz = points_.xyz + 3 * point;
         const std::uint16_t* sh = points_.sh + 3 * kTerms * point;
         float sums[3] = {};
-        // Subtracted in double precision, because a camera may be far from the origin but near the point.
+        // The subtraction uses double precision, because a camera may be far from the origin but near the point.
         harmonics(static_cast<float>(xyz[0] - centre_[0]), static_cast<float>(xyz[1] - centre_[1]),
                   static_cast<float>(xyz[2] - centre_[2]), [&](int k, float value) {
                       for (int c = 0; c < 3; ++c) sums[c] += from_half(sh[c * kTerms + k]) * value;
@@ -36,7 +36,8 @@ class ShadePoint {
     }
 
   private:
-    // Blends with normalised weights. If all chosen views have weight 0, the result is their mean.
+    // Blends the colours of the chosen views with normalised weights. If all chosen views have weight 0, the result is
+    // the mean of their colours.
     FOURD_DEVICE void blend(std::size_t point, float* out) const {
         float total = 0.0f, plain[3] = {};
         for (int v = 0; v < count_; ++v) {

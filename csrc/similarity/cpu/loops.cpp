@@ -1,4 +1,5 @@
-// Computes window means along rows and columns, similarities and their derivatives, in loops that compilers vectorise.
+// Computes window means along rows and columns, and from these means the similarities and their derivatives. The loops
+// are written so that compilers vectorise them.
 #include "similarity/cpu/loops.h"
 
 #include <cstddef>
@@ -11,10 +12,10 @@ namespace fourd::similarity::FOURD_SIMD {
 namespace {
 
 constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
-constexpr int kLanes = 8;  // partial sums, so that additions are independent
+constexpr int kLanes = 8;  // Number of partial sums, whose additions are independent.
 
-// Computes means along columns for element i. If Number is Eight, it also computes the means of the next seven
-// elements. out has kMeans rows of stride floats.
+// Computes the window means along columns for element i of a row. If Number is Eight, the function also computes the
+// means of the next seven elements. `out` has kMeans rows of plan.stride floats.
 template <typename Number>
 FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const float* truth, std::size_t i,
                                   float* out) {
@@ -38,7 +39,7 @@ FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const 
     store(&product, out + 4 * stride + i);
 }
 
-// The weighted sum over window elements [first, last), which are step floats apart.
+// Computes the weighted sum of the window elements [first, last). Consecutive elements are `step` floats apart.
 template <typename Number>
 FOURD_INLINE void window_sum_at(const Window& window, int first, int last, const float* from, std::ptrdiff_t step,
                                 float* to) {
@@ -51,7 +52,8 @@ FOURD_INLINE void window_sum_at(const Window& window, int first, int last, const
     store(&sum, to);
 }
 
-// Computes count means along a row. Each is the weighted mean of kWindow values that are step floats apart.
+// Computes `count` window means along a row. A window mean is the weighted mean of kWindow values that are `step`
+// floats apart.
 FOURD_INLINE void row_means(const Window& window, const float* from, std::size_t count, std::size_t step, float* to) {
     for_eights(count, [&](std::size_t i, auto* number) FOURD_INLINE_LAMBDA {
         window_sum_at<NumberOf<decltype(number)>>(window, 0, kWindow, from + i, static_cast<std::ptrdiff_t>(step),
@@ -59,8 +61,8 @@ FOURD_INLINE void row_means(const Window& window, const float* from, std::size_t
     });
 }
 
-// Computes the similarities of a row from its means (rows of stride floats). If requested, it also computes their
-// derivatives (kDerivatives rows of valid floats).
+// Computes the similarities of a row from its means, which have plan.stride floats per row. If kWithDerivatives is
+// true, the function also computes the derivatives of the similarities: kDerivatives rows of plan.valid floats.
 template <bool kWithDerivatives>
 FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_RESTRICT values,
                           float* FOURD_RESTRICT derivatives) {
@@ -122,8 +124,8 @@ void gradient_row(const Plan& plan, int row, const float* derivatives, float* sc
     const float* y = plan.pictures.truth + row * stride;
     float *padded = scratch, *smoothed = scratch + stride + border;
     for (int derivative = 0; derivative < kDerivatives; ++derivative) {
-        // The derivatives are padded with zeros beyond the valid part. The window is symmetric, so it need not be
-        // reversed.
+        // The derivatives are padded with zeros beyond the valid part. The window is symmetric, so its weights need no
+        // reversal.
         std::memset(padded, 0, border * sizeof(float));
         std::memset(padded + stride, 0, border * sizeof(float));
         const int first = row < plan.valid_rows ? 0 : row - plan.valid_rows + 1;

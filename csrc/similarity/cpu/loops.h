@@ -1,4 +1,4 @@
-// Inner loops over rows, compiled once for each instruction set.
+// Inner loops over the rows of a picture, compiled once for each instruction set.
 #pragma once
 
 #include "common/dispatch.h"
@@ -6,40 +6,40 @@
 
 namespace fourd::similarity {
 
-// The valid part of a picture consists of the pixels whose window lies inside the picture. It has kBorder fewer rows
-// and columns than the picture.
+// The valid part of a picture consists of the pixels whose window is inside the picture. The valid part has kBorder
+// fewer rows and columns than the picture.
 constexpr int kBorder = kWindow - 1;
 
 struct Window {
     float weights[kWindow];
 };
 
-// Sizes are in floats. A row of interleaved channels is treated as a plain array, so the step between window elements
-// is the number of channels.
+// Sizes are in floats. A row with interleaved channels is treated as one array, so the step between window elements is
+// the number of channels.
 struct Plan {
     Pictures pictures;
     Window window;
-    std::size_t stride, valid;  // floats per row of the pictures, and of their valid part
+    std::size_t stride, valid;  // Floats per row of the pictures, and of the valid part.
     int rows, valid_rows;
-    float scale;  // 1 / number of valid values
+    float scale;  // 1 / (number of valid values).
 
     explicit Plan(const Pictures& pictures);
 };
 
-// Number of window means per pixel: the means of the picture, the truth, their two squares and their product.
+// Number of window means per pixel: the means of the picture, of the truth, of their two squares and of their product.
 constexpr int kMeans = 5;
 
-// Number of derivatives of the similarity: with respect to the picture's mean, the mean of its square and the mean of
-// the product.
+// Number of derivatives of the similarity. The derivatives are with respect to the mean of the picture, the mean of its
+// square and the mean of the product.
 constexpr int kDerivatives = 3;
 
 struct Loops {
-    // Returns the sum of similarities of a row of the valid part. Writes their derivatives unless `derivatives` is
-    // null. scratch has 2 * kMeans rows of stride floats.
+    // Returns the sum of the similarities in a row of the valid part. Unless `derivatives` is null, the function also
+    // writes the derivatives of the similarities. `scratch` has 2 * kMeans rows of plan.stride floats.
     double (*compare)(const Plan&, std::size_t row, float* scratch, float* derivatives);
 
-    // Computes the gradient of a row of the picture from the derivatives of all windows that contain the row. scratch
-    // has 2 rows of stride + kBorder * channels floats.
+    // Computes the gradient of a row of the picture from the derivatives of all windows that contain the row. `scratch`
+    // has 2 rows of plan.stride + kBorder * channels floats.
     void (*gradient)(const Plan&, int row, const float* derivatives, float* scratch, float* out);
 };
 

@@ -27,7 +27,7 @@ Window gaussian() {
     return out;
 }
 
-// Calls work(row, worker) for each row.
+// Calls work(row, worker) for each row, on all workers of the team.
 template <typename Work>
 void for_rows(Team& team, int rows, const Work& work) {
     team.run((rows + kRowsPerTask - 1) / kRowsPerTask, [&](int task, int worker) {
@@ -66,7 +66,7 @@ double similarity(const Pictures& pictures, float* gradient) {
         });
     }
     double total = 0;
-    for (const double sum : sums) total += sum;  // in row order, so that the result does not depend on the workers
+    for (const double sum : sums) total += sum;  // The order is fixed, so all numbers of threads agree.
     return total / (static_cast<double>(plan.valid) * plan.valid_rows);
 }
 

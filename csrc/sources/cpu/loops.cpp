@@ -1,4 +1,5 @@
-// Samples one view at batches of points, and computes the gradient, in loops that compilers vectorise.
+// Samples one view at batches of points, and computes the gradient of the samples. The loops are written so that
+// compilers vectorise them.
 #include "sources/cpu/loops.h"
 
 #include "common/eight.h"
@@ -11,14 +12,14 @@ constexpr int kMaxChannels = 256;
 
 FOURD_INLINE std::size_t image_size(const Maps& maps) { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-// Channels is the number of channels if it is known at compile time, which lets loops fit vectors exactly. 0 stands for
-// the number of channels of the maps.
+// The template argument Channels is the number of channels if it is known at compile time, which lets loops fit vectors
+// exactly. Otherwise Channels is 0, and the maps have the number of channels.
 template <int Channels>
 FOURD_INLINE int channels_of(const Maps& maps) {
     return Channels > 0 ? Channels : maps.channels;
 }
 
-// Interpolates channel c and, if Number is Eight, also the next seven channels.
+// Interpolates channel c. If Number is Eight, the function also interpolates the next seven channels.
 template <typename Number>
 FOURD_INLINE void gather_at(const float* features, const Bilinear& at, int channels, std::size_t c, float* out) {
     Number sum{};
@@ -30,7 +31,7 @@ FOURD_INLINE void gather_at(const float* features, const Bilinear& at, int chann
     store(&sum, out + c);
 }
 
-// Samples one view at points [first, first + count).
+// Samples one view at the points [first, first + count).
 template <int Channels>
 FOURD_INLINE void sample_run(const Query& query, std::size_t view, std::size_t first, int count, const Samples& out) {
     const Maps& maps = query.maps;
@@ -64,8 +65,9 @@ FOURD_INLINE float total(const Eight* number) {
 }
 #endif
 
-// Processes the gradient of channel c and, if Number is Eight, of the next seven channels. Adds the gradient with
-// respect to the pixel position to sum. Unless `to` is null, adds the gradient with respect to the features to `to`.
+// Processes the gradient of channel c. If Number is Eight, the function also processes the next seven channels. It adds
+// the gradient with respect to the pixel position to `sum`. Unless `to` is null, it also adds the gradient with respect
+// to the features to `to`.
 template <typename Number>
 FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
                              const float* gradient, float* to, PixelGradient* sum) {

@@ -1,4 +1,4 @@
-// Inner loops over batches of points in one view, compiled once for each instruction set.
+// Inner loops over batches of points in one source view, compiled once for each instruction set.
 #pragma once
 
 #include "common/dispatch.h"
@@ -7,21 +7,21 @@
 
 namespace fourd::sources {
 
-constexpr int kRun = 64;  // points per batch; their channels are transposed in the L1 cache
+constexpr int kRun = 64;  // Number of points per batch. The channels of a batch are transposed in the L1 cache.
 
 FOURD_INLINE std::size_t feature_size(const Maps& maps) {
     return static_cast<std::size_t>(maps.feature_width) * maps.feature_height * maps.channels;
 }
 
 struct RunLoops {
-    // These functions process points [first, first + count) of one view.
+    // The functions of RunLoops process points [first, first + count) of one source view.
     void (*sample)(const Query&, std::size_t view, std::size_t first, int count, const Samples& out);
     void (*backward)(const Query&, const float* gradient, std::size_t view, std::size_t first, int count,
                      float* to_features, float* to_xyz);
 };
 
 struct Loops {
-    RunLoops sixteen_channels;  // for the usual number of channels, known at compile time
+    RunLoops sixteen_channels;  // Loops for 16 channels, the usual number.
     RunLoops any_channels;
 
     const RunLoops& of(int channels) const { return channels == 16 ? sixteen_channels : any_channels; }

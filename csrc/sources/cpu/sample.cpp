@@ -9,7 +9,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 32 * kRun;
 
-// Calls work(first, count) for batches of the points in [begin, end).
+// Splits the points in [begin, end) into batches and calls work(first, count) for each batch.
 template <typename Work>
 void for_runs(std::size_t begin, std::size_t end, const Work& work) {
     for (std::size_t first = begin; first < end; first += kRun) {
@@ -31,8 +31,8 @@ void sample(const Query& query, const Samples& out) {
     });
 }
 
-// There is one task per view, so that the gradient of a view's features is summed in a fixed order. The gradient of xyz
-// is summed over the views afterwards.
+// Each view has one task, so the gradient of the features of a view is summed in a fixed order. Afterwards, the
+// gradient of xyz is summed over the views.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out) {
     const RunLoops& loops = select_loops(query.simd).of(query.maps.channels);
     const std::size_t views = static_cast<std::size_t>(query.views), numbers = 3 * query.count;

@@ -6,7 +6,7 @@
 namespace fourd::sources::cuda {
 namespace {
 
-// Kernels over the views and points of a query. Consecutive threads process consecutive points of one view.
+// The views and points that a kernel processes. Consecutive threads process consecutive points of one view.
 struct Views {
     Maps maps;
     Pinhole cameras[kMaxViews];
@@ -21,12 +21,12 @@ struct Views {
 
     FOURD_DEVICE std::size_t image_size() const { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-    // Offset of the features of a view.
+    // The offset of the features of a view in the array of all features.
     FOURD_DEVICE std::size_t features(std::size_t view) const {
         return view * maps.feature_width * static_cast<std::size_t>(maps.feature_height) * maps.channels;
     }
 
-    // Offset of the first channel of a point in a view. Consecutive channels are count floats apart.
+    // The offset of the first channel of a point in a view. Consecutive channels of the point are `count` floats apart.
     FOURD_DEVICE std::size_t channels(std::size_t view, std::size_t point) const {
         return view * static_cast<std::size_t>(maps.channels + 3) * count + point;
     }

@@ -1,17 +1,17 @@
-// Samples source views on a GPU. Calls are asynchronous, as in points/cuda/render.h. Arrays are in GPU memory, but
-// query.cameras is in host memory.
+// Samples source views on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU memory,
+// except query.cameras, which is in host memory.
 #pragma once
 
 #include "sources/sources.h"
 
 namespace fourd::sources::cuda {
 
-constexpr int kMaxViews = 16;  // cameras are passed to the kernel by value
+constexpr int kMaxViews = 16;  // The kernel receives the cameras by value.
 
 void sample(const Query& query, const Samples& out, void* stream);
 
-// `gradient` is the gradient with respect to Samples::channels. The visibility is treated as constant. The order of
-// sums is not fixed.
+// `gradient` is the gradient with respect to Samples::channels. The visibility is treated as constant. Sums have no
+// fixed order.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out, void* stream);
 
 }  // namespace fourd::sources::cuda
