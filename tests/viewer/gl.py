@@ -1,4 +1,4 @@
-"""OpenGL contexts without a window, for the tests of the viewer."""
+"""Helpers for viewer tests that draw with OpenGL contexts without a window."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def contexts() -> Iterator[moderngl.Context]:
 
 
 def require_gl() -> None:
-    """Skip where OpenGL is not available."""
+    """Skip the test if OpenGL is not available."""
     try:
         offscreen_context().release()
     except UserError as error:
@@ -36,7 +36,7 @@ def require_gl() -> None:
 
 
 def render(renderer: Renderer, request: RenderRequest, context: moderngl.Context) -> NDArray[np.float32]:
-    """The image (H, W, 4) float32, row 0 at the top."""
+    """Draw a request and return the image (H, W, 4) float32, with row 0 at the top."""
     canvas = Canvas(context, "f1" if renderer.name == "cpu" else "f4")
     renderer.draw(request, canvas, wait=True)
     image = canvas.read_rgba32f()

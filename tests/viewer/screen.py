@@ -55,7 +55,7 @@ class Screen:
 
 @contextmanager
 def screen(width: int = 1280, height: int = 800, options: tuple[str, ...] = ()) -> Iterator[Screen]:
-    """Start a screen with extra options for Xvfb; skip where the programs are not installed."""
+    """Start a virtual screen with additional options for Xvfb. Skip the test if Xvfb or xdotool is not installed."""
     for program in ("Xvfb", "xdotool"):
         if shutil.which(program) is None:
             pytest.skip(f"{program} is not installed")
@@ -112,7 +112,8 @@ class Viewer:
         self.screen.xdotool("key", *names)
 
     def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1) -> None:
-        """Press, move in steps and release. The steps are slow, so that no events are merged."""
+        """Press a mouse button, move the mouse in steps and release the button. The steps are slow, so that no events
+        are merged."""
         self.screen.xdotool("mousemove", *start, "mousedown", button)
         for step in range(1, 6):
             position = (first + (last - first) * step // 5 for first, last in zip(start, end, strict=True))
@@ -128,13 +129,14 @@ class Viewer:
         return self.screen.picture()
 
     def keep(self, name: str) -> NDArray[np.uint8]:
-        """The screen, also saved as a PNG for inspection."""
+        """Save an image of the screen as a PNG for inspection, and return the image."""
         picture = self.picture()
         Image.fromarray(picture).save(self.folder / f"{name}.png")
         return picture
 
     def until(self, found: Callable[[], object], what: str) -> str:
-        """Wait until ``found`` is true and return its value; fail with the viewer's log."""
+        """Wait until ``found()`` is true, and return its value. After the time limit, the test fails with the viewer's
+        log."""
         end = time.monotonic() + TIMEOUT_SECONDS
         while time.monotonic() < end:
             result = found()
@@ -178,7 +180,7 @@ def set_dpi(display_name: str, dpi: int) -> None:
 
 
 def send_close_event(display_name: str, window_number: int) -> None:
-    """Send the event of a window's close button."""
+    """Send the event that the close button of a window sends."""
     from Xlib.display import Display
 
     display = Display(display_name)

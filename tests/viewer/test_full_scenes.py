@@ -55,7 +55,8 @@ CAMERAS = {
 
 @cache
 def request_from(camera: str) -> RenderRequest:
-    """The ball in front of walls whose points are tens of times as far and as large."""
+    """A render request for a ball in a room. The points of the walls are tens of times as far away and as large as
+    those of the ball."""
     room = room_frame(1200, 6, seed=2, half=HALF)
     shadow = np.where(room.xyz[:, 2] < 0, 70, 128).astype(np.uint8)
     settings = DisplaySettings(MAX_LAYERS, (0.2, 0.4, 0.8))
@@ -72,11 +73,12 @@ def truth(camera: str, layers: int) -> NDArray[np.float32]:
 @pytest.mark.parametrize("name", RENDERERS)
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_ball_in_a_room_matches_reference(name: RendererName, camera: str, context: moderngl.Context) -> None:
-    """Catches clip planes, depth ranges or sizes that suit only the ball: walls clipped, in front, or with holes."""
+    """Catches clip planes, depth ranges or point sizes that suit only the ball. The walls would be clipped, in front of
+    the ball, or have holes."""
     # The sorted renderer composites all layers, and views along a wall have more than 12 layers.
     layers = MAX_LAYERS if name == "sorted" else 12
     request = request_from(camera)
-    # float32, because rounding 12 layers per pixel to float16 would hide the errors that this test catches.
+    # The test uses float32, because rounding of 12 layers per pixel to float16 would hide errors.
     renderer = make_renderer(name, context, "float32")
     picture = render(renderer, replace(request, settings=replace(request.settings, layers=layers)), context)
     renderer.release()
@@ -90,7 +92,7 @@ def test_ball_in_a_room_matches_reference(name: RendererName, camera: str, conte
 
 @pytest.mark.parametrize("name", ["peel", "dual"])
 def test_float16_is_within_a_byte_step(name: RendererName, context: moderngl.Context) -> None:
-    """Catches sums that lose the far layers to rounding."""
+    """Catches float16 sums in which the far depth layers are lost by rounding."""
     request = request_from("in a corner")
     renderer = make_renderer(name, context)
     picture = render(renderer, replace(request, settings=replace(request.settings, layers=12)), context)
@@ -99,7 +101,8 @@ def test_float16_is_within_a_byte_step(name: RendererName, context: moderngl.Con
 
 
 def test_large_far_points_are_drawn_as_sprites(context: moderngl.Context) -> None:
-    """Catches a fallback to quads, with four times the vertices, based on large radii and small depths."""
+    """Catches large but distant points that are drawn as quads instead of sprites. Quads have four times as many
+    vertices."""
     room, ball = room_frame(2500, 6, seed=2, half=200.0), shell_frame(1500, seed=1)
     camera = replace(CAMERAS["beside the ball"], intrinsics=np.array([[300.0, 0, 48], [0, 300, 32], [0, 0, 1]]))
     near = replace(camera, translation=camera.translation - [0, 0, 2.0])
@@ -117,7 +120,8 @@ def test_large_far_points_are_drawn_as_sprites(context: moderngl.Context) -> Non
 
 
 def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a background uploaded with every frame, and one with the shadow or the storage of another frame."""
+    """Catches a background that is uploaded again with every frame, or that is drawn with the shadow or the storage of
+    another frame."""
     room = room_frame(3000, 6, seed=2, half=HALF)
     shadow = np.where(room.xyz[:, 2] < 0, 70, 128).astype(np.uint8)
     counts = (700, 760, 300, 750, 700, 700, 760, 300, 2000)
@@ -149,7 +153,7 @@ def test_the_background_is_uploaded_once(context: moderngl.Context, monkeypatch:
 
 
 def test_point_size_changes_the_background(context: moderngl.Context) -> None:
-    """Catches background points that keep their radii when the display settings scale them."""
+    """Catches background points whose radii do not change if the display settings scale the points."""
     request = request_from("in a corner")
     settings = DisplaySettings(12, point_scale=0.5, density_scale=0.8)
     renderer, fresh = make_renderer("peel", context), make_renderer("peel", context)
@@ -164,7 +168,7 @@ def test_point_size_changes_the_background(context: moderngl.Context) -> None:
 
 
 def test_a_session_plays_a_full_scene(tmp_path: Path) -> None:
-    """Catches frames without their background, with the shadow of another frame, or in another order."""
+    """Catches frames that play without their background, with the shadow of another frame, or in the wrong order."""
     dynamic, room, _ = write_full_scene(tmp_path / "full.4dv", frames=4, points=300, background_points=2500)
     session = Session(DisplaySettings())
     session.open(tmp_path / "full.4dv")
@@ -185,7 +189,7 @@ def test_a_session_plays_a_full_scene(tmp_path: Path) -> None:
 
 
 def test_initial_pose_ignores_the_background(tmp_path: Path) -> None:
-    """Catches an initial pose or pivot that fits the whole room."""
+    """Catches an initial pose that is chosen to show the whole room instead of the foreground."""
     write_full_scene(tmp_path / "full.4dv")
     write_scene(tmp_path / "object.4dv")
     poses = []
@@ -205,7 +209,7 @@ def test_initial_pose_ignores_the_background(tmp_path: Path) -> None:
 
 
 def test_a_scene_of_only_background_is_shown(tmp_path: Path) -> None:
-    """Catches a scene rejected for frames without points, although its background has some."""
+    """Catches a scene that is rejected because its frames have no points, although its background has points."""
     with SceneWriter(tmp_path / "background.4dv", full_manifest(6, 1)) as writer:
         writer.add_background(room_frame(2500, 6, seed=1))
         writer.add_frame(0, random_frame(0, 6, seed=1))
@@ -215,7 +219,8 @@ def test_a_scene_of_only_background_is_shown(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["object", "full"])
 def test_info_describes_the_background(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a background counted per frame or not at all, and a frame size that includes it."""
+    """Catches a background that is counted in every frame or not at all, and a frame size that includes the
+    background."""
     path = tmp_path / "scene.4dv"
     if kind == "full":
         write_full_scene(path, points=200, background_points=40_000)

@@ -1,4 +1,4 @@
-"""Images and videos without a window, and invalid inputs, by the command line."""
+"""The command ``fourd view`` without a window: images, videos and errors for invalid inputs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def run(*words: object) -> None:
 
 
 def error_line(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line of error that the command prints."""
+    """Run ``fourd view`` and return the only error line that the command prints."""
     assert main(["view", *(str(word) for word in words)]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fourd ")]
     assert len(lines) == 1
@@ -61,7 +61,7 @@ def read_video(path: Path) -> list[NDArray[np.uint8]]:
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_screenshots_match_the_float_renderer(name: str, scene: Path, tmp_path: Path) -> None:
-    """Catches a camera, frame, K or background option without effect."""
+    """Catches an option --camera, --frame, --layers or --background that has no effect."""
     if name != "cpu":
         require_gl()
     out = tmp_path / "image.png"
@@ -78,7 +78,7 @@ def test_screenshots_match_the_float_renderer(name: str, scene: Path, tmp_path: 
 
 @pytest.mark.parametrize("kind", ["orbit", "spiral", "cameras"])
 def test_videos_along_paths(kind: str, scene: Path, tmp_path: Path) -> None:
-    """Catches a camera that does not move, and a wrong size or length."""
+    """Catches a video whose camera does not move, or whose size or length is wrong."""
     out = tmp_path / "out.mp4"
     run(scene, "--headless", out, "--path", kind, "--steps", 6, "--size", 64, 48, "--fps", 12)
     images = read_video(out)
@@ -89,7 +89,8 @@ def test_videos_along_paths(kind: str, scene: Path, tmp_path: Path) -> None:
 
 
 def test_a_video_along_a_recorded_path(scene: Path, tmp_path: Path) -> None:
-    """Catches other poses or frames than recorded, and frames that the scene does not have."""
+    """Catches a video with other poses or frames than the recorded path, and an error for recorded frames that the
+    scene does not have."""
     with open_scene(scene) as opened:
         focus, cameras = opened.manifest.focus, opened.manifest.cameras[:3]
         poses = [pose_from_camera(camera, focus, np.array([0.0, 0, 1]), (48, 48)) for camera in cameras]
@@ -107,7 +108,7 @@ def test_a_video_along_a_recorded_path(scene: Path, tmp_path: Path) -> None:
 
 
 def test_scenes_without_cameras_are_shown_as_a_whole(tmp_path: Path) -> None:
-    """Catches an initial pose that needs a capture camera."""
+    """Catches an error for a scene without capture cameras, because the initial pose depends on a camera."""
     bare = replace(manifest(2, 1), source_names=(), source_cameras=(), other_names=(), other_cameras=(), sh_base=0.7)
     frame = random_frame(300, 0, seed=1)
     with SceneWriter(tmp_path / "bare.4dv", bare) as writer:
@@ -119,7 +120,7 @@ def test_scenes_without_cameras_are_shown_as_a_whole(tmp_path: Path) -> None:
 
 
 def test_the_chosen_renderer_is_printed(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an automatic choice that the user cannot see."""
+    """Catches an automatic choice of the renderer that is not printed."""
     run(scene, "--screenshot", tmp_path / "image.png")
     assert "renderer: " in capsys.readouterr().err
     with OffscreenRenderer("cpu") as offscreen:
@@ -127,7 +128,7 @@ def test_the_chosen_renderer_is_printed(scene: Path, tmp_path: Path, capsys: pyt
 
 
 def rewrite_manifest(scene: Path, out: Path, change) -> Path:
-    """Write a copy of the scene whose manifest is changed by ``change``."""
+    """Write a copy of the scene. The function ``change`` changes the manifest of the copy."""
     with zipfile.ZipFile(scene) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as new:
         for name in old.namelist():
             content = old.read(name)
@@ -140,7 +141,7 @@ def rewrite_manifest(scene: Path, out: Path, change) -> Path:
 
 
 def test_invalid_scenes_raise_one_line_errors(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a traceback, or a message without the file and the fix."""
+    """Catches an invalid scene that causes a traceback, or an error message without the file and the fix."""
     out = tmp_path / "never.png"
     cut = tmp_path / "cut.4dv"
     cut.write_bytes(scene.read_bytes()[:5000])
@@ -177,7 +178,7 @@ def test_positions_that_are_not_finite_raise(scene: Path, tmp_path: Path, capsys
 
 
 def test_arguments_out_of_range_raise(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches invalid values that fail inside the renderer."""
+    """Catches invalid option values that cause an error only inside the renderer."""
     out = tmp_path / "never.png"
     video = tmp_path / "never.mp4"
     assert "--camera: expected a name among 00, 01" in error_line(capsys, scene, "--screenshot", out, "--camera", "x")
@@ -196,7 +197,7 @@ def test_arguments_out_of_range_raise(scene: Path, tmp_path: Path, capsys: pytes
 
 
 def run_in_process(environment: dict[str, str | None], *words: object) -> subprocess.CompletedProcess[str]:
-    """Run `fourd view` with environment variables set, or removed where they are None."""
+    """Run `fourd view` with changed environment variables. A value of None removes the variable."""
     changed = {**os.environ, **{name: value for name, value in environment.items() if value is not None}}
     for name, value in environment.items():
         if value is None:
@@ -207,7 +208,7 @@ def run_in_process(environment: dict[str, str | None], *words: object) -> subpro
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux selects displays by variables")
 def test_a_missing_display_raises_one_line(scene: Path) -> None:
-    """Catches a traceback of the window library on a server."""
+    """Catches a traceback of the window library on a machine without a display."""
     done = run_in_process({"DISPLAY": None, "WAYLAND_DISPLAY": None}, scene)
     assert done.returncode == 2
     assert done.stderr.startswith("fourd view: display: expected a display for the window, got none")
@@ -216,7 +217,7 @@ def test_a_missing_display_raises_one_line(scene: Path) -> None:
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="this way to disable OpenGL is specific to Linux")
 def test_missing_opengl_raises_and_auto_uses_the_cpu(scene: Path, tmp_path: Path) -> None:
-    """Catches a traceback on a machine without a GL driver."""
+    """Catches a traceback on a machine without an OpenGL driver."""
     without = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"}
     done = run_in_process(without, scene, "--screenshot", tmp_path / "a.png", "--renderer", "peel")
     assert done.returncode == 2

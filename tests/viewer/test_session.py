@@ -1,4 +1,4 @@
-"""Sessions: opening and closing scenes, waiting for frames, and runs that continue to train."""
+"""Viewer sessions: opening and closing of scenes, waiting for frames, and runs whose training continues."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def open_scene(session: Session, path: Path) -> LoadedScene:
 
 
 def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path: Path) -> None:
-    """Catches a viewer without a scene, and a message that does not name the file."""
+    """Catches a viewer that loses its open scene after a failed opening, and a message that does not name the file."""
     session = Session(DisplaySettings())
     open_scene(session, scene)
     before = session.render_request(SIZE, wait=True)
@@ -52,7 +52,7 @@ def test_a_scene_that_cannot_be_opened_leaves_the_open_one(scene: Path, tmp_path
 
 
 def test_a_damaged_frame_keeps_the_previous_one_and_sets_a_message(scene: Path) -> None:
-    """Catches an empty image or a crash where one frame cannot be read."""
+    """Catches an empty image or a crash if one frame of a scene cannot be read."""
     content = bytearray(scene.read_bytes())
     frame = SceneReader(scene).read(2)
     offset = content.find(frame.xyz.tobytes())
@@ -77,7 +77,7 @@ def test_a_damaged_frame_keeps_the_previous_one_and_sets_a_message(scene: Path) 
 
 
 class SlowSource:
-    """A source that waits for an event before it reads."""
+    """A frame source that waits for an event before it reads."""
 
     def __init__(self) -> None:
         self.manifest = manifest(2, 3)
@@ -92,7 +92,7 @@ class SlowSource:
 
 
 def test_a_slow_source_does_not_block_the_viewer(tmp_path: Path) -> None:
-    """Catches a window that freezes until a frame is read, and playback that continues meanwhile."""
+    """Catches a window that freezes until a frame is read, and playback that continues while no frame is there."""
     source = SlowSource()
     session = Session(DisplaySettings())
     session.show(LoadedScene(tmp_path / "slow.4dv", source), LoadedScene(tmp_path, SlowSource()).initial_pose(SIZE))
@@ -107,7 +107,8 @@ def test_a_slow_source_does_not_block_the_viewer(tmp_path: Path) -> None:
 
 
 def test_unchanged_requests_reuse_their_objects(scene: Path) -> None:
-    """Catches new cameras and scaled frames for every image, which renderers would sort and upload."""
+    """Catches a session that creates new cameras and scaled frames for every image. Renderers would sort and upload the
+    points again."""
     session = Session(replace(DisplaySettings(), point_scale=1.5))
     open_scene(session, scene)
     one, other = session.render_request(SIZE, wait=True), session.render_request(SIZE, wait=True)
@@ -125,7 +126,7 @@ def test_unchanged_requests_reuse_their_objects(scene: Path) -> None:
 
 
 def test_the_user_s_layers_override_the_scene_s(tmp_path: Path) -> None:
-    """Catches K of the previous scene, and a user's K that the next scene resets."""
+    """Catches a number of layers from the previous scene, and a user's number of layers that the next scene resets."""
     write_scene(tmp_path / "one.4dv")
     session = Session(DisplaySettings(layers=0))
     open_scene(session, tmp_path / "one.4dv")
@@ -157,7 +158,7 @@ def test_transitions_end_exactly_and_input_ends_them(scene: Path) -> None:
 
 
 def test_a_run_shows_its_newest_checkpoint(ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a run that stays at the checkpoint of its opening."""
+    """Catches a session that does not load new checkpoints of an open run."""
     monkeypatch.setattr("fourd.viewer.loaded_scene._CHECKPOINT_POLL_SECONDS", 0.0)
     run = trained_run(ball_capture, tmp_path / "run")
     session = Session(DisplaySettings())
@@ -178,7 +179,7 @@ def test_a_run_shows_its_newest_checkpoint(ball_capture: Path, tmp_path: Path, m
 
 
 def test_a_run_s_frames_equal_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a live view with other cameras, colours or shading than the exported file."""
+    """Catches a live view of a run with other cameras, colours or shading than the exported scene."""
     from fourd.baking.bake import bake_run
     from fourd.training.run import load_run
     from tests.training.small import quiet
@@ -197,7 +198,7 @@ def test_a_run_s_frames_equal_those_of_its_export(ball_capture: Path, tmp_path: 
 def test_invalid_values_of_a_failed_training_raise(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches NaN of a run, which no file reader has checked, in the kernels."""
+    """Catches NaN from a run that reaches the kernels. The frames of a run are not checked by a file reader."""
     run = trained_run(ball_capture, tmp_path / "run")
     source = RunSource(run.folder)
 
@@ -227,7 +228,8 @@ def test_a_run_without_torch_sets_a_message(tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.slow
 def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None:
-    """Catches leaks of frames, threads, files and GL objects: 1,000 images, and 100 scenes opened."""
+    """Catches frames, threads, files and OpenGL objects that are not released, by drawing 1,000 images and opening 100
+    scenes."""
     import os
 
     from fourd.training.memory import resident_bytes

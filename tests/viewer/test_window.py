@@ -1,4 +1,4 @@
-"""The window, operated by mouse and keys on a virtual screen."""
+"""The viewer window, controlled by mouse and keys on a virtual screen."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def hide_panel(viewer: Viewer) -> None:
 
 
 def window_image(viewer: Viewer) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 of the window."""
+    """Image (H, W, 3) uint8 of the window."""
     return viewer.picture()[: SIZE[1], : SIZE[0]]
 
 
@@ -70,7 +70,7 @@ def foreground_share(viewer: Viewer) -> float:
 
 
 def centre(picture: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """(x, y) mean position of the foreground pixels; NaN where there are none."""
+    """Mean position (x, y) of the foreground pixels, or NaN if there are no foreground pixels."""
     rows, columns = np.nonzero(picture.max(axis=2) > 30)
     if not len(rows):
         return np.full(2, np.nan)
@@ -90,7 +90,8 @@ def pause_at(viewer: Viewer, key: str, frame: int) -> None:
 
 
 def test_it_plays_pauses_and_steps(viewer: Viewer) -> None:
-    """Catches keys without effect, playback during a pause, and a step that does not wrap."""
+    """Catches keys that have no effect, playback during a pause, and a backward step that does not go from the first to
+    the last frame."""
     first = current_frame(viewer)
     viewer.until(lambda: current_frame(viewer) != first, "another frame while it plays")
     pause_at(viewer, "Home", 1)
@@ -104,7 +105,7 @@ def test_it_plays_pauses_and_steps(viewer: Viewer) -> None:
 
 
 def test_dragging_orbits_and_pans_and_the_wheel_dollies(viewer: Viewer) -> None:
-    """Catches swapped buttons, and a scene that moves against the mouse."""
+    """Catches swapped mouse buttons, and a scene that moves in the opposite direction to the mouse."""
     pause_at(viewer, "Home", 1)
     before = stable_image(viewer)
     viewer.drag((600, 350), (700, 380))
@@ -123,7 +124,7 @@ def test_dragging_orbits_and_pans_and_the_wheel_dollies(viewer: Viewer) -> None:
 
 
 def test_held_keys_fly(viewer: Viewer) -> None:
-    """Catches keys that act only when pressed, not while they are held."""
+    """Catches keys that have an effect only once, not continuously while they are held down."""
     pause_at(viewer, "Home", 1)
     area = foreground_share(viewer)
     viewer.screen.xdotool("keydown", "w", "sleep", "0.4", "keyup", "w")
@@ -134,7 +135,7 @@ def test_held_keys_fly(viewer: Viewer) -> None:
 
 
 def test_keys_move_to_capture_cameras_and_back(viewer: Viewer) -> None:
-    """Catches a transition to a wrong pose, and a key 0 that does not restore the initial view."""
+    """Catches a transition to a wrong camera, and a key 0 that does not restore the initial view."""
     pause_at(viewer, "Home", 1)
     first = stable_image(viewer)
     viewer.key("n")
@@ -179,7 +180,7 @@ def test_a_broken_file_leaves_the_open_scene(viewer: Viewer, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("name", ["sorted", "dual"])
 def test_gl_renderers_survive_a_change_of_scene(name: str, viewer: Viewer, scene: Path, tmp_path: Path) -> None:
-    """Catches deleted GL objects of the previous scene that are still in use."""
+    """Catches OpenGL objects of the previous scene that are used after they are deleted."""
     other = tmp_path / "other.4dv"
     write_shells(other, frames=2)
     viewer.until(lambda: viewer.key("r") or viewer.title.endswith(f"- {name}"), f"renderer {name}")
@@ -223,7 +224,7 @@ def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, 
 
 
 def test_a_recorded_path_becomes_a_video(viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a video of another length or size than the recording."""
+    """Catches a video whose length or size differs from that of the recorded path."""
     import av
 
     viewer.key("F9")
@@ -264,7 +265,7 @@ def test_a_dense_display_scales_the_panel_and_the_image(scene: Path, tmp_path: P
 
 @pytest.mark.parametrize("name", ["cpu", "sorted", "peel", "dual"])
 def test_opengl_3_3_is_enough(name: str, display: Screen, scene: Path, tmp_path: Path) -> None:
-    """Catches features of newer versions: old laptops have 3.3, and macOS has 4.1."""
+    """Catches OpenGL features of versions above 3.3. Old laptops have OpenGL 3.3, and macOS has OpenGL 4.1."""
     old = {"MESA_GL_VERSION_OVERRIDE": "3.3", "MESA_GLSL_VERSION_OVERRIDE": "330"}
     viewer = Viewer(display, tmp_path, str(scene), "--size", "900", "700", "--renderer", name, variables=old)
     viewer.until(lambda: viewer.title.endswith(f"- {name}") and foreground_share(viewer) > 0.005, "the scene")

@@ -23,7 +23,7 @@ from tests.captures import ring_cameras
 
 @pytest.mark.parametrize("make", [orbit, spiral])
 def test_paths_face_the_focus_and_loop(make: Callable[..., list[Camera]]) -> None:
-    """Catches a path that faces away, rolls, jumps at its end, or passes through the scene."""
+    """Catches a camera path that faces away from the scene, rolls, jumps at its end, or passes through the scene."""
     cameras = ring_cameras(10, 64)
     path = make(cameras, 60, focus=[0.0, 0, 0])
     assert len(path) == 60
@@ -38,7 +38,7 @@ def test_paths_face_the_focus_and_loop(make: Callable[..., list[Camera]]) -> Non
 
 
 def test_interpolation_passes_through_the_cameras() -> None:
-    """Catches a spline that misses the cameras of the capture."""
+    """Catches a spline that does not pass through the cameras of the capture."""
     cameras = ring_cameras(6, 64)
     path = interpolate(cameras, 240)
     centres = np.array([camera.centre for camera in path])
@@ -49,7 +49,7 @@ def test_interpolation_passes_through_the_cameras() -> None:
 
 
 def test_focus_and_order_of_a_ring() -> None:
-    """Catches a focus on the wrong side, and a path that zigzags."""
+    """Catches a focus point behind the cameras, and a wrong order of cameras, in which a path zigzags."""
     cameras = ring_cameras(8, 64)
     assert np.abs(estimate_focus(cameras)).max() < 0.05
     order = order_by_azimuth([cameras[index] for index in (3, 0, 6, 1, 7, 2, 5, 4)])
@@ -58,7 +58,7 @@ def test_focus_and_order_of_a_ring() -> None:
 
 
 def test_fit_camera_keeps_the_whole_image() -> None:
-    """Catches distortion and cropping when a video has another aspect ratio."""
+    """Catches an image that is stretched or cropped if a video has another aspect ratio than the camera."""
     camera = fit_camera(ring_cameras(1, 64)[0], 200, 100)
     assert (camera.width, camera.height) == (200, 100)
     assert camera.intrinsics[0, 0] == camera.intrinsics[1, 1]

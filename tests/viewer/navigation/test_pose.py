@@ -25,7 +25,8 @@ SHIFTS = [(0.0, 0.0), (5.5, -3.25)]
 
 
 def capture_camera(width: int, height: int, shift: tuple[float, float] = (0.0, 0.0), aspect: float = 1.0) -> Camera:
-    """A camera with an off-centre principal point; ``aspect`` 1 makes square pixels. Its axis misses the origin."""
+    """A camera whose principal point is off-centre by ``shift`` and whose axis misses the origin. With ``aspect`` 1,
+    the pixels are square."""
     focal = 1.3 * height
     intrinsics = np.array(
         [[aspect * focal, 0, width / 2 + shift[0]], [0, focal, height / 2 + shift[1]], [0, 0, 1.0]],
@@ -41,13 +42,13 @@ def make_pose(seed: int = 0, offset: tuple[float, float] = (0.04, -0.02)) -> Pos
 
 
 def roll_pose(pose: Pose, degrees: float) -> Pose:
-    """The pose rotated about its viewing axis."""
+    """Rotate a pose about its viewing axis."""
     roll = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
     return Pose(pose.pivot, roll @ pose.rotation, pose.distance, pose.field_of_view, pose.up, pose.offset)
 
 
 def project(pose: Pose, point: Array) -> Array:
-    """The pixel position (2,) of a point in an image of SIZE."""
+    """Pixel position (2,) of a point in an image of the size SIZE."""
     pixels, depths = pose.camera(*SIZE).project(point[None])
     assert depths[0] > 0
     return pixels[0]
@@ -61,7 +62,7 @@ def assert_rotation(rotation: Array) -> None:
 @pytest.mark.parametrize("shift", SHIFTS)
 @pytest.mark.parametrize("size", [(64, 48), (48, 64)])
 def test_a_capture_camera_survives_the_round_trip(size: tuple[int, int], shift: tuple[float, float]) -> None:
-    """Catches a lost principal point or a changed field of view."""
+    """Catches a principal point or a field of view that changes between camera and pose."""
     camera = capture_camera(*size, shift)
     again = pose_from_camera(camera, (0.0, 0.0, 0.0), UP, size).camera(*size)
     assert (again.width, again.height) == size
@@ -83,14 +84,14 @@ def test_other_aspect_ratios_contain_the_capture_image(size: tuple[int, int], sh
 
 @pytest.mark.parametrize("aspect", [0.8, 1.25])
 def test_non_square_pixels_are_not_cropped(aspect: float) -> None:
-    """Catches a focal length of the axis with the smaller field of view."""
+    """Catches non-square pixels whose field of view is computed from the wrong axis, so that the image is cropped."""
     low, high = image_rectangle(capture_camera(64, 48, aspect=aspect), (64, 48))
     assert (low > -1e-9).all()
     assert (high < np.array((64, 48)) + 1e-9).all()
 
 
 def image_rectangle(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array]:
-    """The lower and the upper corner of the camera's image, as positions in the image of its pose."""
+    """Lower and upper corner of the image of ``camera``, as positions in the image of the camera's pose."""
     corners = np.array([[x, y, 1.0] for x in (0, camera.width) for y in (0, camera.height)])
     rays = 2.0 * corners @ np.linalg.inv(camera.intrinsics).T
     points = (rays - camera.translation) @ camera.rotation
@@ -99,7 +100,7 @@ def image_rectangle(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array
 
 
 def test_the_pivot_is_the_axis_point_nearest_to_the_focus() -> None:
-    """Catches orbits about a point off the axis, or at another depth than the focus."""
+    """Catches a pivot off the camera axis, or at another depth than the focus point."""
     camera, focus = capture_camera(64, 48), np.array([0.3, -0.4, 0.1])
     pose = pose_from_camera(camera, focus, UP, (64, 48))
     assert abs((focus - pose.pivot) @ camera.forward) < 1e-12
@@ -109,7 +110,7 @@ def test_the_pivot_is_the_axis_point_nearest_to_the_focus() -> None:
 
 @pytest.mark.parametrize("depth", [-3.0, 0.0, 1e-9, np.nan])
 def test_a_focus_behind_the_camera_is_replaced(depth: float) -> None:
-    """Catches a reversed pose, or one at its pivot, where a camera faces away from the scene."""
+    """Catches a reversed pose, or a pose at its own pivot, if a camera faces away from the scene."""
     camera = capture_camera(64, 48)
     pose = pose_from_camera(camera, camera.centre + depth * camera.forward, UP, (64, 48))
     assert pose.distance > 0.1
@@ -118,7 +119,7 @@ def test_a_focus_behind_the_camera_is_replaced(depth: float) -> None:
 
 
 def test_pose_facing_is_centred_and_upright() -> None:
-    """Catches a pose that faces away or is upside down."""
+    """Catches a pose that faces away from its pivot or is upside down."""
     eye, pivot = np.array([1.0, 2.0, 3.0]), np.array([0.2, 0.1, -0.3])
     pose = pose_facing(eye, pivot, UP, 0.8)
     np.testing.assert_allclose(pose.eye, eye, atol=1e-12)
@@ -127,7 +128,7 @@ def test_pose_facing_is_centred_and_upright() -> None:
 
 
 def test_orbits_keep_the_pivot_in_its_project() -> None:
-    """Catches rotation about the eye or the origin, and drift away from the pivot."""
+    """Catches orbits that rotate about the eye or the origin, or that change the distance to the pivot."""
     rng = np.random.default_rng(1)
     pose = make_pose()
     start = project(pose, pose.pivot)
@@ -139,7 +140,7 @@ def test_orbits_keep_the_pivot_in_its_project() -> None:
 
 
 def test_orbits_move_points_in_front_of_the_pivot_with_the_mouse() -> None:
-    """Catches an axis of the wrong sign, and swapped axes."""
+    """Catches orbits about a wrong axis or in the wrong direction."""
     pose = make_pose()
     point = pose.pivot - 0.3 * pose.distance * pose.rotation[2]
     before = project(pose, point)
@@ -149,7 +150,7 @@ def test_orbits_move_points_in_front_of_the_pivot_with_the_mouse() -> None:
 
 
 def test_orbits_rotate_by_the_given_angle() -> None:
-    """Catches half or double angles, and degrees used as radians."""
+    """Catches orbits by half or twice the given angle, and degrees that are used as radians."""
     pose = pose_facing(np.array([3.0, 0.0, 0.0]), np.zeros(3), UP, 0.9)
     np.testing.assert_allclose(pose.orbit(0.4, 0).eye, 3 * np.array([np.cos(0.4), -np.sin(0.4), 0]), atol=1e-12)
     np.testing.assert_allclose(pose.orbit(0, 0.4).eye, 3 * np.array([np.cos(0.4), 0, np.sin(0.4)]), atol=1e-12)
@@ -159,7 +160,7 @@ def test_orbits_rotate_by_the_given_angle() -> None:
 @pytest.mark.parametrize("down", [0.03, -0.03, 2.0, -2.0])
 @pytest.mark.parametrize("roll", [0.0, 5.0])
 def test_orbits_stop_at_the_poles(roll: float, down: float) -> None:
-    """Catches an image that is upside down after a long drag, including from a camera with roll."""
+    """Catches an image that is upside down after a long drag, also if the initial camera has a roll."""
     pose = roll_pose(make_pose(), roll)
     for _ in range(200):
         pose = pose.orbit(0.01, down)
@@ -169,7 +170,7 @@ def test_orbits_stop_at_the_poles(roll: float, down: float) -> None:
 
 
 def test_a_pose_at_a_pole_can_leave_it_smoothly() -> None:
-    """Catches a ceiling camera that jumps at the first drag, or cannot be rotated."""
+    """Catches a camera that looks straight down and jumps at the first drag, or cannot be rotated."""
     straight_down = np.array([[1.0, 0, 0], [0, -1, 0], [0, 0, -1]])
     pose = Pose(np.zeros(3), straight_down, 2.0, 0.9, UP)
     np.testing.assert_allclose(pose.orbit(0, 0.1).rotation, straight_down, atol=1e-9)
@@ -180,7 +181,7 @@ def test_a_pose_at_a_pole_can_leave_it_smoothly() -> None:
 
 
 def test_thousands_of_orbits_keep_a_valid_rotation() -> None:
-    """Catches rounding that accumulates until the camera is rejected."""
+    """Catches rounding errors that accumulate until the rotation is rejected as invalid."""
     pose = make_pose()
     for right, down in np.random.default_rng(2).normal(0, 0.3, (2000, 2)):
         pose = pose.orbit(right, down)
@@ -191,7 +192,7 @@ def test_thousands_of_orbits_keep_a_valid_rotation() -> None:
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_pans_move_the_pivot_with_the_mouse(scale: float) -> None:
-    """Catches pans at a fixed speed in world units, and a wrong direction."""
+    """Catches pans with a constant speed in world units, and pans in the wrong direction."""
     pose = make_pose().dolly(scale)
     moved = pose.pan(0.25, -0.1)
     step = project(moved, pose.pivot) - project(pose, pose.pivot)
@@ -201,7 +202,7 @@ def test_pans_move_the_pivot_with_the_mouse(scale: float) -> None:
 
 
 def test_dollies_do_not_pass_the_pivot() -> None:
-    """Catches a dolly that moves the pivot, passes through it, or stays at 0 or infinity."""
+    """Catches a dolly that moves the pivot, passes through the pivot, or cannot leave a distance of 0 or infinity."""
     pose = make_pose()
     nearer = pose.dolly(0.5)
     np.testing.assert_allclose(nearer.eye, (pose.eye + pose.pivot) / 2, atol=1e-12)
@@ -216,7 +217,7 @@ def test_dollies_do_not_pass_the_pivot() -> None:
 
 
 def test_flying_follows_the_axes_of_the_pose() -> None:
-    """Catches motion along the world's axes, swapped up and down, and a pivot that stays."""
+    """Catches flying along the world axes, swapped up and down, and a pivot that does not move with the pose."""
     pose, point = make_pose(), np.array([0.1, -0.2, 0.3])
     moved = pose.fly(0.3, 0.2, 0.1)
     before, after = (
@@ -228,7 +229,7 @@ def test_flying_follows_the_axes_of_the_pose() -> None:
 
 
 def test_the_field_of_view_is_clamped() -> None:
-    """Catches a focal length of 0 or infinity, and a pivot that moves in the image."""
+    """Catches fields of view that give a focal length of 0 or infinity, and a pivot that moves in the image."""
     pose = make_pose()
     assert pose.with_field_of_view(0.0).field_of_view == MIN_FIELD_OF_VIEW
     assert pose.with_field_of_view(10.0).field_of_view == MAX_FIELD_OF_VIEW
@@ -240,7 +241,7 @@ def test_the_field_of_view_is_clamped() -> None:
 
 
 def test_interpolation_is_exact_at_both_ends() -> None:
-    """Catches a jump at either end of a transition."""
+    """Catches a jump at the start or the end of a transition between poses."""
     start, end = make_pose(1), make_pose(2, offset=(-0.1, 0.05)).with_field_of_view(0.5).dolly(3)
     first, last = interpolate_poses(start, end, 0.0), interpolate_poses(start, end, 1.0)
     for pose, expected in ((first, start), (last, end)):
@@ -254,7 +255,8 @@ def test_interpolation_is_exact_at_both_ends() -> None:
 
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 1.0, np.pi])
 def test_interpolated_poses_are_valid(turn: float) -> None:
-    """Catches NaN between equal or opposite directions, extrapolation, and motion that reverses."""
+    """Catches NaN in the interpolation between equal or opposite directions, extrapolation, and motion that
+    reverses."""
     start = make_pose()
     end = start.orbit(turn, 0.2).dolly(1e4)
     fractions = [*np.linspace(0, 1, 21), np.nextafter(1, 0)]

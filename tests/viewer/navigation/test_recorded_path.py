@@ -44,7 +44,7 @@ def assert_same(got: Pose | None, expected: Pose) -> None:
 
 
 def change_first_sample(**changes: Any) -> Callable[[Content], None]:
-    """Change the first sample in a file. A value of None removes the key."""
+    """Return a function that changes keys of the first sample in a path file. A value of None removes the key."""
 
     def change(content: Content) -> None:
         sample = content["stops"][0]
@@ -55,7 +55,7 @@ def change_first_sample(**changes: Any) -> Callable[[Content], None]:
 
 
 def test_a_recorded_path_survives_the_round_trip(tmp_path: Path) -> None:
-    """Catches rounded numbers, frames paired with other poses, and a lost frame rate."""
+    """Catches path files with rounded numbers, with frames at the wrong poses, or without the frame rate."""
     recorded = RecordedPath(tuple(PathSample(make_pose(seed), 7 * seed % 5) for seed in range(20)), fps=24.5)
     recorded.save(tmp_path / "new folder" / "a.path.json")
     loaded = load_recorded_path(tmp_path / "new folder" / "a.path.json")
@@ -69,7 +69,8 @@ def test_a_recorded_path_survives_the_round_trip(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ticks", ["fast", "even", "slow", "uneven"])
 def test_recordings_have_a_constant_rate(ticks: str) -> None:
-    """Catches a path that plays too fast or too slow when images came at another or a varying rate."""
+    """Catches a recorded path that plays too fast or too slow if images were drawn at another rate or a varying
+    rate."""
     rng = np.random.default_rng(5)
     steps = {
         "fast": [1 / 240] * 720,
@@ -93,7 +94,7 @@ def test_recordings_have_a_constant_rate(ticks: str) -> None:
 
 
 def test_an_empty_recording_has_no_samples() -> None:
-    """Catches a sample at time 0, before any time has passed."""
+    """Catches a recording that has a sample before any time has passed."""
     recorder = PathRecorder()
     assert recorder.path().samples == ()
     recorder.advance(0.0, make_pose(0), 0)
@@ -146,7 +147,7 @@ CHANGES: dict[str, Callable[[Content], Any]] = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_an_invalid_path_file_raises_a_user_error(tmp_path: Path, name: str) -> None:
-    """Catches a traceback, a hang or a wrong image from an edited file."""
+    """Catches an invalid path file that causes a traceback, a hang or a wrong image."""
     path = tmp_path / "a.path.json"
     RecordedPath((PathSample(make_pose(1), 0), PathSample(make_pose(2), 1))).save(path)
     content = json.loads(path.read_text())
@@ -161,14 +162,14 @@ def test_an_invalid_path_file_raises_a_user_error(tmp_path: Path, name: str) -> 
     ids=["empty", "cut short", "bytes", "null", "list", "number", "text", "nested", "zip"],
 )
 def test_a_file_of_another_kind_raises_a_user_error(tmp_path: Path, content: bytes) -> None:
-    """Catches a traceback where --path names another kind of file."""
+    """Catches a traceback if the option --path names a file of another kind."""
     path = tmp_path / "a.path.json"
     path.write_bytes(content)
     assert_rejected(path)
 
 
 def test_a_missing_file_and_a_folder_raise_a_user_error(tmp_path: Path) -> None:
-    """Catches a bare OSError where a name is mistyped."""
+    """Catches a bare OSError if the name of a path file is misspelt."""
     assert_rejected(tmp_path)
     assert_rejected(tmp_path / "nothing.path.json")
 
@@ -182,14 +183,15 @@ def assert_rejected(path: Path) -> None:
 
 
 def test_invalid_poses_raise_a_value_error() -> None:
-    """Catches an invalid pose, and an exception of another type than documented."""
+    """Catches an invalid pose that is accepted, and an exception of another type than documented."""
     for content in (None, 3, [], {}, "pose", {**pose_to_json(make_pose(0)), "up": "z"}):
         with pytest.raises(ValueError, match=r"expected|could not convert"):
             pose_from_json(content)
 
 
 def test_views_are_saved_by_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches views of another scene, old views that remain, and keys that depend on the working directory."""
+    """Catches a saved view of another scene, an old view that is not replaced, and views that depend on the working
+    directory."""
     views = SavedViews(tmp_path / "state" / "fourd" / "views.json")
     one, other = tmp_path / "one.4dv", tmp_path / "other.4dv"
     assert views.load(one) is None
@@ -209,7 +211,7 @@ def test_views_are_saved_by_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     ids=["empty", "cut short", "bytes", "null", "list", "number", "nested"],
 )
 def test_a_damaged_views_file_is_replaced(tmp_path: Path, content: bytes) -> None:
-    """Catches a viewer that does not start, or saves no views, because of a damaged file."""
+    """Catches a viewer that does not start, or does not save views, because its file of saved views is damaged."""
     file, scene = tmp_path / "views.json", tmp_path / "scene.4dv"
     file.write_bytes(content)
     views = SavedViews(file)
@@ -231,7 +233,7 @@ def test_a_damaged_views_file_is_replaced(tmp_path: Path, content: bytes) -> Non
     ids=["negative", "huge", "NaN", "no rotation", "text", "null"],
 )
 def test_an_invalid_view_is_ignored_and_the_others_stay(tmp_path: Path, change: Content) -> None:
-    """Catches one invalid entry that removes the other views, or that is used."""
+    """Catches an invalid saved view that is used, or that removes the other saved views."""
     file = tmp_path / "views.json"
     views = SavedViews(file)
     for seed, name in enumerate(("bad.4dv", "good.4dv")):
@@ -244,7 +246,7 @@ def test_an_invalid_view_is_ignored_and_the_others_stay(tmp_path: Path, change: 
 
 
 def test_an_unwritable_views_file_is_ignored(tmp_path: Path) -> None:
-    """Catches a viewer that fails on exit where its state cannot be written."""
+    """Catches a viewer that fails on exit if its saved views cannot be written."""
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.json").mkdir()
     for path in (tmp_path / "file" / "views.json", tmp_path / "folder.json"):
@@ -255,7 +257,7 @@ def test_an_unwritable_views_file_is_ignored(tmp_path: Path) -> None:
 
 
 def test_the_oldest_views_are_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a file that grows without limit, and a recent view that is dropped."""
+    """Catches a file of saved views that grows without limit, and a recent view that is dropped."""
     monkeypatch.setattr(saved_views, "_MAX_SCENES", 3)
     views = SavedViews(tmp_path / "views.json")
     for name in ("a", "b", "c", "a", "d"):

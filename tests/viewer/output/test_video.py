@@ -1,4 +1,4 @@
-"""MP4 files that players open."""
+"""Writing of MP4 files that players can open."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def make_images(count: int, height: int, width: int) -> Iterator[np.ndarray]:
 
 
 def test_videos_decode_to_the_written_images(tmp_path: Path) -> None:
-    """Catches swapped channels, wrong colour matrices, a wrong rate, and odd sizes, which yuv420p rejects."""
+    """Catches videos with swapped channels, wrong colours or a wrong rate, and an error for odd image sizes."""
     path = tmp_path / "a.mp4"
     assert write_video(path, make_images(7, 51, 65), 24) == 7
     with av.open(str(path)) as container:
@@ -36,7 +36,7 @@ def test_videos_decode_to_the_written_images(tmp_path: Path) -> None:
 
 
 def test_invalid_images_leave_no_file(tmp_path: Path) -> None:
-    """Catches an empty file that no player opens."""
+    """Catches an empty video file that no player can open."""
     with pytest.raises(UserError, match="expected at least one image"):
         write_video(tmp_path / "a.mp4", iter(()), 24)
     mixed = [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 10, 3), np.uint8)]

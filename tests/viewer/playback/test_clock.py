@@ -10,7 +10,7 @@ from fourd.viewer.playback.clock import Playback
 
 
 def advance(playback: Playback, ticks: int, seconds: float) -> list[int]:
-    """The frame shown after each step of the clock."""
+    """The numbers of the frames that the clock shows after each of its steps."""
     frames = []
     for _ in range(ticks):
         playback.advance(seconds)
@@ -19,14 +19,14 @@ def advance(playback: Playback, ticks: int, seconds: float) -> list[int]:
 
 
 def test_a_loop_shows_every_frame_for_the_same_time() -> None:
-    """Catches a first or last frame that is skipped or shown twice at the wrap."""
+    """Catches a first or last frame that is skipped or shown twice when playback loops."""
     playback = Playback(4, 10.0)
     assert advance(playback, 16, 0.05) == [0, 1, 1, 2, 2, 3, 3, 0] * 2
     assert playback.is_playing
 
 
 def test_a_loop_backwards() -> None:
-    """Catches negative frames, a wrong direction, and a pause at the first frame."""
+    """Catches negative frame numbers, a wrong direction, and a pause at the first frame in backward playback."""
     playback = Playback(4, 10.0, speed=-2.0)
     playback.advance(0.025)
     assert playback.direction == -1
@@ -36,7 +36,7 @@ def test_a_loop_backwards() -> None:
 
 @pytest.mark.parametrize(("speed", "end"), [(1.0, 4), (-1.0, 0)])
 def test_without_loop_playback_pauses_at_the_end(speed: float, end: int) -> None:
-    """Catches frames past the end, and a clock that stays in the playing state."""
+    """Catches frame numbers past the end, and playback that does not pause at the end."""
     playback = Playback(5, 10.0, speed=speed, is_looping=False)
     playback.seek(2)
     assert set(advance(playback, 10, 0.125)) <= set(range(5))
@@ -46,7 +46,7 @@ def test_without_loop_playback_pauses_at_the_end(speed: float, end: int) -> None
 
 
 def test_the_last_frame_is_shown_for_its_full_duration() -> None:
-    """Catches a last frame that is shown too briefly before the pause."""
+    """Catches a last frame that is shown for too short a time before the pause."""
     playback = Playback(3, 8.0, is_looping=False)
     assert advance(playback, 2, 0.125) == [1, 2]
     assert playback.is_playing
@@ -58,7 +58,7 @@ def test_the_last_frame_is_shown_for_its_full_duration() -> None:
 
 @pytest.mark.parametrize("speed", [0.1, 1.0, -3.7, 1e6])
 def test_long_and_tiny_ticks_stay_in_range(speed: float) -> None:
-    """Catches a frame past the last where a remainder rounds up to the frame count."""
+    """Catches a frame number past the last frame, from a remainder that rounding increases to the frame count."""
     playback = Playback(7, 30.0, speed=speed)
     for seconds in (1e-18, 1e-18, 1e5, 1e-9, 0.3, 1e-18):
         playback.advance(seconds)
@@ -79,7 +79,7 @@ def test_a_pause_holds_the_frame() -> None:
 
 @pytest.mark.parametrize(("frame", "expected"), [(-3, 0), (0, 0), (2, 2), (4, 4), (99, 4)])
 def test_seeking_clamps_to_the_scene(frame: int, expected: int) -> None:
-    """Catches an index outside the scene, and a seek that pauses."""
+    """Catches a seek to a frame outside the scene, and a seek that pauses playback."""
     playback = Playback(5, 10.0)
     playback.seek(frame)
     assert playback.frame == expected
@@ -88,7 +88,7 @@ def test_seeking_clamps_to_the_scene(frame: int, expected: int) -> None:
 
 @pytest.mark.parametrize(("start", "steps", "expected"), [(0, 1, 1), (0, -1, 4), (4, 1, 0), (2, -7, 0), (2, 10, 2)])
 def test_steps_pause_and_wrap(start: int, steps: int, expected: int) -> None:
-    """Catches a step that continues to play or leaves the scene."""
+    """Catches a step that does not pause playback, or that leaves the frames of the scene."""
     playback = Playback(5, 10.0)
     playback.seek(start)
     playback.step(steps)
@@ -97,7 +97,7 @@ def test_steps_pause_and_wrap(start: int, steps: int, expected: int) -> None:
 
 
 def test_steps_start_at_the_current_frame() -> None:
-    """Catches a fraction of a frame that remains and makes the next steps uneven."""
+    """Catches a fraction of a frame that remains after a step, so that the next steps are uneven."""
     playback = Playback(5, 10.0)
     playback.advance(0.19)
     playback.step(1)
@@ -108,7 +108,7 @@ def test_steps_start_at_the_current_frame() -> None:
 
 @pytest.mark.parametrize(("speed", "start", "end"), [(1.0, 0, 4), (-1.0, 4, 0)])
 def test_play_at_the_end_restarts(speed: float, start: int, end: int) -> None:
-    """Catches a play button without effect at the end of a scene that does not loop."""
+    """Catches a play button that has no effect at the end of a scene that does not loop."""
     playback = Playback(5, 10.0, speed=speed, is_looping=False)
     playback.seek(end)
     playback.advance(10.0)
@@ -128,7 +128,7 @@ def test_play_elsewhere_continues() -> None:
 
 @pytest.mark.parametrize("speed", [1.0, 0.3, -1.0, -2.5])
 def test_the_next_frame_comes_after_the_predicted_time(speed: float) -> None:
-    """Catches a viewer that sleeps through a frame, or wakes too early."""
+    """Catches a wrong time until the next frame, with which the viewer would skip a frame or wake too early."""
     playback = Playback(5, 24.0, speed=speed)
     playback.seek(2)
     playback.advance(0.01)
@@ -147,7 +147,7 @@ def test_the_next_frame_comes_after_the_predicted_time(speed: float) -> None:
     ids=["paused", "speed 0", "one frame"],
 )
 def test_without_a_next_frame_the_time_is_infinite(playback: Playback) -> None:
-    """Catches a division by a speed of 0, and a viewer that redraws an unchanged image."""
+    """Catches a division by a speed of 0, and a finite time until the next frame although the image does not change."""
     assert playback.seconds_to_next_frame() == math.inf
     playback.advance(1e3)
     assert playback.frame == 0

@@ -1,4 +1,4 @@
-"""Prefetched frames: order, memory limits, errors and threads."""
+"""Prefetching of frames: order, memory limits, errors and threads."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ MEMBER = member_name(1, "xyz")
 
 
 class CountedSource:
-    """A source that makes a new frame for every read and tracks which frames are alive.
+    """A frame source that creates a new frame for every read and tracks which frames are still in memory.
 
     Attributes:
-        limit: allowed bytes of live frames during a read; ignored for up to two live frames.
-        reads: indices read.
-        max_alive: largest count of live frames at a read.
+        limit: maximum total size in bytes of the live frames during a read. The limit does not apply to one or two live
+            frames.
+        reads: indices of the frames that were read.
+        max_alive: maximum number of live frames during a read.
         gate: event that reads wait for.
         has_started: set when a read reaches the gate.
         failures: exceptions to raise, by frame.
-        seed: of the frames' content.
-        close_count: calls of close.
+        seed: random seed of the frames' content.
+        close_count: number of calls of ``close``.
     """
 
     def __init__(self, points: list[int], limit: int = 1 << 40) -> None:
@@ -52,7 +53,7 @@ class CountedSource:
 
     @property
     def alive(self) -> list[int]:
-        """Sizes of the live frames in bytes."""
+        """Sizes in bytes of the frames that are still in memory."""
         return list(self._sizes.values())
 
     def read(self, index: int) -> BakedFrame:
@@ -71,7 +72,7 @@ class CountedSource:
         return frame
 
     def frame(self, index: int) -> BakedFrame:
-        """The content of a frame."""
+        """Create the frame with the given index."""
         return random_frame(self.points[index], VIEWS, seed=100 * self.seed + index)
 
     def close(self) -> None:
@@ -92,7 +93,7 @@ def eventually(condition: Callable[[], bool]) -> None:
 
 
 def reads_at_rest(source: CountedSource, count: int) -> list[int]:
-    """The indices read. Waits for at least ``count`` reads, and then briefly for any further reads."""
+    """Wait for at least ``count`` reads, and then briefly for further reads. Returns the indices that were read."""
     eventually(lambda: len(source.reads) >= count)
     time.sleep(0.02)
     return source.reads
@@ -121,7 +122,8 @@ def overwrite(path: Path, offset: int, content: bytes) -> None:
 
 
 def write_damaged_scene(path: Path, kind: str) -> list[BakedFrame]:
-    """Write a scene with NaN in frame 1, with a wrong or a valid checksum; return the original frames."""
+    """Write a scene with NaN in frame 1 and return the original frames. The checksum of the frame is wrong if ``kind``
+    is "checksum", and valid otherwise."""
     written = write_scene(path)
     offset, size = locate_member(path, MEMBER)
     invalid = np.full(size // 4, np.nan, "<f4").tobytes()
@@ -137,7 +139,7 @@ def write_damaged_scene(path: Path, kind: str) -> list[BakedFrame]:
 
 
 def test_frames_equal_those_of_the_file(tmp_path: Path) -> None:
-    """Catches frames returned for another index: forwards, backwards, after jumps and at the wrap."""
+    """Catches a frame with a wrong index, in forward and backward playback, after jumps and when playback loops."""
     written = write_scene(tmp_path / "scene.4dv", frames=5)
     prefetcher = FramePrefetcher(SceneReader(tmp_path / "scene.4dv"), buffer_bytes=2 * written[-1].nbytes)
     for index, direction in [
@@ -155,7 +157,8 @@ def test_frames_equal_those_of_the_file(tmp_path: Path) -> None:
     [(0, 1, [0, 1, 2, 3, 4]), (3, 1, [3, 4, 0, 1, 2]), (4, -1, [4, 3, 2, 1, 0]), (1, -1, [1, 0, 4, 3, 2])],
 )
 def test_prefetch_follows_the_direction(head: int, direction: int, order: list[int]) -> None:
-    """Catches prefetch in the wrong direction, a stop at the last frame, and frames read twice."""
+    """Catches prefetching in the wrong direction, prefetching that stops at the last frame, and frames that are read
+    twice."""
     source = CountedSource([10] * 5)
     prefetcher = FramePrefetcher(source)
     prefetcher.get(head, direction)
@@ -164,7 +167,7 @@ def test_prefetch_follows_the_direction(head: int, direction: int, order: list[i
 
 
 def test_nothing_is_read_before_the_first_request() -> None:
-    """Catches a read of frame 0 where another frame is shown first."""
+    """Catches a read before the first request, which would waste time if another frame is shown first."""
     source = CountedSource([10] * 5)
     prefetcher = FramePrefetcher(source)
     assert reads_at_rest(source, 0) == []
@@ -172,7 +175,7 @@ def test_nothing_is_read_before_the_first_request() -> None:
 
 
 def test_a_reversal_reads_the_frames_of_the_new_direction() -> None:
-    """Catches a buffer that keeps the old direction, and one that reads buffered frames again."""
+    """Catches prefetching that continues in the old direction after a reversal, or that reads buffered frames again."""
     source = CountedSource([10] * 10)
     prefetcher = FramePrefetcher(source, buffer_bytes=3 * frame_bytes(10))
     prefetcher.get(5, 1)
@@ -186,7 +189,7 @@ def test_a_reversal_reads_the_frames_of_the_new_direction() -> None:
 
 @pytest.mark.parametrize("buffer_bytes", [0, 1, frame_bytes(10), 2 * frame_bytes(10), 5 * frame_bytes(10) - 1])
 def test_the_buffer_holds_only_frames_that_fit(buffer_bytes: int) -> None:
-    """Catches memory that grows during playback, and a buffer of less than two frames, which stops playback."""
+    """Catches memory that grows during playback, and a buffer with fewer than two frames, which would stop playback."""
     source = CountedSource([10] * 12)
     prefetcher = FramePrefetcher(source, buffer_bytes=buffer_bytes)
     fitting = max(2, buffer_bytes // frame_bytes(10))
@@ -199,7 +202,7 @@ def test_the_buffer_holds_only_frames_that_fit(buffer_bytes: int) -> None:
 
 
 def test_frames_of_different_sizes_fit_together() -> None:
-    """Catches a capacity computed from small frames and filled with large ones."""
+    """Catches a buffer capacity that is computed from small frames but filled with large frames."""
     rng = np.random.default_rng(3)
     limit = 3 * frame_bytes(400)
     source = CountedSource([int(points) for points in rng.integers(1, 400, 30)], limit)
@@ -210,7 +213,7 @@ def test_frames_of_different_sizes_fit_together() -> None:
 
 
 def test_the_background_counts_towards_the_buffer() -> None:
-    """Catches a capacity for frames that ignores the memory of the background."""
+    """Catches a buffer capacity that ignores the memory of the background."""
     source = CountedSource([10] * 12)
     source.manifest = replace(source.manifest, kind="full", background=SceneBackground(30))
     prefetcher = FramePrefetcher(source, buffer_bytes=5 * frame_bytes(10) + frame_bytes(30) - 1)
@@ -221,7 +224,7 @@ def test_the_background_counts_towards_the_buffer() -> None:
 
 
 def test_a_large_frame_ahead_is_not_read_repeatedly() -> None:
-    """Catches endless reads of a large frame that is evicted for its size and then missing again."""
+    """Catches a large frame that is evicted because of its size and then read again, in an endless loop."""
     source = CountedSource([10] * 5 + [100] + [10] * 14)
     prefetcher = FramePrefetcher(source, buffer_bytes=3 * frame_bytes(100))
     prefetcher.get(0, wait=True)
@@ -231,7 +234,7 @@ def test_a_large_frame_ahead_is_not_read_repeatedly() -> None:
 
 
 def test_a_frame_is_returned_once_it_is_read() -> None:
-    """Catches a viewer that a slow disk blocks, and a frame that is read again for every call."""
+    """Catches a slow read that blocks the viewer, and a frame that every call reads again."""
     source = CountedSource([10] * 3)
     source.gate.clear()
     prefetcher = FramePrefetcher(source)
@@ -247,7 +250,8 @@ def test_a_frame_is_returned_once_it_is_read() -> None:
 
 
 def test_frames_ahead_counts_buffered_frames() -> None:
-    """Catches a count that includes the current frame, the wrong direction, or frames after a gap."""
+    """Catches a count of buffered frames that includes the current frame, frames in the wrong direction, or frames
+    after a gap."""
     source = CountedSource([10] * 6)
     source.gate.clear()
     prefetcher = FramePrefetcher(source, buffer_bytes=4 * frame_bytes(10))
@@ -262,7 +266,7 @@ def test_frames_ahead_counts_buffered_frames() -> None:
 
 @pytest.mark.parametrize("frames", [1, 3])
 def test_a_fully_buffered_scene_has_all_other_frames_ahead(frames: int) -> None:
-    """Catches a count that includes the current frame."""
+    """Catches a count of buffered frames that includes the current frame if the whole scene is buffered."""
     source = CountedSource([10] * frames)
     prefetcher = FramePrefetcher(source)
     for index in [*range(frames), 0]:
@@ -273,7 +277,7 @@ def test_a_fully_buffered_scene_has_all_other_frames_ahead(frames: int) -> None:
 
 @pytest.mark.parametrize("kind", ["checksum", "numbers"])
 def test_a_damaged_frame_raises_and_the_others_load(tmp_path: Path, kind: str) -> None:
-    """Catches a thread that a damaged frame ends, and NaN that reaches a renderer."""
+    """Catches a prefetch thread that ends because of a damaged frame, and NaN that reaches a renderer."""
     path = tmp_path / "scene.4dv"
     written = write_damaged_scene(path, kind)
     prefetcher = FramePrefetcher(SceneReader(path))
@@ -288,7 +292,7 @@ def test_a_damaged_frame_raises_and_the_others_load(tmp_path: Path, kind: str) -
 
 
 def test_repeated_errors_use_no_memory(tmp_path: Path) -> None:
-    """Catches an exception whose traceback grows with every raise."""
+    """Catches an exception whose traceback grows every time the exception is raised again."""
     path = tmp_path / "scene.4dv"
     write_damaged_scene(path, "numbers")
     prefetcher = FramePrefetcher(SceneReader(path))
@@ -302,7 +306,7 @@ def test_repeated_errors_use_no_memory(tmp_path: Path) -> None:
 
 
 def test_an_unexpected_error_reaches_the_caller() -> None:
-    """Catches a viewer that waits forever for a thread that has failed."""
+    """Catches a caller that waits forever because the prefetch thread has failed."""
     source = CountedSource([10] * 3)
     source.failures[0] = RuntimeError("no such tensor")
     prefetcher = FramePrefetcher(source)
@@ -315,7 +319,7 @@ def test_an_unexpected_error_reaches_the_caller() -> None:
 
 
 def test_invalidation_reads_all_frames_again() -> None:
-    """Catches old frames and errors that remain after the source has changed."""
+    """Catches buffered frames and errors that remain after the source has changed."""
     source = CountedSource([10] * 3)
     source.failures[1] = UserError("a.4dv: the file is damaged")
     prefetcher = FramePrefetcher(source)
@@ -333,7 +337,7 @@ def test_invalidation_reads_all_frames_again() -> None:
 
 
 def test_a_read_during_invalidation_is_dropped() -> None:
-    """Catches a frame of an old checkpoint in the buffer of the new one."""
+    """Catches a frame of an old checkpoint in the buffer of the new checkpoint."""
     source = CountedSource([10] * 3)
     source.gate.clear()
     prefetcher = FramePrefetcher(source)
@@ -350,7 +354,7 @@ def test_a_read_during_invalidation_is_dropped() -> None:
 
 @pytest.mark.parametrize("has_read", [False, True])
 def test_closing_stops_the_thread_and_closes_the_source(has_read: bool) -> None:
-    """Catches threads and open files that leak with every scene."""
+    """Catches a thread or an open file that remains after a scene is closed."""
     before = set(threading.enumerate())
     source = CountedSource([10] * 3)
     prefetcher = FramePrefetcher(source)
@@ -364,7 +368,7 @@ def test_closing_stops_the_thread_and_closes_the_source(has_read: bool) -> None:
 
 
 def test_closing_waits_for_the_current_read() -> None:
-    """Catches a file that is closed while the thread reads it."""
+    """Catches a scene file that is closed while the prefetch thread reads it."""
     source = CountedSource([10] * 3)
     source.gate.clear()
     prefetcher = FramePrefetcher(source)

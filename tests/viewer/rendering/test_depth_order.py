@@ -1,4 +1,4 @@
-"""Display settings, depth orders and the choice of the renderer."""
+"""Display settings, depth orders of points, and the choice of the renderer."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ CAMERAS = ring(5, radius=0.8)
 
 
 def make_request(camera: int = 0, frame: BakedFrame | None = None) -> RenderRequest:
-    """A request for one of the cameras, which are close to the points: many lie outside their images."""
+    """A render request for one of the cameras. The cameras are so close to the points that many points are outside the
+    image."""
     return RenderRequest(
         random_frame(500, VIEWS, seed=1) if frame is None else frame, CAMERAS[camera], MANIFEST, DisplaySettings()
     )
@@ -52,7 +53,7 @@ def eventually(condition: Callable[[], bool]) -> None:
 
 
 def assert_orders(order: DepthOrder, request: RenderRequest) -> None:
-    """Assert that the order is the request's and has all visible points, nearest first."""
+    """Assert that ``order`` belongs to ``request`` and contains all visible points, nearest first."""
     assert is_current(order, request)
     visible = exact_order(request)
     assert 0 < len(visible) < request.frame.point_count
@@ -71,13 +72,13 @@ def orders() -> Iterator[BackgroundOrders]:
 
 
 def test_scales_of_1_return_the_same_frame() -> None:
-    """Catches arrays that are copied and uploaded for every image."""
+    """Catches arrays that are copied, and therefore uploaded again for every image, although no scale is set."""
     frame = random_frame(20, VIEWS, seed=2)
     assert DisplaySettings(layers=3, background=(1, 0, 0)).scale_points(frame) is frame
 
 
 def test_scales_change_only_radii_and_densities() -> None:
-    """Catches scales on the wrong array, densities above 1, and radii that overflow to infinity."""
+    """Catches scales that change the wrong array, densities above 1, and radii that overflow to infinity."""
     frame = random_frame(200, VIEWS, seed=2)
     frame.radius[:3] = (0.0, 0.5, 60000.0)
     scaled = DisplaySettings(point_scale=2.0, density_scale=1.5).scale_points(frame)
@@ -92,7 +93,7 @@ def test_scales_change_only_radii_and_densities() -> None:
 
 
 def test_each_scale_works_alone() -> None:
-    """Catches a scale without effect unless both are set, and rounding of the array that is not scaled."""
+    """Catches a scale that has an effect only if both scales are set, and rounding of the array that is not scaled."""
     frame = random_frame(50, VIEWS, seed=3)
     larger, denser = (
         DisplaySettings(point_scale=0.5).scale_points(frame),
@@ -106,7 +107,7 @@ def test_each_scale_works_alone() -> None:
 
 @pytest.mark.parametrize("wait", [True, False])
 def test_exact_orders_match_the_request(wait: bool) -> None:
-    """Catches an order reused for another frame or camera."""
+    """Catches a depth order that is reused for another frame or camera."""
     frames = [random_frame(points, VIEWS, seed=points) for points in (500, 300)]
     orders = ExactOrders()
     for camera, frame in [(0, 0), (1, 0), (1, 1), (0, 1), (0, 0)]:
@@ -117,7 +118,7 @@ def test_exact_orders_match_the_request(wait: bool) -> None:
 
 
 def test_exact_orders_sort_once() -> None:
-    """Catches sorting for every image of an unchanged view, and after a change of settings."""
+    """Catches points that are sorted again for an unchanged view, or after a change of display settings."""
     request, orders = make_request(), ExactOrders()
     order = orders.order(request, True)
     assert orders.order(request, False) is order
@@ -128,7 +129,7 @@ def test_exact_orders_sort_once() -> None:
 
 
 def test_an_order_stays_valid_after_the_next_sort() -> None:
-    """Catches indices in memory that the next sort overwrites while they are drawn."""
+    """Catches indices that are stored in memory that the next sort overwrites while the points are drawn."""
     orders = ExactOrders()
     first = orders.order(make_request(0), True)
     kept = first.points.copy()
@@ -137,7 +138,7 @@ def test_an_order_stays_valid_after_the_next_sort() -> None:
 
 
 def test_frames_of_a_file_are_sorted(tmp_path: Path, orders: BackgroundOrders) -> None:
-    """Catches a sorter that needs writable arrays: those of a file are read-only."""
+    """Catches a sorter that requires writable arrays. The arrays of a scene file are read-only."""
     write_scene(tmp_path / "scene.4dv", views=VIEWS)
     reader = SceneReader(tmp_path / "scene.4dv")
     request = RenderRequest(reader.read(1), CAMERAS[2], reader.manifest, DisplaySettings())
@@ -147,7 +148,7 @@ def test_frames_of_a_file_are_sorted(tmp_path: Path, orders: BackgroundOrders) -
 
 
 def test_waiting_returns_the_order_of_the_request(orders: BackgroundOrders) -> None:
-    """Catches a screenshot or video drawn with the order of the previous image."""
+    """Catches a screenshot or video that is drawn with the depth order of the previous image."""
     frames = [random_frame(points, VIEWS, seed=points) for points in (500, 300)]
     for number in range(30):
         request = make_request(number % 5, frames[number // 3 % 2])
@@ -155,13 +156,13 @@ def test_waiting_returns_the_order_of_the_request(orders: BackgroundOrders) -> N
 
 
 def test_the_first_order_is_that_of_the_request(orders: BackgroundOrders) -> None:
-    """Catches a first image without points, or a crash because there is no order yet."""
+    """Catches a first image without points, or a crash because there is no depth order before the first image."""
     request = make_request()
     assert_orders(orders.order(request, False), request)
 
 
 def test_background_orders_include_points_around_the_image(orders: BackgroundOrders) -> None:
-    """Catches holes at the border while the camera moves and the next order is not there yet."""
+    """Catches holes at the image border while the camera moves and the next depth order is not finished."""
     request = make_request()
     points = orders.order(request, True).points
     pixels, depths = request.camera.project(request.frame.xyz)
@@ -172,7 +173,7 @@ def test_background_orders_include_points_around_the_image(orders: BackgroundOrd
 
 
 class GatedSorter:
-    """A sorter that waits for a gate."""
+    """A depth sorter that waits for the event ``gate`` before it sorts."""
 
     gate: ClassVar[threading.Event]
     has_started: ClassVar[threading.Event]
@@ -190,7 +191,7 @@ class GatedSorter:
 
 @pytest.fixture
 def gated(monkeypatch: pytest.MonkeyPatch) -> type[GatedSorter]:
-    """Replaces the sorter of BackgroundOrders."""
+    """Replace the depth sorter of BackgroundOrders by GatedSorter."""
     GatedSorter.gate, GatedSorter.has_started, GatedSorter.sorted = threading.Event(), threading.Event(), []
     GatedSorter.gate.set()
     monkeypatch.setattr("fourd.viewer.gl.depth_order.DepthSorter", GatedSorter)
@@ -198,7 +199,8 @@ def gated(monkeypatch: pytest.MonkeyPatch) -> type[GatedSorter]:
 
 
 def test_images_do_not_wait_for_later_orders(gated: type[GatedSorter]) -> None:
-    """Catches images that wait for sorting, requests that queue up, and an order that stays stale."""
+    """Catches images that wait for sorting, outdated requests that are sorted, and a depth order that remains
+    outdated."""
     requests = [make_request(0, random_frame(100 + number, VIEWS, seed=number)) for number in range(4)]
     orders = BackgroundOrders()
     first = orders.order(requests[0], False)
@@ -216,7 +218,7 @@ def test_images_do_not_wait_for_later_orders(gated: type[GatedSorter]) -> None:
 
 
 def test_an_unchanged_request_is_sorted_once(gated: type[GatedSorter]) -> None:
-    """Catches a thread that sorts the same request endlessly."""
+    """Catches a thread that sorts the points of an unchanged request again and again."""
     orders, request = BackgroundOrders(), make_request()
     order = orders.order(request, True)
     for _ in range(10):
@@ -228,7 +230,7 @@ def test_an_unchanged_request_is_sorted_once(gated: type[GatedSorter]) -> None:
 
 @pytest.mark.parametrize("has_order", [False, True])
 def test_release_stops_the_thread(has_order: bool) -> None:
-    """Catches a thread that leaks with every change of the renderer."""
+    """Catches a sorting thread that continues to run after its renderer is released."""
     before = set(threading.enumerate())
     orders = BackgroundOrders()
     assert len(set(threading.enumerate()) - before) == 1
@@ -242,7 +244,7 @@ def test_release_stops_the_thread(has_order: bool) -> None:
 @pytest.mark.parametrize("wait", [True, False])
 @pytest.mark.parametrize("has_order", [False, True])
 def test_an_error_in_the_thread_reaches_the_caller(has_order: bool, wait: bool) -> None:
-    """Catches a viewer that waits, or keeps an old order, forever after the thread has failed."""
+    """Catches a viewer that waits forever or always uses an old depth order after the sorting thread has failed."""
     orders, request = BackgroundOrders(), make_request()
     if has_order:
         orders.order(request, True)
@@ -284,7 +286,8 @@ def test_an_error_in_the_thread_reaches_the_caller(has_order: bool, wait: bool) 
 def test_the_chosen_renderer_suits_the_driver(
     requested: RendererName | Literal["auto"], driver: str | None, name: RendererName
 ) -> None:
-    """Catches an unused GPU, software GL where the native kernel is faster, and an ignored request."""
+    """Catches a choice that ignores the GPU, uses software OpenGL although the CPU kernel is faster, or ignores the
+    user's request."""
     choice = choose_renderer(requested, driver)
     assert choice.name == name
     assert choice.reason
@@ -294,6 +297,6 @@ def test_the_chosen_renderer_suits_the_driver(
 
 @pytest.mark.parametrize("requested", [name for name in RENDERERS if name != "cpu"])
 def test_a_gl_renderer_without_gl_raises(requested: RendererName) -> None:
-    """Catches a request that is silently replaced, or that fails inside GL."""
+    """Catches a requested OpenGL renderer that is silently replaced, or that fails inside OpenGL."""
     with pytest.raises(UserError, match=f"--renderer: expected cpu.*got {requested}; add --renderer cpu"):
         choose_renderer(requested, None)

@@ -1,4 +1,4 @@
-"""All renderers against the torch reference."""
+"""All renderers of the viewer compared with the torch reference."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.viewer.scenes import shell_frame
 
 EXACT: tuple[RendererName, ...] = ("peel", "dual", "cpu")
 LAYERS = 12
-BACKGROUND = (0.2, 0.4, 0.8)  # a colour that bytes represent exactly, so that all renderers agree
+BACKGROUND = (0.2, 0.4, 0.8)  # Bytes represent this colour exactly, so that all renderers agree.
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def context() -> Iterator[moderngl.Context]:
 
 @pytest.fixture
 def make(context: moderngl.Context) -> Iterator[object]:
-    """A factory of renderers, which are released after the test."""
+    """A function that creates renderers. All created renderers are released after the test."""
     made: list[Renderer] = []
 
     def make_one(name: RendererName, precision: Precision = "float16") -> Renderer:
@@ -54,7 +54,7 @@ def make(context: moderngl.Context) -> Iterator[object]:
 
 
 def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.float32]:
-    """The image (H, W, 3) of the torch reference, over the background colour."""
+    """The image (H, W, 3) of the torch reference, composited over the background colour."""
     frame, settings = request.frame, request.settings
     colours = shade_reference(frame, request.camera, request.manifest)
     arrays = (frame.xyz, colours, frame.radius.astype(np.float32), frame.density.astype(np.float32))
@@ -70,7 +70,8 @@ def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.f
 
 
 def require_parity(name: str, got: NDArray[np.float32], truth: NDArray[np.float32]) -> None:
-    """Assert the error bounds of the exact renderers, or a PSNR of 40 dB for the sorted renderer."""
+    """Assert that an image matches the reference. The sorted renderer must reach a PSNR of 40 dB, and the other
+    renderers must meet error bounds."""
     difference = np.abs(got[..., :3] - truth)
     if name == "sorted":
         assert -10 * np.log10(np.square(difference).mean() + 1e-12) >= 40
@@ -102,7 +103,8 @@ def test_shell_matches_reference(name: RendererName, index: int, make, context: 
 def test_only_the_k_nearest_layers_are_composited(
     name: RendererName, layers: int, make, context: moderngl.Context
 ) -> None:
-    """Catches far layers among the K nearest, an extra layer for odd K, and peeling that stops early."""
+    """Catches far layers among the K nearest depth layers, an additional layer for odd K, and depth peeling that stops
+    too early."""
     frame = random_frame(3000, 6, seed=layers)
     thin = replace(frame, density=(frame.density * np.float16(0.3)).astype(np.float16))
     request = make_request(thin, small_camera(1), DisplaySettings(layers, (0.8, 0.2, 0.4)))
@@ -111,7 +113,7 @@ def test_only_the_k_nearest_layers_are_composited(
 
 @pytest.mark.parametrize("name", EXACT)
 def test_depth_ties_are_ordered_by_index(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches points of equal depth that are lost, drawn twice or in another order."""
+    """Catches points of equal depth that are missing, drawn twice or drawn in the wrong order."""
     camera = Camera(np.array([[60.0, 0, 48], [0, 60, 32], [0, 0, 1]]), np.eye(3), np.array([0.0, 0, 3]), 96, 64)
     frame = random_frame(2000, 6, seed=3)
     flat = frame.xyz.copy()
@@ -122,7 +124,8 @@ def test_depth_ties_are_ordered_by_index(name: RendererName, make, context: mode
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_large_points_near_the_camera(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches sprites clamped to the driver's maximum, culled off-screen centres, and points behind the camera."""
+    """Catches sprites whose size is clamped to the driver's maximum, missing points with centres outside the image, and
+    visible points behind the camera."""
     frame = shell_frame(1500, seed=8)
     camera = small_camera(2)
     along = np.linspace(-0.3, 0.9, 40)[:, None] * camera.forward
@@ -139,7 +142,7 @@ def test_large_points_near_the_camera(name: RendererName, make, context: moderng
 
 @pytest.mark.parametrize("name", ["sorted", "peel", "dual"])
 def test_discs_with_centres_outside_the_image(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches sprites that vanish when their centre leaves the image."""
+    """Catches discs that disappear if their centre is outside the image."""
     request = make_request(shell_frame(400, seed=9), small_camera(0).crop(60, 20, 24, 24))
     require_parity(name, render(make(name), request, context), reference(request))
 
@@ -147,7 +150,7 @@ def test_discs_with_centres_outside_the_image(name: RendererName, make, context:
 @pytest.mark.parametrize("name", RENDERERS)
 @pytest.mark.parametrize("points", [0, 1])
 def test_frames_of_zero_or_one_points(name: RendererName, points: int, make, context: moderngl.Context) -> None:
-    """Catches empty draw calls, and an image that keeps the previous content."""
+    """Catches an error from an empty draw call, and an empty frame whose image shows the previous content."""
     renderer = make(name)
     request = make_request(random_frame(points, 6, seed=2), small_camera(0))
     require_parity(name, render(renderer, request, context), reference(request))
@@ -158,7 +161,7 @@ def test_frames_of_zero_or_one_points(name: RendererName, points: int, make, con
 @pytest.mark.filterwarnings("ignore:invalid value encountered")
 @pytest.mark.parametrize("name", RENDERERS)
 def test_points_with_invalid_values_are_culled(name: RendererName, make, context) -> None:
-    """Catches NaN and infinity that spread over the image when a caller passes unchecked arrays."""
+    """Catches NaN and infinity of single points that spread over the image."""
     frame = shell_frame(1000, seed=4)
     xyz, radius = frame.xyz.copy(), frame.radius.copy()
     xyz[::7] = np.nan
@@ -170,7 +173,7 @@ def test_points_with_invalid_values_are_culled(name: RendererName, make, context
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_scenes_without_source_views(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches a division by the count of views where it is 0."""
+    """Catches a division by zero in a scene without source views."""
     frame = shell_frame(800, seed=6)
     bare = replace(frame, blend_weights=frame.blend_weights[:, :0], rgb=frame.rgb[:, :0])
     without_views = replace(
@@ -182,7 +185,7 @@ def test_scenes_without_source_views(name: RendererName, make, context: moderngl
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_a_renderer_draws_different_frames_and_sizes(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches textures, depth orders and colours of the previous image in the next."""
+    """Catches textures, depth orders and colours of the previous image that appear in the next image."""
     renderer = make(name)
     for seed, size in ((1, (96, 64)), (2, (40, 80)), (1, (96, 64)), (3, (130, 50))):
         request = make_request(shell_frame(600 + 700 * seed, seed), small_camera(seed, *size))
@@ -191,7 +194,7 @@ def test_a_renderer_draws_different_frames_and_sizes(name: RendererName, make, c
 
 @pytest.mark.parametrize("name", ["peel", "dual"])
 def test_float32_is_more_exact_than_float16(name: RendererName, make, context: moderngl.Context) -> None:
-    """Catches a precision parameter without effect."""
+    """Catches a parameter ``precision`` that has no effect."""
     request = make_request(shell_frame(2000, seed=12), small_camera(0))
     truth = reference(request)
     half, single = (
@@ -202,7 +205,7 @@ def test_float32_is_more_exact_than_float16(name: RendererName, make, context: m
 
 
 def test_background_order_becomes_exact_when_the_camera_stops(make, context: moderngl.Context) -> None:
-    """Catches a depth order that stays stale."""
+    """Catches a depth order that remains outdated after the camera has stopped."""
     renderer = make("sorted")
     frame = shell_frame(2000, seed=7)
     for index in range(4):
@@ -219,7 +222,7 @@ def test_background_order_becomes_exact_when_the_camera_stops(make, context: mod
 
 
 def test_arrays_above_the_texture_limit_raise(context: moderngl.Context) -> None:
-    """Catches a driver error, or a partial scene, where the arrays exceed the largest texture."""
+    """Catches a driver error or an incomplete scene if the arrays of a frame exceed the largest texture."""
     from fourd.viewer.gl.frame_textures import ArrayTexture
     from fourd.viewer.gl.shaders import TEXELS_PER_ROW
 
@@ -232,7 +235,7 @@ def test_arrays_above_the_texture_limit_raise(context: moderngl.Context) -> None
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_renderers_release_their_gl_objects(name: RendererName, context: moderngl.Context) -> None:
-    """Catches textures, buffers, programs and framebuffers that leak with every opened scene."""
+    """Catches textures, buffers, programs and framebuffers that remain after a renderer is released."""
     request = make_request(shell_frame(300, seed=1), small_camera(0))
 
     def open_and_close() -> None:
@@ -251,7 +254,7 @@ def test_renderers_release_their_gl_objects(name: RendererName, context: moderng
 
 
 def count_gl_objects(context: moderngl.Context) -> dict[str, int]:
-    """Counts of live GL objects by kind."""
+    """Number of existing OpenGL objects of each kind."""
     newest = context.texture((1, 1), 4)
     framebuffer = context.framebuffer([newest])
     last = 64 + max(newest.glo, framebuffer.glo)
@@ -270,7 +273,7 @@ def count_gl_objects(context: moderngl.Context) -> dict[str, int]:
 
 
 def test_manifest_constants_reach_the_shader(make, context: moderngl.Context) -> None:
-    """Catches hard-coded values of sh_range, sh_base, near and neighbours in the shader."""
+    """Catches shaders with hard-coded values of sh_range, sh_base, near and neighbours."""
     changed: SceneManifest = replace(manifest(6), sh_range=0.4, sh_base=0.1, near=2.6, neighbours=2)
     request = RenderRequest(shell_frame(2000, seed=3), small_camera(1), changed, DisplaySettings(LAYERS))
     truth = reference(request)
@@ -281,7 +284,7 @@ def test_manifest_constants_reach_the_shader(make, context: moderngl.Context) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RENDERERS)
 def test_a_thousand_images_leak_nothing(name: RendererName, context: moderngl.Context) -> None:
-    """Catches GL objects that leak per image, and memory that grows with the images drawn."""
+    """Catches OpenGL objects and memory whose number or size grows with the number of drawn images."""
     renderer, canvas = make_renderer(name, context), Canvas(context)
     frames = [shell_frame(200 + 10 * number, seed=number) for number in range(5)]
 
