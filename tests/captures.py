@@ -14,7 +14,7 @@ from fourd.ops.points.arrays import render_points_numpy
 
 
 def ring_cameras(count: int, size: int) -> list[Camera]:
-    """Cameras around the origin at two heights, at a distance of 2 m in the plane."""
+    """Cameras around the origin at two heights, at a horizontal distance of 2 m."""
     intrinsics = np.array([[1.1 * size, 0, size / 2], [0, 1.1 * size, size / 2], [0, 0, 1]])
     cameras = []
     for index in range(count):
@@ -25,7 +25,7 @@ def ring_cameras(count: int, size: int) -> list[Camera]:
 
 
 def write_ball_capture(folder: Path, *, cameras: int = 8, frames: int = 2, size: int = 64) -> Path:
-    """Write images, masks and calibration into ``folder``; the ball moves without rotating."""
+    """Write images, masks and calibration into ``folder``. The ball moves without rotation."""
     views = ring_cameras(cameras, size)
     names = [f"{index:02d}" for index in range(cameras)]
     write_calibration(folder, names, views)
@@ -52,7 +52,7 @@ def _write_view(
 
 
 def sphere(count: int) -> NDArray[np.float64]:
-    """Evenly distributed unit vectors: a Fibonacci lattice."""
+    """Evenly distributed unit vectors on a Fibonacci lattice."""
     index = np.arange(count) + 0.5
     z, angle = 1 - 2 * index / count, np.pi * (1 + 5**0.5) * index
     r = np.sqrt(1 - z**2)

@@ -1,4 +1,4 @@
-"""What all tests share: seeds that are fresh, printed, and can be set again."""
+"""Fixtures that all tests share. Random seeds are new in every run, are printed, and can be set again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.captures import write_ball_capture
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A generator with a fresh seed, printed with a failing test; FOURD_TEST_SEED sets it again."""
+    """A random generator with a new seed. The seed is printed if a test fails, and FOURD_TEST_SEED sets it again."""
     seed = int(os.environ.get("FOURD_TEST_SEED", secrets.randbits(32)))
     print(f"FOURD_TEST_SEED={seed}")
     return np.random.default_rng(seed)
@@ -25,13 +25,13 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def ball_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A capture of a striped ball: 8 cameras, 3 frames, 64 x 64. Not to be changed by tests."""
+    """A capture of a striped ball: 8 cameras, 3 frames, 64 x 64. Tests must not change this capture."""
     return write_ball_capture(tmp_path_factory.mktemp("ball"), frames=3)
 
 
 @pytest.fixture(params=["emulated", "cuda"])
 def gpu(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> torch.device:
-    """Where the CUDA kernels run: a GPU, and the CPU, which emulates one."""
+    """Device on which the CUDA kernels run: a GPU, or a CPU that emulates a GPU."""
     if request.param == "cuda":
         if not torch.cuda.is_available():
             pytest.skip("no CUDA device here")

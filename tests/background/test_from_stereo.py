@@ -52,7 +52,7 @@ def is_seen(xyz: np.ndarray, plates: list[PlateView]) -> bool:
 
 
 def plate(room: Room, index: int) -> PlateView:
-    """A camera's image of the room; the hole is magenta."""
+    """A camera's image of the room, in which the hole is magenta."""
     camera = room_cameras(4, 176, 132)[index]
     rgb = room.picture(camera)
     rows, columns = np.indices(rgb.shape[:2])
@@ -75,7 +75,7 @@ def stage() -> Stage:
 
 
 def test_points_lie_on_the_walls(stage: Stage) -> None:
-    """Catches cameras that COLMAP changes, half-pixel errors between pixel conventions, and wrong matches."""
+    """Catches cameras that are changed by COLMAP, half-pixel errors between pixel conventions, and wrong matches."""
     distance = to_walls(stage.points.xyz)
     assert np.median(distance) < 0.003
     assert np.percentile(distance, 90) < 0.02
@@ -83,7 +83,7 @@ def test_points_lie_on_the_walls(stage: Stage) -> None:
 
 
 def test_features_lie_on_the_walls(stage: Stage) -> None:
-    """Catches poses that COLMAP changes or permutes, and wrong matches in three plates."""
+    """Catches poses that are changed or permuted by COLMAP, and wrong matches in three plates."""
     features = triangulate_sparse(stage.plates, 0, untracked)
     distance = to_walls(features.xyz)[features.reliable]
     assert len(distance) > 100
@@ -115,7 +115,8 @@ def test_holes_have_no_points(stage: Stage) -> None:
 
 
 def test_points_have_an_even_density_in_the_pictures(stage: Stage) -> None:
-    """Catches a density that is even in the world instead of in the images, and gaps where one plate sees the wall."""
+    """Catches points that are evenly spaced in the world instead of in the images, and gaps on walls that only one
+    plate shows."""
     assert 1800 <= len(stage.points.xyz) <= 2000
     for view in stage.plates:
         pixels, depth = view.camera.project(stage.points.xyz)
@@ -127,14 +128,14 @@ def test_points_have_an_even_density_in_the_pictures(stage: Stage) -> None:
 
 
 def test_any_prefix_is_a_uniform_sample(stage: Stage) -> None:
-    """Catches points in the order of the plates: the first half of the points would cover only one corner."""
+    """Catches points that are stored plate by plate. The first half of such points would cover only one corner."""
     half = stage.points.xyz[: len(stage.points.xyz) // 2]
     spread = stage.points.xyz.std(axis=0)
     assert np.allclose(half.mean(axis=0), stage.points.xyz.mean(axis=0), atol=0.15 * spread.max())
 
 
 def test_extrapolated_points_are_reported(stage: Stage) -> None:
-    """Catches extrapolated points that are not distinguished from measured ones."""
+    """Catches extrapolated points that are counted as measured points."""
     features, points = stage.lines
     assert features.startswith("features: ")
     assert f"points: {len(stage.points.xyz)}, " in points
@@ -152,7 +153,8 @@ def test_blank_walls_are_an_error(stage: Stage) -> None:
 
 
 def test_plates_without_overlap_are_an_error(rng: np.random.Generator) -> None:
-    """Catches a background made from random matches: the cameras face away from each other and do not overlap."""
+    """Catches a background made from random matches. The cameras face away from each other, so their images do not
+    overlap."""
     up, intrinsics = np.array([0.0, 0.0, 1.0]), np.array([[140.0, 0, 88], [0, 140, 66], [0, 0, 1]])
     plates, room = [], Room(rng)
     for index, side in enumerate((1.0, -1.0)):
@@ -179,7 +181,8 @@ def test_same_points_from_any_number_of_processes(stage: Stage) -> None:
 
 @pytest.mark.slow
 def test_measured_points_only(stage: Stage) -> None:
-    """Catches extrapolated points with ``fill=False``: all points are within 1 cm of the walls."""
+    """Catches points that are extrapolated although ``fill`` is False. Without extrapolation, all points are within 1
+    cm of the walls."""
     measured = seed_from_stereo(stage.plates, 100_000, fill=False)
     assert 5_000 < len(measured.xyz) < 100_000
     assert np.percentile(to_walls(measured.xyz), 90) < 0.01

@@ -26,7 +26,8 @@ def plate_views(path: Path) -> list[PlateView]:
 
 
 def test_subject_and_exposure_are_not_changes(ball_capture: Path) -> None:
-    """Catches a report of a changing background that is caused by the subject or by a different exposure."""
+    """Catches a false report of a changing background. The subject or a different exposure could cause such a
+    report."""
     capture = open_capture(ball_capture)
     assert find_changing_backgrounds(capture, range(len(capture.names)), plate_views(ball_capture)) == {}
 

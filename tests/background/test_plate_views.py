@@ -1,4 +1,4 @@
-"""Reading of clean plates that are provided by the user or made by fourd."""
+"""Reading of clean plates that the user provides or that fourd makes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def folder(ball_capture: Path, tmp_path: Path) -> Path:
 
 
 def stage(rng: np.random.Generator) -> np.ndarray:
-    """Smooth image (H, W, 3), so that resampling changes only little."""
+    """Smooth image (H, W, 3), which changes only little if it is resampled."""
     return cv2.GaussianBlur(rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8), (0, 0), 4)
 
 
@@ -36,7 +36,7 @@ def make_plate(folder: Path, name: str, rgb: np.ndarray, seen: np.ndarray | None
 
 
 def provide(folder: Path, name: str, picture: np.ndarray) -> Path:
-    """Write a plate of the user, RGB or RGBA."""
+    """Write a plate as the user provides it, in RGB or RGBA."""
     path = folder / "bgs" / name
     path.parent.mkdir(exist_ok=True)
     code = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR
@@ -68,7 +68,7 @@ def test_made_plates(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_the_users_plates_come_first(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a user's plate that is ignored because fourd made one, and JPEG plates that are not found."""
+    """Catches a user's plate that is ignored because fourd also made a plate, and JPEG plates that are not found."""
     made, provided = stage(rng), stage(rng)
     for name in ("00", "01", "02"):
         make_plate(folder, name, made)
@@ -109,7 +109,8 @@ def test_scale(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_the_users_plates_are_undistorted_like_the_pictures(folder: Path, rng: np.random.Generator) -> None:
-    """Catches missing undistortion, or undistortion that differs from the frames: points would miss the walls."""
+    """Catches plates that are not undistorted, or are undistorted in another way than the frames. Points would then
+    miss the walls."""
     picture = stage(rng)
     for name in ("00", "01"):
         provide(folder, f"{name}.png", picture)
@@ -121,7 +122,8 @@ def test_the_users_plates_are_undistorted_like_the_pictures(folder: Path, rng: n
 
 
 def test_made_plates_are_not_undistorted_again(folder: Path, rng: np.random.Generator) -> None:
-    """Catches undistortion that is applied twice, and pixels outside the lens's view that count as a black wall."""
+    """Catches plates that are undistorted twice, and pixels outside the lens's field of view that count as a black
+    wall."""
     picture = stage(rng)
     for name in ("00", "01"):
         make_plate(folder, name, picture)
@@ -135,7 +137,7 @@ def test_made_plates_are_not_undistorted_again(folder: Path, rng: np.random.Gene
 
 
 def test_plates_of_mostly_holes_are_reported(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a plate with large holes that is not reported, and a report about a good plate."""
+    """Catches a plate with large holes that is not reported, and a good plate that is reported."""
     hole = np.ones((SIZE, SIZE), bool)
     hole[:20] = False
     for name in ("00", "01", "02"):
@@ -170,7 +172,8 @@ def test_missing_plate(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_wrong_size(folder: Path, rng: np.random.Generator) -> None:
-    """Catches a plate of the wrong size that is resized, and a suggested fix for plates of another origin."""
+    """Catches a plate of the wrong size that is silently resized. Also catches advice that confuses plates from the
+    user with plates made by fourd."""
     for name in ("00", "01"):
         make_plate(folder, name, stage(rng))
     provide(folder, "01.png", stage(rng)[:32])

@@ -41,7 +41,8 @@ def generator(seed: int = 0) -> torch.Generator:
 
 
 def true_surface(plate: ReducedPlate, known: np.ndarray | None = None) -> Surface:
-    """The true surface of a plate; ``known`` (N,) selects the cells marked as measured, by default all."""
+    """The true surface of a plate. ``known`` (N,) selects the cells that are marked as measured. By default, all cells
+    are marked."""
     grid = plate.grid()
     depth = room_depth(plate.camera)[grid.indices]
     measured = np.ones(len(depth), bool) if known is None else known
@@ -177,7 +178,8 @@ def test_weights_and_transmittance_sum_to_one(rng: np.random.Generator) -> None:
 
 
 def test_distortion_loss_equals_the_double_sum(rng: np.random.Generator) -> None:
-    """Catches a wrong prefix sum. The expected value is the double sum of eq. 15."""
+    """Catches a wrong prefix sum in the distortion loss. The expected value is the double sum of eq. 15 of mip-NeRF
+    360."""
     edges = torch.from_numpy(np.sort(rng.random((4, 9)), axis=1))
     weights = torch.from_numpy(rng.random((4, 8)))
     middles, lengths = (edges[:, 1:] + edges[:, :-1]) / 2, edges.diff(dim=1)
@@ -187,7 +189,7 @@ def test_distortion_loss_equals_the_double_sum(rng: np.random.Generator) -> None
 
 
 def test_weight_quantiles_are_interpolated() -> None:
-    """Catches a quantile at the start or end of an interval instead of the interpolated position."""
+    """Catches a quantile that is placed at an end of an interval instead of at the interpolated position."""
     edges = torch.linspace(0, 1, 5)[None].repeat(3, 1)
     weights = torch.tensor([[0.0, 1.0, 0.0, 0.0], [0.25, 0.5, 0.25, 0.0], [0.1, 0.1, 0.1, 0.1]])
     assert weight_quantile(weights, edges, 0.5).tolist() == pytest.approx([0.375, 0.375, 1.0])
@@ -214,7 +216,8 @@ def one_ray() -> Rays:
 
 
 def test_samples_concentrate_on_occupied_cells() -> None:
-    """Catches too many samples in empty space, and a lack of samples there, with which new surfaces are not found."""
+    """Catches too many samples in empty space. Also catches empty space without samples, in which new surfaces would
+    not be found."""
     grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 64)
     place = torch.tensor([[0.3, 0.0, 0.0]])
     even = to_distance(grid.sample(one_ray(), 32, None)[0])
@@ -231,7 +234,8 @@ def test_samples_concentrate_on_occupied_cells() -> None:
 
 
 def test_densities_decay() -> None:
-    """Catches cells whose density never decays, and an update with the last density of a batch, not the largest."""
+    """Catches cells whose density never decays, and an update with the last density of a batch instead of the largest
+    density."""
     grid = OccupancyGrid(Contraction((0.0, 0.0, 0.0), 1.0), 8)
     place = torch.tensor([[0.1, 0.1, 0.1], [0.1, 0.1, 0.1], [0.1, 0.1, 0.1]])
     grid.update(place, torch.tensor([1.0, 5.0, 2.0]))
@@ -243,7 +247,7 @@ def test_densities_decay() -> None:
 
 
 def test_clamped_density_has_a_gradient() -> None:
-    """Catches a clamp with a zero gradient: opaque regions could never become transparent."""
+    """Catches a clamp with a zero gradient, with which opaque regions could never become transparent."""
     log_density = torch.tensor([20.0, 0.5], requires_grad=True)
     bounded_exp(log_density).sum().backward()
     assert log_density.grad is not None
@@ -277,7 +281,8 @@ def plates_of(reduced: list[ReducedPlate]) -> list[PlateView]:
 
 
 def test_blank_walls_are_refused(reduced: list[ReducedPlate]) -> None:
-    """Catches an optimisation that starts without any depth information, and an empty background without an error."""
+    """Catches an optimisation that starts without any depths, and an empty background that is returned without an
+    error."""
     blank = [replace(plate, rgb=np.full_like(plate.rgb, 200)) for plate in plates_of(reduced)]
     with pytest.raises(
         UserError, match=r"plates: expected at least 8 features .*, got 0; .*--background FILE.ply"
@@ -287,7 +292,8 @@ def test_blank_walls_are_refused(reduced: list[ReducedPlate]) -> None:
 
 
 def test_too_few_confirmed_depths_are_an_error(reduced: list[ReducedPlate], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a background made from fog, whose depths are consistent between plates, and unreported missing depths."""
+    """Catches a background made from fog that has consistent depths in all plates. Also catches missing depths that are
+    not reported."""
     few = [true_surface(plate, np.arange(len(plate.grid().pixels)) % 400 == 0) for plate in reduced]
     monkeypatch.setattr(points_module, "reconstruct_surfaces", lambda *given: StereoResult(20, 20, reduced, few))
     lines: list[str] = []

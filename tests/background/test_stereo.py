@@ -45,7 +45,7 @@ def surface_of(view: Camera, known: np.ndarray) -> Surface:
 
 
 def textured(view: Camera, rng: np.random.Generator) -> np.ndarray:
-    """Image (H, W, 3) of a floor with a random texture; equal generator states give equal images."""
+    """Image (H, W, 3) of a floor with a random texture. Equal states of the random generator give equal images."""
     texture = cv2.GaussianBlur(rng.uniform(0, 255, (400, 400)).astype(np.float32), (0, 0), 4)
     texture = cv2.normalize(texture, np.zeros_like(texture), 0, 255, cv2.NORM_MINMAX)
     to_texture = np.array([[100.0, 0, 200], [0, 100, 200], [0, 0, 1]])
@@ -55,7 +55,8 @@ def textured(view: Camera, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_the_true_plane_has_the_highest_score() -> None:
-    """Catches half-pixel and sign errors between two images: a wrong plane would have a higher score."""
+    """Catches half-pixel and sign errors between two images. With such an error, a wrong plane would have a higher
+    score."""
     everywhere = np.ones((HEIGHT, WIDTH), bool)
     views = [GreyView.from_rgb(view, textured(view, np.random.default_rng(5)), everywhere) for view in CAMERAS]
     grid = Grid.covering(WIDTH, HEIGHT, 4)
@@ -99,7 +100,7 @@ def test_planes_behind_the_source_have_no_score() -> None:
 
 
 def test_contradicted_cells_are_dropped() -> None:
-    """Catches depth errors of a single map that are kept as points in free space."""
+    """Catches depth errors of a single depth map that are kept as points in free space."""
     maps = [floor_map(view) for view in CAMERAS]
     wrong = (np.abs(maps[1].grid.pixels[:, 0] - 48) < 12) & (np.abs(maps[1].grid.pixels[:, 1] - 36) < 12)
     planes = maps[1].planes.copy()
@@ -127,7 +128,8 @@ def test_one_confirming_picture_is_needed_and_enough() -> None:
 
 
 def test_small_components_are_dropped() -> None:
-    """Catches small groups of cells that are consistent by chance and are kept; they distort the depth completion."""
+    """Catches small groups of cells that are kept because they are consistent by chance. Such groups distort the depth
+    completion."""
     maps = [floor_map(view) for view in CAMERAS]
     numbers = np.arange(len(maps[0].scores)).reshape(maps[0].grid.shape)
     kept = np.zeros(len(maps[0].scores), bool)
@@ -155,7 +157,8 @@ def test_completion_of_a_floor_is_planar() -> None:
 
 
 def test_guide_correction_decays_with_distance() -> None:
-    """Catches a guide that is not corrected next to known cells, and one corrected everywhere from a known corner."""
+    """Catches a guide that is not corrected next to known cells. Also catches a guide that is corrected everywhere
+    although only one corner is known."""
     grid = Grid.covering(WIDTH, HEIGHT, 2)
     view = GreyView.from_rgb(CAMERAS[1], np.full((HEIGHT, WIDTH, 3), 90, np.uint8), np.ones((HEIGHT, WIDTH), bool))
     true = floor_map(CAMERAS[1]).inverse_depth.astype(np.float64)
@@ -186,7 +189,8 @@ def test_few_known_cells_are_not_extrapolated() -> None:
 
 
 def corner_room(view: Camera, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Planes (N, 3) of the floor z = 0 and the wall y = 4 in an image, and (N,) bool, whether a cell shows the wall."""
+    """Planes (N, 3) of an image of the floor z = 0 and the wall y = 4. Also returns (N,) bool, whether a cell shows the
+    wall."""
     floor, wall = (plane_in_view(plane, view, grid) for plane in (FLOOR, np.array([0.0, 1.0, 0.0, 4.0])))
     inverse = [(planes * grid.pixels).sum(axis=1) for planes in (floor, wall)]
     on_wall = inverse[1] > inverse[0]
@@ -194,7 +198,7 @@ def corner_room(view: Camera, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_wall_ends_where_it_meets_the_floor() -> None:
-    """Catches walls interpolated from the last known floor cells, which bend towards the cameras."""
+    """Catches walls that are interpolated from the last known floor cells. Such walls bend towards the cameras."""
     target, up = np.array([0, 3.0, 0.8]), np.array([0, 0, 1.0])
     views = [look_at(np.array([x, -3.0, 1.0]), target, up, INTRINSICS, WIDTH, HEIGHT) for x in (-0.5, 0.5)]
     grid = Grid.covering(WIDTH, HEIGHT, 2)
@@ -244,14 +248,16 @@ def test_overlap_does_not_raise_the_density() -> None:
 
 
 def test_samples_have_an_even_spacing() -> None:
-    """Catches rows without samples, caused by aliasing between squares and cells: walls would have visible seams."""
+    """Catches rows without samples, which aliasing between squares and cells would cause. Walls would have visible
+    seams."""
     samples = sample_surfaces([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], WHOLE, 700)[0]
     distances, _ = KDTree(samples.xy).query(samples.xy, k=2)
     assert distances[:, 1].max() < 1.6 * distances[:, 1].min()
 
 
 def test_a_floor_has_no_gaps_from_a_higher_camera() -> None:
-    """Catches samples that cover a floor without gaps only in the low camera's image."""
+    """Catches samples that cover the floor without gaps in the low camera's image, but with gaps in a higher camera's
+    image."""
     low, high = (
         look_at(np.array([0, -4.0, z]), np.array([0, 4.0, 0]), np.array([0, 0, 1.0]), INTRINSICS, WIDTH, HEIGHT)
         for z in (0.6, 1.0)
@@ -331,7 +337,8 @@ def test_triangle_planes_of_few_points(count: int, rng: np.random.Generator) -> 
 
 
 def test_sources_overlap_and_have_a_baseline() -> None:
-    """Catches source cameras that are the camera itself, have no baseline, or see other parts of the scene."""
+    """Catches the selection of unsuitable source cameras: the reference camera itself, a camera without a baseline, or
+    a camera that sees another part of the scene."""
     away = look_at(np.array([0.3, 0.0, 2.0]), np.array([0.3, 0.0, 9.0]), np.array([0.0, 1, 0]), INTRINSICS, 96, 72)
     cameras = [camera(0.0), camera(0.001), away, camera(0.5), camera(-0.5)]
     chosen = select_sources(cameras, 0, 1.0, 4.0)

@@ -35,7 +35,7 @@ def random_frame(points: int, views: int, seed: int) -> BakedFrame:
 
 
 def manifest(views: int = 6, frames: int = 3) -> SceneManifest:
-    """Return the manifest of a scene whose source views are in a ring, with one held-out camera."""
+    """Return the manifest of a scene with source views in a ring and one held-out camera."""
     cameras = ring(views + 1)
     return SceneManifest(
         source_names=tuple(f"{index:02d}" for index in range(views)),
@@ -68,7 +68,7 @@ def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedF
     """Return the six opaque walls of a cube around the origin, each with a checkerboard of a different colour.
 
     Args:
-        half: half of the cube's side, world units. The ball of :func:`random_frame` has a size of about 1.
+        half: half of the cube's side in world units. The ball of :func:`random_frame` has a size of about 1.
     """
     rng = np.random.default_rng(seed)
     wall, along = rng.integers(0, 6, points), rng.uniform(-1, 1, (points, 3))
@@ -90,7 +90,8 @@ def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedF
 def write_full_scene(
     path: Path, views: int = 6, frames: int = 3, points: int = 200, background_points: int = 300, shadow: bool = True
 ) -> tuple[list[BakedFrame], BakedFrame, list[NDArray[np.uint8]]]:
-    """Write random frames inside a room. Returns the frames, the background and the shadows (empty without shadows)."""
+    """Write random frames inside a room. Returns the frames, the background and the shadows. Without shadows, the last
+    list is empty."""
     dynamic = [random_frame(points + index, views, seed=index) for index in range(frames)]
     room = room_frame(background_points, views, seed=100)
     rng = np.random.default_rng(200)

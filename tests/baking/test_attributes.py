@@ -21,7 +21,7 @@ from tests.baking.test_container import rewritten, with_manifest
 
 
 def with_unknown_attribute(path: Path, entry: object) -> Path:
-    """Copy a scene as a newer program may write it: every frame has a member that this program does not know."""
+    """Copy a scene as a newer program may write it. Every frame has a member that this program does not know."""
 
     def add_member(members: dict[str, bytes]) -> None:
         for name in [name for name in members if name.endswith("/xyz")]:
@@ -67,7 +67,8 @@ def without_sh(frame: BakedFrame) -> BakedFrame:
 def test_optional_attributes_are_stored_where_frames_have_them(
     tmp_path: Path, change: Callable[[BakedFrame], BakedFrame]
 ) -> None:
-    """Catches a reader that requires optional attributes, and combining that drops them."""
+    """Catches a reader that requires optional attributes, and a combination of frames that drops optional
+    attributes."""
     own, room = change(random_frame(20, 6, seed=1)), change(room_frame(30, 6, seed=2))
     with SceneWriter(tmp_path / "scene.4dv", full_manifest(frames=1)) as writer:
         writer.add_background(room)
@@ -82,7 +83,8 @@ def test_optional_attributes_are_stored_where_frames_have_them(
 
 @pytest.mark.usefixtures("optional_sh")
 def test_frames_of_one_scene_have_the_same_attributes(tmp_path: Path) -> None:
-    """Catches an optional attribute in only some frames, which the manifest cannot describe."""
+    """Catches a scene in which only some frames have an optional attribute. The manifest cannot describe such a
+    scene."""
     own, room = random_frame(20, 6, seed=1), without_sh(room_frame(30, 6, seed=2))
     with pytest.raises(ValueError, match=r"background: expected the attributes \['xyz', .*'sh'.*\], got \['xyz'"):
         combine_frames(own, room)

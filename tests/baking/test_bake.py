@@ -1,4 +1,4 @@
-"""Export of a run: the scene gives the same images as the run, without torch."""
+"""Export of a run to a scene, which must give the same images as the run, without torch."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_the_scene_renders_like_the_run(trained: TrainedRun, scene_path: Path) -
 
 
 def test_occluded_views_have_weight_zero(trained: TrainedRun, scene_path: Path) -> None:
-    """Catches small blend weights that mix colours of the ball's front into its back."""
+    """Catches small blend weights that mix the colours of the ball's front into the ball's back."""
     scene = open_scene(scene_path)
     count = scene.manifest.points[1]
     xyz, weights = scene.frame(1).xyz[:count], scene.frame(1).blend_weights[:count]

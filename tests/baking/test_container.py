@@ -38,7 +38,8 @@ def rewritten(path: Path, change: Rewrite, compression: int = zipfile.ZIP_STORED
 
 
 def with_manifest(path: Path, change: Callable[[dict[str, Any]], None]) -> Path:
-    """Copy a scene with a changed manifest. NaN is written as the word NaN, as Python's json does by default."""
+    """Copy a scene with a changed manifest. NaN is written as the word NaN, which is the default of Python's json
+    module."""
 
     def rewrite(members: dict[str, bytes]) -> None:
         content = json.loads(members["manifest.json"])
@@ -75,7 +76,8 @@ def test_frames_and_manifest_round_trip(tmp_path: Path) -> None:
 
 
 def test_the_same_scene_gives_the_same_bytes(tmp_path: Path) -> None:
-    """Catches timestamps in the file, and an order that depends on hashes: equal scenes must give equal bytes."""
+    """Catches timestamps in the file, and an order of members that depends on hashes. Equal scenes must give equal
+    bytes."""
     write_scene(tmp_path / "a.4dv")
     write_scene(tmp_path / "b.4dv")
     assert (tmp_path / "a.4dv").read_bytes() == (tmp_path / "b.4dv").read_bytes()
@@ -120,7 +122,7 @@ def plain_manifest() -> SceneManifest:
 def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
     """Catches a format change that breaks existing scenes or older programs.
 
-    data/ has a scene in the original format.
+    The folder data/ contains a scene in the original format.
     """
     frames = [plain_frame(3, start=1), plain_frame(2, start=5)]
     reader = SceneReader(VERSION_1)
@@ -139,7 +141,7 @@ def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
 
 
 def test_members_are_raw_arrays(scene: Path) -> None:
-    """Catches compressed members and extra headers: an HTTP range request must return the raw array."""
+    """Catches compressed members and extra headers. An HTTP range request for a member must return the raw array."""
     frame = SceneReader(scene).read(1)
     with zipfile.ZipFile(scene) as archive:
         info = archive.getinfo("frames/000001/xyz")
@@ -202,7 +204,7 @@ def test_the_writer_rejects_invalid_values(tmp_path: Path, name: str, value: flo
 
 
 def test_frames_are_added_in_order(tmp_path: Path) -> None:
-    """Catches frames stored under another index."""
+    """Catches frames that are stored under a wrong index."""
     with (
         pytest.raises(ValueError, match="expected frame 0 of 3 next, got 1"),
         SceneWriter(tmp_path / "a.4dv", manifest()) as writer,
@@ -212,7 +214,7 @@ def test_frames_are_added_in_order(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kept", [0, 1, 100, 0.5, -1])
 def test_a_truncated_scene_is_rejected_on_opening(scene: Path, kept: float) -> None:
-    """Catches a partial download that opens without an error, or fails with a traceback."""
+    """Catches a partial download that opens without an error or that causes a traceback."""
     content = scene.read_bytes()
     scene.write_bytes(content[: int(kept * len(content)) if kept == 0.5 else int(kept)])
     with pytest.raises(UserError, match=r"scene\.4dv: expected a complete \.4dv scene.*copy or export it again"):
@@ -229,7 +231,8 @@ def test_flipped_bytes_are_detected(scene: Path) -> None:
 
 
 def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> None:
-    """Catches unexpected exceptions of zipfile, json and struct, with random bytes among the last 4000 of the file."""
+    """Catches unexpected exceptions of zipfile, json and struct. The test writes random bytes into the last 4000 bytes
+    of the file."""
     content = scene.read_bytes()
     tail = len(content) - 4000
     for _ in range(300):
@@ -264,7 +267,7 @@ def test_other_files_and_folders_are_rejected(tmp_path: Path) -> None:
 
 
 def test_a_newer_version_asks_for_an_update(scene: Path) -> None:
-    """Catches a reader that reads a newer format version as if it were its own."""
+    """Catches a reader that reads a newer format version like the current version."""
     path = with_manifest(scene, lambda content: content.update(version=3))
     with pytest.raises(UserError, match="format version 2 or older, got 3; update fourd"):
         SceneReader(path)
@@ -323,7 +326,7 @@ def test_an_invalid_manifest_is_rejected(scene: Path, change: Callable[[dict[str
 
 @pytest.mark.parametrize("text", [b"", b"[]", b"{", b"\xff\xfe", b"[" * 100_000])
 def test_a_manifest_that_is_not_json_is_rejected(scene: Path, text: bytes) -> None:
-    """Catches uncaught decoding errors, also those from JSON nested deeper than the recursion limit."""
+    """Catches uncaught decoding errors, including errors from JSON that is nested deeper than the recursion limit."""
     path = rewritten(scene, lambda members: members.update({"manifest.json": text}))
     with pytest.raises(UserError, match=r"manifest\.json: expected"):
         SceneReader(path)
@@ -348,13 +351,13 @@ def test_a_missing_member_is_rejected_on_opening(scene: Path) -> None:
 
 
 def test_compressed_members_are_rejected(scene: Path) -> None:
-    """Catches ZIP bombs, which are small files that unpack to gigabytes."""
+    """Catches a reader that accepts ZIP bombs, which are small files that unpack to gigabytes."""
     with pytest.raises(UserError, match=r"the compressed member .*; use zip -0"):
         SceneReader(rewritten(scene, lambda members: None, zipfile.ZIP_DEFLATED))
 
 
 def test_invalid_values_in_a_frame_are_rejected_on_reading(scene: Path) -> None:
-    """Catches NaN in a scene that has correct checksums, as another program may write it."""
+    """Catches NaN that is accepted if the checksums are correct. Another program may write such a scene."""
 
     def spoil(members: dict[str, bytes]) -> None:
         content = bytearray(members["frames/000001/blend_weights"])
@@ -368,7 +371,7 @@ def test_invalid_values_in_a_frame_are_rejected_on_reading(scene: Path) -> None:
 
 
 def test_memory_does_not_grow_with_the_number_of_frames(tmp_path: Path) -> None:
-    """Catches a writer that keeps frames in memory: 40 frames must need no more memory than 4."""
+    """Catches a writer that keeps frames in memory. 40 frames must need no more memory than 4 frames."""
 
     def peak(frames: int) -> int:
         frame = random_frame(2000, 6, seed=0)

@@ -79,7 +79,7 @@ def test_order_equals_a_stable_sort_of_the_visible_points(
 @pytest.mark.parametrize("threads", [1, 2, 3, 7, 32])
 @pytest.mark.parametrize("points", [5, 20_000])
 def test_any_thread_count_gives_the_same_order(points: int, threads: int) -> None:
-    """Catches chunks in the wrong order, and errors from empty chunks."""
+    """Catches sorted chunks that are joined in the wrong order, and errors from empty chunks."""
     frame, camera = hard_frame(points, seed=6), straight_camera()
     order = DepthSorter().sort(frame, camera, NEAR, threads=threads)
     np.testing.assert_array_equal(order, sort_reference(frame, camera, NEAR))
@@ -139,7 +139,8 @@ def test_a_disc_that_overlaps_the_border_is_kept() -> None:
 
 
 def test_an_order_does_not_depend_on_the_frame_before() -> None:
-    """Catches workspace data of a larger frame in the next result, and results that the next call overwrites."""
+    """Catches workspace data of a larger frame that leaks into the next result, and results that the next call
+    overwrites."""
     sorter, camera = DepthSorter(), ring(4)[1]
     frames = [random_frame(points, 1, seed=points) for points in (3000, 40, 0, 5000)]
     orders = [sorter.sort(frame, camera, NEAR) for frame in frames]
@@ -148,7 +149,7 @@ def test_an_order_does_not_depend_on_the_frame_before() -> None:
 
 
 def test_invalid_arguments_are_named() -> None:
-    """Catches a camera with lens distortion, or a near plane behind the camera, that is accepted."""
+    """Catches a sorter that accepts a camera with lens distortion or a near plane behind the camera."""
     frame, camera, sorter = random_frame(5, 1, seed=11), straight_camera(), DepthSorter()
     for near in (0.0, -1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match="near: expected a finite distance above 0"):

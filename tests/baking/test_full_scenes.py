@@ -1,4 +1,4 @@
-"""Full scenes in a `.4dv`: a background that is stored once, shadows on it, and frames combined with both."""
+"""Full scenes in a `.4dv`: a background that is stored once, shadows on this background, and combined frames."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def assert_same(got: BakedFrame, expected: BakedFrame) -> None:
 
 @pytest.mark.parametrize("shadow", [True, False])
 def test_frames_are_read_with_the_background_after_them(tmp_path: Path, shadow: bool) -> None:
-    """Catches background points before the dynamic ones, a wrong frame's shadow, and missing attributes."""
+    """Catches background points before the dynamic points, the shadow of a wrong frame, and missing attributes."""
     dynamic, room, shadows = write_full_scene(tmp_path / "full.4dv", background_points=BACKGROUND_POINTS, shadow=shadow)
     reader = SceneReader(tmp_path / "full.4dv")
     assert reader.manifest.points == (200, 201, 202)
@@ -64,7 +64,7 @@ def test_frames_are_read_with_the_background_after_them(tmp_path: Path, shadow: 
 
 
 def test_an_object_scene_has_no_background(tmp_path: Path) -> None:
-    """Catches a background or a shadow in a scene that has none."""
+    """Catches a reader that returns a background or a shadow for a scene without a background."""
     written = write_scene(tmp_path / "object.4dv")
     reader = SceneReader(tmp_path / "object.4dv")
     assert reader.read_background() is None
@@ -92,7 +92,7 @@ def test_the_background_is_stored_once_without_shadow(scene: Path) -> None:
 
 
 def test_every_shadow_value_on_every_colour() -> None:
-    """Catches 8-bit overflow, rounding down, and colours brightened past 255 that wrap around to black."""
+    """Catches 8-bit overflow, results that are rounded down, and colours above 255 that wrap around to black."""
     room = room_frame(256, 1, seed=1)
     room.rgb[:] = np.arange(256, dtype=np.uint8)[:, None, None]
     empty = random_frame(0, 1, seed=0)
@@ -130,7 +130,8 @@ def test_invalid_arguments_of_combining_are_named() -> None:
 
 
 def test_combined_frames_are_read_only(scene: Path) -> None:
-    """Catches writable arrays: a caller could modify a cached frame that others use."""
+    """Catches frames with writable arrays. With writable arrays, a caller could modify a cached frame that other
+    callers use."""
     frame = SceneReader(scene).read(0)
     for attribute in frame.attributes:
         assert not getattr(frame, attribute.name).flags.writeable, attribute.name
@@ -138,7 +139,8 @@ def test_combined_frames_are_read_only(scene: Path) -> None:
 
 @pytest.mark.parametrize(("points", "background_points", "views"), [(0, 50, 2), (50, 0, 2), (0, 0, 2), (50, 50, 0)])
 def test_empty_frames_and_backgrounds(tmp_path: Path, points: int, background_points: int, views: int) -> None:
-    """Catches errors from arrays of zero bytes: an empty frame, an empty background or a scene without source views."""
+    """Catches errors from arrays of zero bytes. An empty frame, an empty background and a scene without source views
+    have such arrays."""
     with SceneWriter(tmp_path / "full.4dv", full_manifest(views, 1)) as writer:
         writer.add_frame(0, random_frame(points, views, seed=0), np.full(background_points, 64, np.uint8))
         writer.add_background(room_frame(background_points, views, seed=1))
@@ -205,7 +207,7 @@ SHADOW = np.full(30, 128, np.uint8)
     ],
 )
 def test_inconsistent_writing_is_an_error(tmp_path: Path, steps: list[Steps], words: str) -> None:
-    """Catches a writer that writes a file which the reader rejects."""
+    """Catches a writer that creates a file which the reader rejects."""
     with pytest.raises(ValueError, match=words), SceneWriter(tmp_path / "full.4dv", full_manifest()) as writer:
         for step in steps:
             step(writer)
@@ -283,7 +285,8 @@ def test_missing_and_truncated_members_are_rejected(scene: Path, name: str, keep
     ("name", "value"), [("xyz", np.inf), ("radius", -1), ("density", 2), ("sh", np.nan), ("blend_weights", np.nan)]
 )
 def test_invalid_values_in_the_background_are_rejected_on_reading(scene: Path, name: str, value: float) -> None:
-    """Catches NaN in a background that has correct checksums, as another program may write it."""
+    """Catches NaN that is accepted in a background if the checksums are correct. Another program may write such a
+    background."""
     dtype = next(item.dtype for item in ATTRIBUTES if item.name == name)
 
     def spoil(members: dict[str, bytes]) -> None:
@@ -311,7 +314,8 @@ def test_flipped_bytes_are_detected(scene: Path, name: str) -> None:
 
 
 def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> None:
-    """Catches unexpected exceptions of zipfile, json and NumPy, with random bytes in the ZIP's central directory."""
+    """Catches unexpected exceptions of zipfile, json and NumPy. The test writes random bytes into the ZIP's central
+    directory."""
     content = scene.read_bytes()
     for _ in range(100):
         damaged = bytearray(content)
@@ -333,7 +337,8 @@ def error_message(scene: Path) -> str:
 
 
 def test_threads_share_one_background(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a background that is read more than once, or used by a thread before another has read it completely."""
+    """Catches a background that is read more than once, or that a thread uses before another thread has read it
+    completely."""
     reads: Counter[str] = Counter()
     read = zipfile.ZipFile.read
 
@@ -357,7 +362,8 @@ def test_threads_share_one_background(scene: Path, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_closed_reader_releases_its_memory(scene: Path) -> None:
-    """Catches a background that stays in memory after closing, and a closed scene that is reported as damaged."""
+    """Catches a background that stays in memory after the scene is closed, and a closed scene that is reported as
+    damaged."""
     reader = SceneReader(scene)
     reader.read_background()
     reader.close()

@@ -1,4 +1,4 @@
-"""Frames drawn by the CUDA kernels, on a GPU or emulated, compared with the float reference."""
+"""Frames drawn by the CUDA kernels, compared with the float reference. The kernels run on a GPU or in the emulator."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, gpu: torch.devi
 
 
 def test_colours_equal_the_reference(gpu: torch.device) -> None:
-    """Catches harmonics in the wrong order, and unequal weights for a point whose blend weights are all 0."""
+    """Catches spherical harmonics in the wrong order, and unequal weights for a point whose blend weights are all 0."""
     frame, described = random_frame(500, 6, seed=3), manifest(views=6)
     frame.blend_weights[:50] = 0
     for camera in ring(3):

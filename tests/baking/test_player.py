@@ -61,7 +61,7 @@ def test_bytes_equal_the_float_picture(points: int, layers: int, simd: str, monk
 
 
 def test_a_crop_of_the_camera_draws_that_part() -> None:
-    """Catches visible points that are not shaded, or that keep the colours for the previous camera."""
+    """Catches visible points that are not shaded, or that keep their colours from the previous camera."""
     described, whole = manifest(views=6), ring(4)[1].resize(128, 128)
     frame = random_frame(6000, 6, seed=3)
     order = np.argsort(frame.xyz[:, 0], kind="stable")
@@ -76,7 +76,7 @@ def test_a_crop_of_the_camera_draws_that_part() -> None:
 
 
 def test_a_picture_does_not_depend_on_the_one_before() -> None:
-    """Catches workspace data of a larger scene or image in the next image."""
+    """Catches workspace data of a larger scene or image that leaks into the next image."""
     described = manifest(views=6)
     few, many = random_frame(50, 6, seed=1), random_frame(5000, 6, seed=2)
     small, large = ring(4)[0], ring(4)[1].resize(101, 67)
@@ -87,7 +87,8 @@ def test_a_picture_does_not_depend_on_the_one_before() -> None:
 
 
 def test_drawing_into_a_given_array() -> None:
-    """Catches an image drawn into a copy of ``out``, and an ``out`` of the wrong size or dtype that is accepted."""
+    """Catches an image that is drawn into a copy of ``out``. Also catches a player that accepts an ``out`` of the wrong
+    size or dtype."""
     frame, described, camera = random_frame(200, 6, seed=4), manifest(views=6), ring(4)[2]
     player = Player()
     out = np.full((camera.height, camera.width, 4), 7, np.uint8)
@@ -100,7 +101,8 @@ def test_drawing_into_a_given_array() -> None:
 
 
 def test_threads_that_share_a_player_take_turns() -> None:
-    """Catches two simultaneous calls on one native workspace. Sizes differ so that buffers are reallocated."""
+    """Catches two simultaneous calls on one native workspace. Each image has a different size, so that the buffers are
+    reallocated."""
     described, player = manifest(views=6), Player()
     frames = [random_frame(300 * 4**index, 6, seed=index) for index in range(4)]
     cameras = [ring(4)[index].resize(40 * (index + 1), 30 * (index + 1)) for index in range(4)]

@@ -16,7 +16,7 @@ from tests.baking.scenes import manifest, random_frame, ring
 
 @pytest.mark.parametrize(("points", "views"), [(0, 6), (1, 6), (17, 1), (1000, 6), (4099, 9), (300, 0)])
 def test_kernel_equals_the_reference(points: int, views: int) -> None:
-    """Catches wrong float16 conversion, errors in the last incomplete block of points, and swapped views."""
+    """Catches a wrong conversion from float16, errors in the last incomplete block of points, and swapped views."""
     frame = random_frame(points, views, seed=points + views)
     described = manifest(views=views, frames=1)
     for camera in ring(5):
@@ -50,7 +50,7 @@ def test_weights_are_normalized() -> None:
 
 
 def test_harmonics_equal_those_of_training(rng: np.random.Generator) -> None:
-    """Catches a harmonics basis that differs from the one in training."""
+    """Catches a basis of spherical harmonics that differs from the basis in training."""
     directions = rng.normal(size=(200, 3))
     directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     trained = spherical_harmonics.sh_basis(torch.from_numpy(directions)).numpy()

@@ -20,7 +20,7 @@ from fourd.ops.planes.op import sample_planes
 
 
 def test_points_cover_the_middle_of_the_picture() -> None:
-    """Catches a workload outside the image, whose timing would be meaningless."""
+    """Catches points outside the image, for which a timing would be meaningless."""
     frame, scene = make_baked_frame(20_000)
     picture = Player().draw(frame, make_camera(192, 108), scene)
     alpha = picture[..., 3] / 255
@@ -43,14 +43,14 @@ def test_backward_work_computes_gradients() -> None:
 
 
 def test_clock_reports_units() -> None:
-    """Catches an inverted ratio, and limits on the number of runs that are ignored."""
+    """Catches an inverted ratio to the unit, and limits on the number of runs that are ignored."""
     timing = Clock(seconds=0.01, min_runs=3, max_runs=3).time(lambda: np.linalg.norm(np.ones(10)))
     assert timing.runs == 3
     assert 0 < timing.units < 1
 
 
 def test_reports_contain_every_timing() -> None:
-    """Catches an inverted ratio for a rival."""
+    """Catches an inverted ratio between a rival's time and the time of the work."""
     rows = [Row("work", Timing(10.0, 0.5, 7), {"other": Timing(40.0, 2.0, 3)})]
     machine = this_machine()
     text = markdown(rows, machine)
@@ -64,7 +64,7 @@ def test_reports_contain_every_timing() -> None:
 
 @pytest.mark.slow
 def test_quick_bench_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a table without rows, and files that differ from the table."""
+    """Catches a benchmark table without rows, and result files that differ from the table."""
     words = ["bench", "--quick", "--json", str(tmp_path / "b.json"), "--markdown", str(tmp_path / "b.md")]
     assert main(words) == 0
     shown = capsys.readouterr().out

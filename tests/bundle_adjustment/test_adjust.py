@@ -22,7 +22,7 @@ Matches = dict[tuple[int, int], NDArray[np.intp]]
 
 
 def _frame_matches(cameras: list[Camera], rng: np.random.Generator, wrong: float, points: int = 400) -> FrameMatches:
-    """Matches of points in a box with 0.25 px of noise; a fraction ``wrong`` of the matches is random."""
+    """Matches of points in a box with 0.25 px of noise. A fraction ``wrong`` of the matches is random."""
     xyz = rng.uniform(-0.8, 0.8, (points, 3))
     features = []
     for camera in cameras:
@@ -66,7 +66,7 @@ def test_adjustment_reduces_pose_errors(rng: np.random.Generator) -> None:
 
 
 def test_fixed_parameters_stay_fixed(rng: np.random.Generator) -> None:
-    """Catches changes of parameters that are fixed: focal lengths or poses."""
+    """Catches changes of fixed parameters, which are the focal lengths or the poses."""
     truth = ring_cameras(8, 256)
     given = list(perturb_cameras(_named(truth), 0.3, 0.005, rng).values())
     frame = _frame_matches(truth, rng, wrong=0.0)
@@ -95,7 +95,7 @@ def test_cameras_without_matches_stay_as_given(rng: np.random.Generator) -> None
 
 @dataclass(frozen=True)
 class _RoomCapture:
-    """One frame of a room; implements MaskSource."""
+    """One frame of a room. The class implements MaskSource."""
 
     cameras: tuple[Camera, ...]
     pictures: tuple[NDArray[np.uint8], ...]

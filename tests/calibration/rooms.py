@@ -16,7 +16,7 @@ TEXELS_PER_M = 220
 
 
 class Room:
-    """A box of 4 m x 4 m x 2.4 m, z up, floor at z = 0; every face has its own random texture."""
+    """A box of 4 m x 4 m x 2.4 m with the floor at z = 0 and z up. Every face has its own random texture."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.faces = [
@@ -66,7 +66,7 @@ def room_depth(camera: Camera) -> Array:
 
 
 def _texture(rng: np.random.Generator) -> Picture:
-    """Ellipses of many sizes in random colours."""
+    """Texture of ellipses of many sizes in random colours."""
     side = round(2 * HALF_WIDTH * TEXELS_PER_M)
     texture = np.full((side, side, 3), 128, np.uint8)
     for size, count in ((60, 150), (25, 700), (10, 3000)):

@@ -1,4 +1,5 @@
-"""Hypotheses of how images were resized, and mirrored principal points: synthetic, and on a real recording."""
+"""Hypotheses of how images were resized, and mirrored principal points. The data are synthetic images and a real
+recording."""
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ def test_hypotheses_fit_the_sizes() -> None:
 
 
 def test_hypotheses_move_the_principal_point_with_the_pixels() -> None:
-    """Catches a shift to the wrong side, and bars on only one side."""
+    """Catches a principal point that is shifted to the wrong side, and black bars on only one side."""
     camera = _off_centre_cameras()[0]
     middle = camera.intrinsics[:2, 2]
     found = {name: camera.intrinsics[:2, 2] for name, camera in size_hypotheses(camera, 1080, 1920).items()}
@@ -66,13 +67,14 @@ def test_hypotheses_move_the_principal_point_with_the_pixels() -> None:
 
 @pytest.mark.parametrize("name", ["stretched", "letterboxed", "cropped left", "cropped right", "cropped centre"])
 def test_residuals_alone_choose_the_true_hypothesis(rng: np.random.Generator, name: str) -> None:
-    """Catches scores that mix up cameras, and unclear evidence reported as clear."""
+    """Catches scores that confuse cameras, and unclear evidence that is reported as clear."""
     cameras = _off_centre_cameras()
     true = [size_hypotheses(camera, 1080, 1920)[name] if index < 2 else camera for index, camera in enumerate(cameras)]
     sizes = [(camera.width, camera.height) for camera in true]
     choice = choose_size(_project_to_matches(rng, true), cameras, sizes)
     assert choice.name == name
-    # A stretch by 8 pixels and a crop of 4 on each side hardly differ where the points are.
+    # Stretching an image by 8 pixels hardly differs from cropping 4 pixels on each side, for the positions of these
+    # points.
     assert choice.is_clear or name in ("stretched", "cropped centre")
     assert f"{name}: 0." in choice.why
     for camera, expected in zip(choice.cameras, true, strict=True):
@@ -94,7 +96,8 @@ def test_borders_decide_without_matches(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("bar", [0.0, 3.0, 7.06, 12.5])
 def test_black_borders_have_subpixel_accuracy(rng: np.random.Generator, bar: float) -> None:
-    """Catches a partly covered row that counts as a full row, and noise or dark images measured as borders."""
+    """Catches a partly covered row that counts as a full row. Also catches noise or dark images that are measured as
+    borders."""
     camera = room_cameras(1, 240, 320)[0]
     scene = Room(rng).picture(camera, oversampling=1)
     scene = (scene // 2 + 100).astype(np.uint8)
@@ -109,7 +112,8 @@ def test_black_borders_have_subpixel_accuracy(rng: np.random.Generator, bar: flo
 
 
 def test_mirrored_principal_points_are_found(rng: np.random.Generator) -> None:
-    """Catches a search that mirrors all cameras in the same way, and a correct calibration reported as mirrored."""
+    """Catches a search that mirrors all cameras in the same way, and a correct calibration that is reported as
+    mirrored."""
     cameras = _off_centre_cameras()
     matches = _project_to_matches(rng, cameras)
     fine = choose_principal_points(matches, cameras)
@@ -126,7 +130,7 @@ def test_mirrored_principal_points_are_found(rng: np.random.Generator) -> None:
 
 
 def test_matches_on_a_plane_do_not_follow_a_wrong_calibration() -> None:
-    """Catches a search that returns the position predicted by the calibration."""
+    """Catches a matching search that merely returns the positions that the calibration predicts."""
     true = room_cameras(4, 640, 480, np.array([-0.08, 0.02, 0, 0]))
     room = Room(np.random.default_rng(2))
     pictures = [room.picture(true[index]) for index in (0, 3)]
@@ -141,7 +145,8 @@ def test_matches_on_a_plane_do_not_follow_a_wrong_calibration() -> None:
 
 @pytest.mark.slow
 def test_real_recording_is_letterboxed_and_mirrored() -> None:
-    """Catches a wrong choice on real images: images of 1080 px width are letterboxed, rotated cameras are mirrored."""
+    """Catches wrong hypotheses for a real recording, whose images of 1080 px width are letterboxed and whose rotated
+    cameras are mirrored."""
     if not BALANCE.is_dir():
         pytest.skip(f"no real capture at {BALANCE}")
     cameras = list(read_cameras(BALANCE / "Calib.qca.txt").values())
@@ -155,7 +160,7 @@ def test_real_recording_is_letterboxed_and_mirrored() -> None:
         assert found.max_difference(Borders(0, 7.06, 0, 7.06)) < 0.5
     boxed = [size_hypotheses(camera, *size) for camera, size in zip(cameras, sizes, strict=True)]
     start = [found.get("letterboxed", camera) for found, camera in zip(boxed, cameras, strict=True)]
-    # The treadmill's top, which is within 2 cm of z = 0 according to the calibration.
+    # The top of the treadmill. According to the calibration, it is within 2 cm of z = 0.
     top = PlanePatch(np.array([-2.6, 1.3, 0]), np.array([1.0, 0, 0]), np.array([0, -1.0, 0]), 3.5, 2.6, 400)
     matches = {
         (i, j): match_on_plane(pictures[i], pictures[j], (start[i], start[j]), top)

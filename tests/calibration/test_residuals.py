@@ -61,7 +61,8 @@ def test_true_calibration_has_subpixel_residuals(room: tuple[list[Camera], list[
 
 
 def test_only_the_bad_camera_is_named(room: tuple[list[Camera], list[Picture]]) -> None:
-    """Catches residuals attributed to a bad camera's neighbours, and matches filtered by the calibration under test."""
+    """Catches residuals that are attributed to the neighbours of a bad camera, and matches that are filtered with the
+    calibration under test."""
     cameras, pictures = room
     matches = match_pairs(pictures, cameras)
     for bad in range(len(cameras)):
@@ -83,7 +84,7 @@ def test_matches_do_not_depend_on_the_poses(room: tuple[list[Camera], list[Pictu
 
 
 def test_pictures_without_texture_have_no_residuals() -> None:
-    """Catches residuals from too few matches."""
+    """Catches residuals that are computed from too few matches."""
     cameras = room_cameras(3)
     found = epipolar_residuals([np.full((360, 480, 3), 90, np.uint8)] * 3, cameras)
     assert found.pairs == {}
@@ -99,7 +100,7 @@ def test_pictures_of_different_scenes_do_not_match(rng: np.random.Generator) -> 
 
 
 def test_verification_separates_true_from_random_matches(rng: np.random.Generator) -> None:
-    """Catches thresholds on the share or number of inliers, which random matches reach."""
+    """Catches inlier thresholds that random matches also reach, such as a share or a number of inliers."""
     cameras = room_cameras(2, 1000, 800)
     chance = Matches(rng.uniform(0, 800, (200, 2)), rng.uniform(0, 800, (200, 2)))
     assert not inlier_mask(chance, 1000, 800).any()
@@ -112,7 +113,8 @@ def test_verification_separates_true_from_random_matches(rng: np.random.Generato
 
 
 def test_planar_scene_keeps_the_matches_on_the_plane_alone(rng: np.random.Generator) -> None:
-    """Catches the degenerate fundamental matrix of a planar scene, which fits any two more matches."""
+    """Catches the degenerate fundamental matrix of a planar scene. Such a matrix also fits any two matches off the
+    plane."""
     cameras = room_cameras(2, 1000, 800)
     xyz = np.column_stack([rng.uniform((0.6, 0.6), (1.8, 1.8), (100, 2)), np.full(100, 0.4)])
     first, second = (camera.project(xyz)[0] + rng.normal(0, 0.2, (100, 2)) for camera in cameras)
@@ -124,7 +126,7 @@ def test_planar_scene_keeps_the_matches_on_the_plane_alone(rng: np.random.Genera
 
 
 def test_distances_are_perpendicular_to_the_line(rng: np.random.Generator) -> None:
-    """Catches a wrong scale, and distances that include shifts along the epipolar line."""
+    """Catches epipolar distances with a wrong scale, and distances that include shifts along the epipolar line."""
     near = np.array([[800.0, 0, 320], [0, 800, 240], [0, 0, 1]])
     left = Camera(near, np.eye(3), np.zeros(3), 640, 480)
     right = Camera(near, np.eye(3), np.array([-0.5, 0, 0]), 640, 480)
@@ -137,7 +139,7 @@ def test_distances_are_perpendicular_to_the_line(rng: np.random.Generator) -> No
 
 
 def test_distortion_round_trip(rng: np.random.Generator) -> None:
-    """Catches too few iterations, and OpenCV's half pixel."""
+    """Catches undistortion with too few iterations, and OpenCV's half-pixel offset."""
     camera = room_cameras(1, distortion=DISTORTION)[0]
     xy = rng.uniform((0, 0), (480, 360), (200, 2))
     np.testing.assert_allclose(distort_points(camera, undistort_points(camera, xy)), xy, atol=1e-6)
@@ -154,7 +156,8 @@ def test_no_camera_is_bad_without_enough_evidence() -> None:
 
 
 def test_neighbours_in_a_ring_are_paired() -> None:
-    """Catches pairs on opposite sides of a ring, which have no surface in common, and a ring that is not closed."""
+    """Catches pairs of cameras on opposite sides of a ring, which see no common surface. Also catches a missing pair of
+    the first and last camera."""
     pairs = select_pairs(ring_cameras(20, 64))
     assert all(min((j - i) % 20, (i - j) % 20) <= 4 for i, j in pairs)
     assert (0, 19) in pairs
@@ -178,7 +181,8 @@ def test_features_with_several_orientations_match_once(room: tuple[list[Camera],
 
 @pytest.mark.slow
 def test_real_ring_has_no_bad_camera_until_one_is_rotated() -> None:
-    """Catches false alarms on tiles and bare walls, and a bad camera that is not found there."""
+    """Catches false alarms in captures with tiles and bare walls, and bad cameras that are not found in such
+    captures."""
     if not (CAPTURES / "fox_run").is_dir():
         pytest.skip(f"no real capture at {CAPTURES / 'fox_run'}")
     capture = open_capture(CAPTURES / "fox_run")

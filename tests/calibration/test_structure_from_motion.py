@@ -1,4 +1,4 @@
-"""Calibration from images alone, its scale from a distance, and its world frame from a chessboard."""
+"""Calibration from images alone. A distance gives the scale, and a chessboard gives the world frame."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def truth() -> dict[str, Camera]:
 
 @pytest.fixture(scope="module")
 def pictures(truth: dict[str, Camera]) -> dict[str, list[Picture]]:
-    """One image of each camera."""
+    """One image per camera of the room."""
     room = Room(np.random.default_rng(3))
     return {name: [room.picture(camera)] for name, camera in truth.items()}
 
 
 @pytest.fixture(scope="module")
 def found(pictures: dict[str, list[Picture]]) -> SelfCalibration:
-    """The calibration from these images."""
+    """The calibration that is estimated from the images."""
     return calibrate_from_pictures(pictures, is_lens_shared=True)
 
 
@@ -49,7 +49,7 @@ def _angle(first: Array, second: Array) -> float:
 
 @pytest.mark.slow
 def test_cameras_are_true_up_to_a_similarity(truth: dict[str, Camera], found: SelfCalibration) -> None:
-    """Catches inverse poses, another order of cameras, half pixels, and distortion in another convention."""
+    """Catches inverted poses, a changed order of cameras, half-pixel offsets, and distortion in another convention."""
     assert tuple(found.cameras) == NAMES
     assert found.missing == ()
     assert found.error_px < 0.8
@@ -65,7 +65,7 @@ def test_cameras_are_true_up_to_a_similarity(truth: dict[str, Camera], found: Se
 
 @pytest.mark.slow
 def test_same_pictures_give_the_same_cameras(pictures: dict[str, list[Picture]], found: SelfCalibration) -> None:
-    """Catches a seed that does not reach RANSAC."""
+    """Catches a random seed that is not passed on to RANSAC."""
     again = calibrate_from_pictures(pictures, is_lens_shared=True)
     for name, camera in found.cameras.items():
         np.testing.assert_allclose(again.cameras[name].translation, camera.translation, atol=1e-3)
@@ -74,7 +74,8 @@ def test_same_pictures_give_the_same_cameras(pictures: dict[str, list[Picture]],
 
 @pytest.mark.slow
 def test_unmatched_camera_is_named(pictures: dict[str, list[Picture]], rng: np.random.Generator) -> None:
-    """Catches a camera that is dropped without an error, and valid cameras that are dropped with it."""
+    """Catches an unusable camera that is dropped without an error, and valid cameras that are dropped together with
+    it."""
     other = [cv2.GaussianBlur(rng.integers(0, 256, (300, 400, 3), dtype=np.uint8), (0, 0), 2)]
     with pytest.raises(
         UserError, match=r"expected images with enough matches, got too few for lost; give the cameras more ove"
@@ -91,7 +92,7 @@ def test_pictures_without_texture_are_refused() -> None:
 
 
 def test_arguments_are_checked_first() -> None:
-    """Catches work done before the arguments are checked."""
+    """Catches work that starts before the arguments are checked."""
     blank = np.zeros((8, 8, 3), np.uint8)
     with pytest.raises(UserError, match="expected at least 3 for calibration, got 2"):
         calibrate_from_pictures({"a": [blank], "b": [blank]})
@@ -102,7 +103,7 @@ def test_arguments_are_checked_first() -> None:
 
 
 def test_known_distance_sets_the_scale(truth: dict[str, Camera]) -> None:
-    """Catches scaled centres with unscaled translations, and a squared scale."""
+    """Catches a scale that is applied to the camera centres but not to the translations, and a squared scale."""
     cameras = scale_cameras(truth, Distance("b", "e", 10.0))
     assert np.linalg.norm(cameras["b"].centre - cameras["e"].centre) == pytest.approx(10)
     ratio = 10 / np.linalg.norm(truth["b"].centre - truth["e"].centre)
@@ -115,7 +116,8 @@ def test_known_distance_sets_the_scale(truth: dict[str, Camera]) -> None:
 
 
 def _render_board(camera: Camera, columns: int, rows: int, square: float) -> Picture:
-    """A chessboard on z = 0 on white: inner corners at x, y >= 0 from the origin, a black square there."""
+    """Image of a chessboard in the plane z = 0 on a white background. The inner corners start at the origin and extend
+    along positive x and y. The square at the origin is black."""
     oversampling = 3
     u, v = ((np.arange(size * oversampling) + 0.5) / oversampling for size in (camera.width, camera.height))
     points = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 1, 2)
@@ -144,7 +146,8 @@ def _camera_above_board(angle: float, square: float) -> Camera:
 
 @pytest.mark.parametrize("angle", [0.3, 1.9, 3.6, 5.2])
 def test_board_gives_the_pose_from_any_side(angle: float) -> None:
-    """Catches z into the board, half pixels, ignored distortion, and an origin that depends on the viewpoint."""
+    """Catches a z axis that points into the board, half-pixel offsets, ignored distortion, and an origin that depends
+    on the viewpoint."""
     square = 0.03
     camera = _camera_above_board(angle, square)
     unposed = Camera(camera.intrinsics, np.eye(3), np.zeros(3), 640, 480, camera.distortion)
@@ -164,7 +167,8 @@ def test_picture_without_a_board_is_refused() -> None:
 
 
 def test_cameras_align_to_known_poses(truth: dict[str, Camera], rng: np.random.Generator) -> None:
-    """Catches an inverted similarity transform, and a scale that changes although only one pose is known."""
+    """Catches an inverted similarity transform. Also catches a changed scale, because one known pose does not determine
+    the scale."""
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     shift, scale = rng.normal(size=3), 2.5

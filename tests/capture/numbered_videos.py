@@ -1,4 +1,4 @@
-"""Small videos whose frames show their own number, so that a wrong frame is detected."""
+"""Small videos. Every frame shows its own number, so that a test detects a wrong frame."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def write_numbered_video(
     times: Sequence[int] | None = None,
     index_first: bool = False,
 ) -> Path:
-    """Write a video of numbered images at ``fps``; ``times`` are other presentation times in frames.
+    """Write a video of numbered images at ``fps``. ``times`` replaces the presentation times, in units of frames.
 
-    ``index_first`` puts the MP4's index before its frames, as for streaming.
+    If ``index_first`` is true, the index of the MP4 is stored before the frames, as for streaming.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     options: dict[str, Any] = {"options": {"movflags": "faststart"}} if index_first else {}

@@ -1,4 +1,4 @@
-"""Decoding of image files: only JPEG and PNG are decoded, whatever a file's suffix."""
+"""Decoding of image files. Only JPEG and PNG are decoded, regardless of the file's suffix."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ def encode(file_format: str) -> bytes:
 @pytest.mark.parametrize("decode", DECODERS)
 @pytest.mark.parametrize("file_format", ["EPS", "TIFF", "BMP", "GIF"])
 def test_other_formats_are_refused(tmp_path: Path, decode: Callable[[Path], object], file_format: str) -> None:
-    """Catches a decoder chosen by content: an EPS that is named .jpg runs PostScript in Ghostscript."""
+    """Catches a decoder that is chosen by the file's content. Such a decoder would run the PostScript code of an EPS
+    file named .jpg."""
     path = tmp_path / "000000.jpg"
     path.write_bytes(encode(file_format))
     with pytest.raises(UserError, match="expected a complete JPEG or PNG image, got another format; copy"):
@@ -45,7 +46,7 @@ def test_other_formats_are_refused(tmp_path: Path, decode: Callable[[Path], obje
 
 @pytest.mark.usefixtures("no_ghostscript")
 def test_check_refuses_eps_in_images_and_masks(tmp_path: Path) -> None:
-    """Catches an image of a capture that is opened without the functions of the decoding module."""
+    """Catches code that opens an image of a capture without the functions of the decoding module."""
     capture = write_ball_capture(tmp_path, cameras=3)
     (capture / "images" / "01" / "000001.png").write_bytes(encode("EPS"))
     (capture / "masks" / "02" / "000001.png").write_bytes(encode("EPS"))

@@ -1,4 +1,4 @@
-"""Opening and checking captures: content, cost, and errors for damaged captures."""
+"""Opening and checking of captures: their content, the cost, and the errors for damaged captures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def edit(path: Path, pattern: str, replacement: str) -> None:
 
 
 def test_selection_of_views_and_frames(ball_capture: Path) -> None:
-    """Catches frames renumbered by a selection, which changes their time."""
+    """Catches a selection that renumbers the frames, which would change the times of the frames."""
     capture = open_capture(ball_capture, views=["05", "01"], frames="1:3")
     assert capture.names == ("01", "05")
     assert capture.frame_numbers == (1, 2)
@@ -64,7 +64,7 @@ def test_scaled_pictures_fit_their_cameras(ball_capture: Path) -> None:
 
 
 def test_memory_is_bounded(ball_capture: Path) -> None:
-    """Catches a cache that keeps every frame of thousands."""
+    """Catches a cache that keeps all frames of a capture with thousands of frames."""
     capture = open_capture(ball_capture, cache_mb=0)
     for camera in range(8):
         for frame in range(3):
@@ -76,7 +76,7 @@ def test_memory_is_bounded(ball_capture: Path) -> None:
 
 
 def write_dots(folder: Path, camera: Camera, xyz: np.ndarray) -> None:
-    """An image of ``xyz`` with distortion, one soft dot per point; the matte is the same."""
+    """Write an image with lens distortion that shows a soft dot for each point ``xyz``. The matte is the same image."""
     assert camera.distortion is not None
     rotation = cv2.Rodrigues(camera.rotation)[0]
     pixels, _ = cv2.projectPoints(xyz, rotation, camera.translation, camera.intrinsics, camera.distortion)
@@ -92,7 +92,7 @@ def write_dots(folder: Path, camera: Camera, xyz: np.ndarray) -> None:
 
 
 def test_undistortion_agrees_with_the_pinhole(tmp_path: Path) -> None:
-    """Catches undistortion with other intrinsics than the cameras', and half-pixel shifts."""
+    """Catches undistortion to other intrinsics than those of the cameras, and half-pixel shifts."""
     pinhole = ring_cameras(1, 200)[0]
     camera = Camera(pinhole.intrinsics, pinhole.rotation, pinhole.translation, 200, 160, BARREL)
     grid = np.stack(np.meshgrid([-0.5, 0, 0.5], [-0.6, 0.05, 0.6], [-0.4, 0.3]), axis=-1).reshape(-1, 3)
@@ -123,7 +123,7 @@ def test_calibration_round_trip(tmp_path: Path) -> None:
 
 
 def test_sizes_are_optional_and_rotations_may_be_vectors(capture: Path) -> None:
-    """Catches files of EasyMocap's own tools that are refused, because they often lack H, W and Rot."""
+    """Catches a reader that refuses calibrations of EasyMocap's own tools, in which H, W and Rot are often missing."""
     intri, extri = capture / "intri.yml", capture / "extri.yml"
     intri.write_text(re.sub(r"(?m)^[HW]_\d\d: .*\n", "", intri.read_text()))
     rotations = r"(?m)^Rot_\d\d: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n   data: \[[^\]]*\]\n"
@@ -232,7 +232,7 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
 def test_broken_captures_raise_one_line(
     damage: Callable[[Path], object], message: str, capture: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a traceback, a half-grey image, or a message that does not name the file."""
+    """Catches a damaged capture that gives a traceback, a half-grey image, or a message that does not name the file."""
     damage(capture)
     with pytest.raises(UserError, match=message) as caught:
         opened = open_capture(capture)
@@ -258,13 +258,13 @@ def test_broken_captures_raise_one_line(
     ],
 )
 def test_invalid_selections_are_refused(ball_capture: Path, arguments: dict[str, object], message: str) -> None:
-    """Catches an empty or a silently clipped selection."""
+    """Catches a selection of views or frames that is empty or silently clipped."""
     with pytest.raises(UserError, match=message):
         open_capture(ball_capture, **arguments)  # type: ignore[arg-type]
 
 
 def test_check_reports_all_errors(capture: Path) -> None:
-    """Catches a check that stops at the first error."""
+    """Catches a check of a capture that stops at the first error."""
     (capture / "images" / "02" / "000001.png").unlink()
     _truncate_png(capture)
     _small_mask(capture)
@@ -275,7 +275,7 @@ def test_check_reports_all_errors(capture: Path) -> None:
 
 
 def test_check_continues_after_an_invalid_calibration(capture: Path) -> None:
-    """Catches a check that reports only the first invalid camera, and no invalid images."""
+    """Catches a check that reports only the first invalid camera, and a check that skips the images."""
     text = (capture / "extri.yml").read_text()
     for name in ("02", "05"):
         text = re.sub(rf"(T_{name}:.*?data: \[)[^,]*", r"\1.Nan", text, flags=re.DOTALL)
@@ -288,7 +288,7 @@ def test_check_continues_after_an_invalid_calibration(capture: Path) -> None:
 
 
 def test_parallel_cameras_have_no_focus(capture: Path) -> None:
-    """Catches a focus at infinity, which every camera faces away from."""
+    """Catches a focus that is computed for parallel cameras, whose optical axes meet only at infinity."""
     cameras = list(open_capture(capture).cameras)
     assert find_focus(cameras) is not None
     same = [replace(camera, rotation=cameras[0].rotation) for camera in cameras]
@@ -296,7 +296,7 @@ def test_parallel_cameras_have_no_focus(capture: Path) -> None:
 
 
 def test_check_warns_of_inverted_mattes(capture: Path) -> None:
-    """Catches mattes with black objects, from which nothing is carved."""
+    """Catches inverted mattes that are not reported. Carving finds no object in such mattes."""
     for path in (capture / "masks").glob("*/*.png"):
         matte = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         assert matte is not None

@@ -1,4 +1,4 @@
-"""Symbolic links at or below CAPTURE/.fourd are refused before files are deleted there."""
+"""Symbolic links at or below CAPTURE/.fourd are refused before any file is deleted in this folder."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def bring_in(capture: Path) -> None:
 def test_links_are_refused_and_their_targets_kept(
     ball_capture: Path, tmp_path: Path, work: Callable[[Path], None], link: str
 ) -> None:
-    """Catches a capture from somebody else whose links make fourd delete the user's own files."""
+    """Catches links in a downloaded capture that make fourd delete the user's own files."""
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     private = tmp_path / "private"
     files = [private / name for name in ("000000.ply", "mattes/01/000000.png", "hulls/000000.ply", ".unfinished-a.png")]
@@ -64,7 +64,7 @@ def test_links_are_refused_and_their_targets_kept(
 
 
 def test_other_folders_may_hold_links(tmp_path: Path) -> None:
-    """Catches --out folders outside .fourd that are refused because of a link in .fourd."""
+    """Catches an --out folder outside .fourd that is refused because .fourd contains a link."""
     (tmp_path / ".fourd").mkdir()
     (tmp_path / ".fourd" / "mattes").symlink_to(tmp_path)
     refuse_symlinks(tmp_path, tmp_path / "hulls")

@@ -33,7 +33,7 @@ def decode_sequentially(path: Path) -> list[np.ndarray]:
 def test_random_access_equals_sequential_decoding(
     name: str, codec: str, tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    """Catches a seek that lands after the requested frame, and B-frames counted in the file's order."""
+    """Catches a seek to a position after the requested frame, and B-frames that are counted in the file's order."""
     path = write_numbered_video(tmp_path / name, codec=codec)
     truth = decode_sequentially(path)
     index = index_video(path)
@@ -50,7 +50,7 @@ def test_random_access_equals_sequential_decoding(
 
 
 def test_test_video_has_b_frames_and_keyframes(tmp_path: Path) -> None:
-    """Catches a test video that is too simple to catch anything."""
+    """Catches a test video without B-frames or with too few keyframes, which would reveal no errors."""
     path = write_numbered_video(tmp_path / "video.mp4")
     with av.open(str(path)) as container:
         times = [packet.pts for packet in container.demux(video=0) if packet.pts is not None]
@@ -59,7 +59,7 @@ def test_test_video_has_b_frames_and_keyframes(tmp_path: Path) -> None:
 
 
 def test_reader_reopens_after_close(tmp_path: Path) -> None:
-    """Catches decoding from a closed container, and numbers past the end that are clamped."""
+    """Catches decoding from a closed video, and frame numbers past the end that are clamped."""
     path = write_numbered_video(tmp_path / "video.mp4")
     reader = VideoReader(path, index_video(path))
     assert number_of(reader.read(12)) == 12
@@ -71,7 +71,7 @@ def test_reader_reopens_after_close(tmp_path: Path) -> None:
 
 
 def test_reader_can_be_pickled(tmp_path: Path) -> None:
-    """Catches an open container in the pickle."""
+    """Catches a reader that is pickled together with its open video."""
     path = write_numbered_video(tmp_path / "video.mp4")
     reader = VideoReader(path, index_video(path))
     reader.read(12)
@@ -100,7 +100,7 @@ def assert_refused(path: Path, message: str) -> None:
 
 
 def test_other_files_are_refused(tmp_path: Path) -> None:
-    """Catches FFmpeg's exceptions that reach the user."""
+    """Catches exceptions of FFmpeg that reach the user."""
     text = tmp_path / "notes.mp4"
     text.write_text("not a video at all")
     assert_refused(text, r"expected a complete video, got '.+'; copy the file again")
@@ -110,7 +110,8 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_truncated_mp4_is_refused(tmp_path: Path) -> None:
-    """Catches an interrupted copy: without its index, and with one that declares more frames than there are."""
+    """Catches an interrupted copy of a video that is accepted. The index of such a copy is missing or declares more
+    frames than the file contains."""
     whole = write_numbered_video(tmp_path / "whole.mp4")
     cut = tmp_path / "cut.mp4"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
@@ -122,7 +123,8 @@ def test_truncated_mp4_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("name", "codec"), [("video.webm", "libvpx-vp9"), ("video.mkv", "libx264")])
 def test_truncated_matroska_is_refused(name: str, codec: str, tmp_path: Path) -> None:
-    """Catches a truncated WebM that is accepted because it has no frame count, and a complete WebM that is refused."""
+    """Catches a truncated WebM that is accepted because the file stores no frame count, and a complete WebM that is
+    refused."""
     path = write_numbered_video(tmp_path / name, codec=codec)
     whole = path.read_bytes()
     assert index_video(path).frames == 40
@@ -135,7 +137,7 @@ def test_truncated_matroska_is_refused(name: str, codec: str, tmp_path: Path) ->
 
 
 def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
-    """Catches a live recording that is refused; its header has no length."""
+    """Catches a live recording that is refused because its header has no length."""
     path = write_numbered_video(tmp_path / "video.webm", codec="libvpx-vp9")
     content = bytearray(path.read_bytes())
     offset = content.index(SEGMENT) + len(SEGMENT)
@@ -149,7 +151,8 @@ def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
 
 
 def test_dropped_frame_is_refused(tmp_path: Path) -> None:
-    """Catches a dropped frame, after which the cameras are out of sync by one frame."""
+    """Catches a video with a dropped frame that is accepted. After a dropped frame, the cameras are out of sync by one
+    frame."""
     times = [*range(20), *range(21, 41)]
     assert_refused(
         write_numbered_video(tmp_path / "video.mp4", times=times),
@@ -158,13 +161,13 @@ def test_dropped_frame_is_refused(tmp_path: Path) -> None:
 
 
 def test_rounded_times_are_a_constant_rate(tmp_path: Path) -> None:
-    """Catches WebM's rounding to milliseconds (33, 34, 33 ms) taken for a variable frame rate."""
+    """Catches a constant frame rate that is refused because WebM rounds times to milliseconds (33, 34, 33 ms)."""
     path = write_numbered_video(tmp_path / "video.webm", codec="libvpx-vp9")
     assert index_video(path).fps == 30
 
 
 def test_rotation_metadata_is_refused(tmp_path: Path) -> None:
-    """Catches a phone's video that players rotate and that is decoded unrotated."""
+    """Catches a phone's video that players show rotated but that is decoded without the rotation."""
     path = write_numbered_video(tmp_path / "video.mp4")
     content = bytearray(path.read_bytes())
     offset = content.index(b"tkhd") + 4 + MATRIX_OFFSET
@@ -175,7 +178,7 @@ def test_rotation_metadata_is_refused(tmp_path: Path) -> None:
 
 
 def test_videos_of_one_name_are_refused(tmp_path: Path) -> None:
-    """Catches two videos of the same name of which one is ignored without an error."""
+    """Catches two videos of the same name, if one video is ignored without an error."""
     for name in ("a.mp4", "a.mov"):
         write_numbered_video(tmp_path / name, range(2))
     with pytest.raises(
@@ -194,7 +197,8 @@ def write_listed_videos(capture: Path) -> dict[str, Video]:
 
 
 def test_video_list_round_trip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches videos that are read through at each opening, and a lost keyframe."""
+    """Catches videos that are indexed again each time they are opened, and a keyframe that is missing in the stored
+    index."""
     before = write_listed_videos(tmp_path)
     monkeypatch.setattr("fourd.capture.video_list.index_video", lambda path: pytest.fail(f"{path} was indexed again"))
     again = list_videos(tmp_path)
@@ -203,7 +207,7 @@ def test_video_list_round_trip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_replaced_video_is_indexed_again(tmp_path: Path) -> None:
-    """Catches the index of the old video used for the new one."""
+    """Catches a replaced video that is read with the index of the old video."""
     write_listed_videos(tmp_path)
     write_numbered_video(tmp_path / "videos" / "b.mp4", range(35))
     assert list_videos(tmp_path)["b"].index.frames == 35
@@ -211,7 +215,7 @@ def test_replaced_video_is_indexed_again(tmp_path: Path) -> None:
 
 
 def test_capture_without_a_list_is_indexed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches videos read through by each process that opens a capture without videos.json."""
+    """Catches videos that are indexed again by each process that opens a capture without videos.json."""
     paths = [write_numbered_video(tmp_path / "videos" / f"{name}.mp4") for name in "ab"]
     index_capture(tmp_path, ["a"], untracked)
     indexed = []
@@ -233,7 +237,7 @@ def test_capture_without_a_list_is_indexed_once(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"version": 1}', '{"version": 1, "cameras": {"a": {"offset": "x"}}}'])
 def test_damaged_list_is_reported(text: str, tmp_path: Path) -> None:
-    """Catches a traceback after a manual edit."""
+    """Catches a traceback after a manual edit of videos.json."""
     write_listed_videos(tmp_path)
     (tmp_path / NAME).write_text(text)
     with pytest.raises(UserError, match=r"videos.json: expected .*; import again"):
@@ -248,5 +252,5 @@ def test_newer_list_is_refused(tmp_path: Path) -> None:
 
 
 def test_smallest_offset_is_zero() -> None:
-    """Catches a camera that starts before its first frame."""
+    """Catches an offset at which a camera would start before its first frame."""
     assert align_offsets({"a": 0, "b": -7, "c": 3}) == {"a": 7, "b": 0, "c": 10}

@@ -17,7 +17,8 @@ Hit = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]]
 
 
 def ball(centre: tuple[float, float, float], radius: float) -> Hit:
-    """Create a function that returns which rays intersect a ball; rays have an origin (3,) and directions (N, 3)."""
+    """Create a function that returns which rays intersect a ball. The rays have one origin (3,) and directions (N,
+    3)."""
 
     def hit(origin: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.bool_]:
         towards = np.asarray(centre) - origin

@@ -32,7 +32,7 @@ def box() -> Bounds:
 
 
 def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
-    """Catches half-pixel and sign errors: the hull must contain the ball and touch it near its equator."""
+    """Catches half-pixel and sign errors. The hull must contain the ball and touch the ball near its equator."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=4000)
     distance = np.linalg.norm(carved.xyz - CENTRE, axis=1)
     pixel = 2 / (1.1 * 128)
@@ -45,8 +45,8 @@ def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
 
 
 def test_points_have_an_even_density(one_ball: MemoryCapture) -> None:
-    """Catches clumps and holes. The 5% quantile of the distances to the nearest point, relative to the mean, is 1 for a
-    lattice and 0.26 for random points."""
+    """Catches clumps and holes in the points. The test divides the 5% quantile of the distances between nearest points
+    by the mean distance. This ratio is 1 for a lattice and 0.26 for random points."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=3000)
     nearest = cKDTree(carved.xyz).query(carved.xyz, k=2)[0][:, 1]
     assert np.quantile(nearest, 0.05) > 0.55 * nearest.mean()
@@ -82,7 +82,8 @@ def test_points_outside_some_views_are_kept() -> None:
 
 @pytest.mark.parametrize(("cameras", "needed"), [(2, 2), (3, 3), (4, 3), (6, 3), (8, 4), (20, 10)])
 def test_minimum_number_of_views(cameras: int, needed: int) -> None:
-    """Catches points that only two of four views see: they form ghosts where the rays of two silhouettes intersect."""
+    """Catches points that only two of four views see. Such points form ghosts where the rays of two silhouettes
+    intersect."""
     ring = ring_cameras(cameras, 32)
     views = Silhouettes.from_masks(
         [mask(camera, [ball((0, 0, 0), 0.3)]) for camera in ring], ring, np.zeros(3), agreement=0.95, least_views=0.5
@@ -91,7 +92,8 @@ def test_minimum_number_of_views(cameras: int, needed: int) -> None:
 
 
 def test_coarse_to_fine_search_equals_brute_force(one_ball: MemoryCapture) -> None:
-    """Catches surface that is lost by early rejection of cells, and a search that tests every fine cell."""
+    """Catches parts of the surface that are lost by early rejection of cells, and a search that tests every fine
+    cell."""
     views = Silhouettes.from_masks(one_ball.masks[0], one_ball.cameras, np.zeros(3), agreement=0.95, least_views=0.5)
     size = 0.04
     lower, upper = np.full(3, -0.64), np.full(3, 0.64)
@@ -107,7 +109,7 @@ def test_coarse_to_fine_search_equals_brute_force(one_ball: MemoryCapture) -> No
 
 
 def test_bounds_are_found_from_masks(one_ball: MemoryCapture) -> None:
-    """Catches boxes that cut the object and boxes that include the whole room."""
+    """Catches bounding boxes that cut the object, and bounding boxes that include the whole room."""
     found = hull_bounds(one_ball.masks[0], one_ball.cameras)
     assert np.all(found.lower < CENTRE - RADIUS + 0.01)
     assert np.all(found.upper > CENTRE + RADIUS - 0.01)
@@ -142,7 +144,8 @@ def test_an_empty_hull_names_the_disagreeing_views(one_ball: MemoryCapture) -> N
 
 
 def test_colours_come_from_unoccluded_views(one_ball: MemoryCapture) -> None:
-    """Catches colours from views that do not see a point: each view shows the ball in a colour for its own side."""
+    """Catches colours from views that do not see a point. Views from the right show the ball in another colour than
+    views from the left."""
     images = []
     for camera in one_ball.cameras:
         red = 220 if camera.centre[0] > 0 else 20
@@ -156,7 +159,8 @@ def test_colours_come_from_unoccluded_views(one_ball: MemoryCapture) -> None:
 
 
 def test_carving_resumes_and_invalidates(tmp_path: Path) -> None:
-    """Catches frames that are carved twice, old results after a changed setting, and truncated files that are kept."""
+    """Catches frames that are carved twice, old results that are used after a changed setting, and truncated files that
+    are kept."""
     capture = moving_ball(frames=3)
     first = carve_capture(capture, tmp_path, points=800)
     times = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.ply")}
@@ -175,7 +179,8 @@ def test_carving_resumes_and_invalidates(tmp_path: Path) -> None:
 
 
 def test_worker_processes_carve_the_same_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches points that depend on how frames are distributed to processes, and bounds of only the last frame."""
+    """Catches points that depend on the distribution of frames to processes, and bounds that contain only the last
+    frame."""
     capture = moving_ball(frames=4)
     alone = carve_capture(capture, tmp_path / "alone", points=300)
     monkeypatch.setattr(sequence, "MIN_PARALLEL_SECONDS", 0)

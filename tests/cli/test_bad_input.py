@@ -1,4 +1,4 @@
-"""Wrong input: exit code 2, one line on stderr that names the file, and no data lost."""
+"""Wrong input gives exit code 2 and one line on stderr that names the file. No data is lost."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_truncated_scenes_are_refused(scene: Path, tmp_path: Path, capsys: pytes
 def test_checkpoints_of_another_model_are_refused(
     trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches weights of another model that load because their shapes match, and a torch traceback."""
+    """Catches weights of another model that are loaded because their shapes match, and a torch traceback."""
     other = Path(shutil.copytree(trained.folder, tmp_path / "run"))
     config = other / "config.yaml"
     config.write_text(re.sub(r"hidden: 16", "hidden: 24", config.read_text()))
@@ -91,7 +91,7 @@ def test_checkpoints_of_another_model_are_refused(
 def test_damaged_captures_are_refused(
     kind: str, ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches training on a truncated image. The reader's own tests cover its other errors."""
+    """Catches training on a truncated image. Other errors of the reader are covered in the reader's own tests."""
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     picture = capture / "images" / "05" / "000001.png"
     if kind == "missing":
@@ -109,7 +109,7 @@ def test_damaged_captures_are_refused(
 def test_empty_hulls_name_the_inconsistent_views(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches an empty point cloud that fails later, in training."""
+    """Catches an empty point cloud that causes an error only later, in training."""
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     for frame in range(3):
         for camera in ("02", "05"):
@@ -123,7 +123,7 @@ def test_empty_hulls_name_the_inconsistent_views(
 
 
 def test_unwritable_outputs_are_named(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a traceback where a parent folder of the output is a file."""
+    """Catches a traceback if a parent folder of the output is a file."""
     (tmp_path / "taken").write_text("mine")
     line = error_line(capsys, "render", scene, "--views", "03", "--out", tmp_path / "taken" / "pictures")
     assert "taken" in line
@@ -131,7 +131,8 @@ def test_unwritable_outputs_are_named(scene: Path, tmp_path: Path, capsys: pytes
 
 
 def test_full_disk_keeps_the_previous_checkpoint(trained: Run, tmp_path: Path) -> None:
-    """Catches a checkpoint overwritten in place. Files are limited to 40 kB, less than a checkpoint needs."""
+    """Catches a checkpoint that is lost because the new checkpoint overwrites it in place. The file size is limited to
+    40 kB, which is less than a checkpoint needs."""
     run = Path(shutil.copytree(trained.folder, tmp_path / "run"))
     capture = str(trained.capture.path)
     before = load_file(run / "checkpoints" / "00000006.safetensors")
@@ -165,7 +166,7 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
 
 
 def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a report that does not mark scores as scores of fitted cameras."""
+    """Catches a report that does not mark scores of cameras that were fitted before the evaluation."""
     assert main(["eval", str(trained.folder), "--refine-test", "--json", str(tmp_path / "fitted.json")]) == 0
     assert "03: fitted to its own images before evaluation" in capsys.readouterr().out
     content = json.loads((tmp_path / "fitted.json").read_text())

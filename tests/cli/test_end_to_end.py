@@ -1,4 +1,4 @@
-"""All commands in sequence on a small synthetic capture, as a user types them."""
+"""All commands run in sequence on a small synthetic capture, as a user would type them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(capture: Path) -> Path:
-    """A scene made by fourd make; its run is in scene.work/run."""
+    """A scene made by ``fourd make``. The run of the scene is in scene.work/run."""
     scene, overlay = capture.parent / "scene.4dv", capture.parent / "small.yaml"
     overlay.write_text(OVERLAY)
     words = ["make", capture, "-o", scene, "--config", overlay, "--test-views", "02,05", "--max-steps", "40"]
@@ -52,7 +52,7 @@ def test_check_accepts_synthetic_captures(capture: Path, capsys: pytest.CaptureF
 
 
 def test_run_and_exported_scene_score_the_same(made: Path, tmp_path: Path) -> None:
-    """Catches an export that loses more than 0.1 dB."""
+    """Catches an export that lowers the PSNR by more than 0.1 dB."""
     run = made.with_suffix(".work") / "run"
     assert main(["eval", str(run), "--json", str(tmp_path / "run.json")]) == 0
     assert main(["eval", str(run), "--scene", str(made), "--json", str(tmp_path / "scene.json")]) == 0
@@ -103,7 +103,7 @@ def test_make_writes_full_scenes(capture: Path, tmp_path: Path, capsys: pytest.C
 
 
 def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) -> None:
-    """Catches commands that share a scratch folder and so read or delete each other's frames."""
+    """Catches commands that share a scratch folder. Such commands read or delete each other's frames."""
     run = made.with_suffix(".work") / "run"
     assert main(["render", str(run), "--out", str(tmp_path / "alone"), "--views", "02"]) == 0
     fourd = [sys.executable, "-m", "fourd.cli.main"]
@@ -125,7 +125,7 @@ def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) 
 
 
 def test_render_writes_views_paths_and_videos(made: Path, tmp_path: Path) -> None:
-    """Catches images of the wrong size, in the wrong folder, or empty."""
+    """Catches rendered images that are empty, have the wrong size or are in the wrong folder."""
     run = made.with_suffix(".work") / "run"
     assert main(["render", str(run), "--out", str(tmp_path / "run"), "--views", "02", "--frames", "1:2"]) == 0
     assert main(["render", str(made), "--out", str(tmp_path / "scene"), "--views", "02", "--frames", "1:2"]) == 0

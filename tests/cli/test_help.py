@@ -1,4 +1,4 @@
-"""``--help`` of every command, and errors of the options of rendering."""
+"""The text of ``--help`` for every command, and the errors for invalid rendering options."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from fourd.cli.main import COMMANDS, main
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_shows_real_defaults(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an option that is shown with the default None because its default is computed later."""
+    """Catches an option whose default is computed later and is shown as None."""
     with pytest.raises(SystemExit) as caught:
         main([command, "--help"])
     assert caught.value.code == 0

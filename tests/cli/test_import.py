@@ -24,7 +24,7 @@ BALANCE = Path(__file__).parents[2].parent / "shared" / "captures" / "balance"
 
 
 def refused_line(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line of an import's error."""
+    """The single error line of an import."""
     assert main(["import", *map(str, words)]) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("fourd import: ")]
     assert len(lines) == 1
@@ -40,7 +40,7 @@ def imported_log(capsys: pytest.CaptureFixture[str], *words: object) -> str:
 
 
 def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a mistyped format name that is used as a path, and a missing source."""
+    """Catches a mistyped format name that is used as a path, and a missing source without an error."""
     out = tmp_path / "out"
     assert "got 'easymocab'; did you mean 'easymocap'?" in refused_line(capsys, "easymocab", ball_capture, out)
     assert "but it does not exist; check the path" in refused_line(capsys, tmp_path / "gone", out)
@@ -70,7 +70,7 @@ def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytes
 def test_options_are_checked(
     words: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches an option that is misread, or checked after minutes of work."""
+    """Catches an option that is misread, or that is checked only after minutes of work."""
     source = write_source(tmp_path / "source")
     assert message in refused_line(capsys, source, tmp_path / "out", *words)
     assert not (tmp_path / "out").exists()
@@ -95,7 +95,7 @@ def test_other_captures_are_not_overwritten(
 
 
 def test_uncalibrated_cameras_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a capture with some unusable cameras."""
+    """Catches an import that succeeds although some cameras are unusable."""
     source = write_source(tmp_path / "source")
     calibrations = read_calibration(source)
     write_calibration(source, ["a", "b"], [calibrations[name].camera(32, 48) for name in ("a", "b")])
@@ -133,7 +133,8 @@ def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_stretched_pictures_and_mirrored_centres_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches image sizes and principal points that are tested separately, an unrequested fix, and a missing fix."""
+    """Catches image sizes and principal points that are tested separately. Also catches a fix without --centres, and a
+    missing fix with --centres."""
     names = ["a", "b", "c", "d"]
     shift = np.array([[0, 0, 14.0], [0, 0, -9.0], [0, 0, 0]])
     given = [replace(camera, intrinsics=camera.intrinsics + shift) for camera in room_cameras(4, 256, 192)]
@@ -169,7 +170,8 @@ def test_good_calibration_is_unchanged(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a displaced camera that is not reported, correct cameras that are, and slow checks with --quick."""
+    """Catches a displaced camera that is not reported, correct cameras that are reported, and slow checks with
+    --quick."""
     true = room_cameras(5, 320, 240)
     angle = np.deg2rad(2.5)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -190,7 +192,7 @@ def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: py
 
 @pytest.mark.slow
 def test_real_recording_is_corrected(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a wrong choice on the real capture: letterboxed images, mirrored principal points."""
+    """Catches a real capture whose letterboxed images or mirrored principal points are not recognised."""
     if not BALANCE.is_dir():
         pytest.skip(f"no real capture at {BALANCE}")
     output = imported_log(capsys, BALANCE, tmp_path / "out")

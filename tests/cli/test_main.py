@@ -24,6 +24,6 @@ def spin_count(**set_before: str) -> str:
 
 
 def test_spin_count_is_set_before_torch_is_imported() -> None:
-    """Catches GOMP_SPINCOUNT set after torch is imported, and a value that overrides the user's."""
+    """Catches GOMP_SPINCOUNT that is set after torch is imported, and a default that overrides the user's value."""
     assert spin_count() == "20000"
     assert spin_count(GOMP_SPINCOUNT="5") == "5"

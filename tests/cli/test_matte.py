@@ -1,4 +1,4 @@
-"""``fourd matte``: errors, and files after an interrupted call."""
+"""Tests of ``fourd matte``: its errors, and its files after an interruption."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MATTE = (sys.executable, "-m", "fourd.cli.main", "matte", "--workers")
 
 
 def contents(capture: Path) -> dict[str, bytes]:
-    """Every file below .fourd, by name."""
+    """All files below .fourd, by name."""
     paths = sorted(path for path in (capture / ".fourd").rglob("*") if path.is_file())
     return {str(path.relative_to(capture)): path.read_bytes() for path in paths}
 
@@ -45,7 +45,7 @@ def test_wrong_options_are_one_line(
 
 
 def test_masks_of_the_capture_are_used(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches mattes that are made for a capture with masks, and plates that are not made for it."""
+    """Catches mattes that are made for a capture with masks, and clean plates that are not made for such a capture."""
     capture = tmp_path / "capture"
     shutil.copytree(ball_capture, capture)
     assert main(["matte", str(capture), "--workers", "1"]) == 0
@@ -65,7 +65,7 @@ def stop_when_exists(path: Path, how: signal.Signals, command: list[str]) -> int
         assert time.monotonic() < deadline
         time.sleep(0.002)
     process.send_signal(how)
-    error = process.communicate(timeout=60)[1]  # returns when the children have ended too
+    error = process.communicate(timeout=60)[1]  # returns after all child processes have ended
     assert b"Traceback" not in error
     return process.returncode
 

@@ -1,4 +1,4 @@
-"""``--background`` and the other training options: how they overlay the config."""
+"""How ``--background`` and the other training options override the config."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_own_points_are_a_ply_file(tmp_path: Path) -> None:
 
 
 def test_flags_not_given_change_nothing(tmp_path: Path) -> None:
-    """Catches a missing flag whose default overrides the config file."""
+    """Catches a flag that is not given but whose default overrides the config file."""
     (tmp_path / "a.yaml").write_text("background: {seeding: sfm, points: 5, radiance: {steps: 7}}\n")
     background = config(None, tmp_path / "a.yaml").background
     assert (background.seeding, background.points, background.radiance.steps) == ("sfm", 5, 7)
@@ -48,7 +48,7 @@ def test_neither_a_method_nor_a_file_is_refused() -> None:
 
 @pytest.mark.parametrize("command", ["train", "make"])
 def test_both_commands_refuse_it(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a command with another definition of the flag."""
+    """Catches a command that defines ``--background`` differently from the other commands."""
     assert main([command, str(tmp_path), "-o", str(tmp_path / "out"), "--scene", "full", "--background", "nerf"]) == 2
     line = capsys.readouterr().err
     assert line.startswith(f"fourd {command}: --background: expected ngp, sfm or a PLY file, got 'nerf'")
@@ -109,7 +109,7 @@ def test_bad_values_are_one_line(
 
 @pytest.mark.parametrize("command", ["train", "make"])
 def test_help_shows_the_defaults_of_the_config(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an option whose default is missing in --help."""
+    """Catches an option whose default value is missing in --help."""
     with pytest.raises(SystemExit):
         main([command, "--help"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())

@@ -1,4 +1,5 @@
-"""An install without the extra ``fourd[train]``: scenes play, and other commands name the extra in one line."""
+"""An installation without the extra ``fourd[train]``. Scenes play, and other commands give a one-line error that names
+the extra."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ def run_without_training_packages(*words: str) -> subprocess.CompletedProcess[st
 
 
 def test_scenes_play(tmp_path: Path) -> None:
-    """Catches an import of torch, or of another training package, on the way from a .4dv file to images."""
+    """Catches a command that imports torch or another training package to render images of a .4dv file."""
     scene = tmp_path / "scene.4dv"
     write_scene(scene)
     size = ["--size", "64", "48"]
@@ -52,7 +53,7 @@ def test_scenes_play(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("words", [["train", "capture", "--out", "run"], ["make", "--help"], ["eval", "run"]])
 def test_training_names_the_extra_in_one_line(words: list[str]) -> None:
-    """Catches a traceback where a package of the extra is not installed."""
+    """Catches a traceback if a package of the extra is not installed."""
     done = run_without_training_packages(*words)
     assert done.returncode == 2
     expected = rf"fourd {words[0]}: expected the training packages, but \w+ is missing; pip install 'fourd\[train\]'\n"

@@ -20,7 +20,7 @@ PLACEHOLDERS = re.compile(r"[\[\]|<>]|\.\.\.|…")
 
 
 def commands() -> list[tuple[str, str]]:
-    """Page and command line of each complete ``fourd`` command that starts a line of a fenced block."""
+    """Page and command line of each complete ``fourd`` command at the start of a line in a fenced block."""
     found = []
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
@@ -47,5 +47,5 @@ def test_a_shown_command_parses(page: str, command: str) -> None:
 
 
 def test_commands_are_found() -> None:
-    """Catches a pattern that finds nothing, which would let every page pass."""
+    """Catches a pattern that finds no command, with which every page would pass."""
     assert len(commands()) > 25

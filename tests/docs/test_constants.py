@@ -1,4 +1,4 @@
-"""Numbers that the documentation quotes equal those in the code.
+"""Numbers that the documentation quotes equal the numbers in the code.
 
 A page marks a quoted number with an HTML comment that names its source. The rendered page does not show the comment:
 
@@ -25,7 +25,7 @@ MARKER = "<!--="
 
 
 def quotes() -> list[tuple[str, str, float, str]]:
-    """Page, line, number and source of every marked number."""
+    """Page, line, value and source of every marked number."""
     found = []
     for page in PAGES:
         for row, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1):
@@ -51,14 +51,15 @@ def test_a_quoted_number_is_the_code_s(page: str, row: str, number: float, sourc
 
 
 def test_every_marker_belongs_to_a_number() -> None:
-    """Catches a marker that the pattern misses, whose number would go unchecked."""
+    """Catches a marker that the pattern misses. The number at such a marker would not be checked."""
     marked = sum(page.read_text(encoding="utf-8").count(MARKER) for page in PAGES)
     assert marked == len(quotes())
     assert marked >= 10
 
 
 def test_visibility_falls_where_conventions_say() -> None:
-    """Catches a visibility margin other than two spacings or a falloff other than one, in the code or on the page."""
+    """Catches a wrong visibility margin or falloff, in the code or on the page. The margin is two spacings, and the
+    falloff is one spacing."""
     text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
     assert "exp(-max(z - surface - 2 s, 0) / s)" in text
     spacing, surface = 0.1, 3.0

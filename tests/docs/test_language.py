@@ -1,4 +1,4 @@
-"""The sources use plain technical English: they contain no phrase that readers from the field would have to look up.
+"""The sources use plain technical English. They contain no phrase that readers from the field would have to look up.
 
 Each entry of PHRASES pairs a phrase with its replacement. Add a phrase when a reader does not understand it.
 """
@@ -52,7 +52,7 @@ PHRASES = {
 
 
 def files() -> list[Path]:
-    """The text files that people read."""
+    """All text files that are checked for phrases."""
     found = [ROOT / name for name in PAGES]
     for folder in FOLDERS:
         found += [path for path in sorted((ROOT / folder).rglob("*")) if path.suffix in SUFFIXES and path.is_file()]

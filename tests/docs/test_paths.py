@@ -1,4 +1,4 @@
-"""Files, modules and packages that the documentation names exist."""
+"""All files, modules and packages that the documentation names must exist."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GENERATED = {"docs/examples.md", "docs/contributing.md", "docs/changelog.md", "d
 
 
 def mentions(pattern: re.Pattern[str]) -> list[tuple[str, Any]]:
-    """Page and mention, for every match outside fenced blocks."""
+    """Page and matching text, for every match outside fenced blocks."""
     found = set()
     for page in PAGES:
         text = FENCE.sub("", page.read_text(encoding="utf-8"))
@@ -82,14 +82,15 @@ def test_a_link_leads_to_a_file(page: str, link: str) -> None:
 
 
 def test_readme_links_every_page() -> None:
-    """Catches a page that a reader of the README cannot find."""
+    """Catches a page that is not reachable from the README."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     pages = [page.relative_to(ROOT).as_posix() for page in sorted((ROOT / "docs").rglob("*.md"))]
     assert [page for page in pages if f"({page})" not in readme] == []
 
 
 def test_architecture_lists_the_packages_in_the_order_of_imports() -> None:
-    """Catches a package that the table lacks, or an order other than the one that import-linter enforces."""
+    """Catches a package that is missing in the table, and an order of packages that differs from import-linter's
+    settings."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     layers = settings["tool"]["importlinter"]["contracts"][0]["layers"]
     expected = [re.findall(r"\w+", layer) for layer in layers]

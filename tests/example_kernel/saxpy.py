@@ -1,4 +1,5 @@
-"""The operator of the example kernel, and its reference. In the package this file would be ``fourd/ops/saxpy.py``."""
+"""The operator of the example kernel, and its reference. In the package, the path of this file would be
+``fourd/ops/saxpy.py``."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ def saxpy(a: float, x: Tensor, y: Tensor) -> Tensor:
 
 
 def saxpy_reference(a: float, x: Tensor, y: Tensor) -> Tensor:
-    """Compute the same in plain torch, on any device and in any dtype."""
+    """Compute ``a x + y`` in plain torch, on any device and in any dtype."""
     return a * x + y
 
 

@@ -42,7 +42,8 @@ def example_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.mark.slow
 @pytest.mark.usefixtures("example_module")
 def test_example_matches_its_reference(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches build functions or headers of the package that differ from the page's instructions."""
+    """Catches build functions or headers of the package that differ from the instructions in
+    docs/adding_a_kernel.md."""
     values = [torch.from_numpy(rng.standard_normal(1003).astype(np.float32)) for _ in range(2)]
     inputs = [tensor.requires_grad_() for tensor in values]
     expected = saxpy_reference(1.7, *inputs)

@@ -26,7 +26,7 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
 def run(script: str, *arguments: object, python: tuple[str, ...] = ()) -> str:
-    """Run an example in a process of its own and return its output."""
+    """Run an example in a separate process and return the example's output."""
     command = [sys.executable, *python, str(ROOT / "examples" / script), *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "120"}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
@@ -36,7 +36,7 @@ def run(script: str, *arguments: object, python: tuple[str, ...] = ()) -> str:
 
 @pytest.mark.parametrize("script", [path.name for path in EXAMPLES])
 def test_help_describes_every_example(script: str) -> None:
-    """Catches an example whose imports or flags broke."""
+    """Catches an example whose imports or flags no longer work."""
     assert "usage:" in run(script, "--help")
 
 
@@ -57,7 +57,8 @@ def test_fitting_improves_the_picture(tmp_path: Path) -> None:
 
 
 def test_a_scene_is_drawn_without_torch(tmp_path: Path) -> None:
-    """Catches a torch import on the path that players take, and a camera that misses the scene."""
+    """Catches an import of torch in a module that is needed to play scenes, and a camera that does not see the
+    scene."""
     write_scene(tmp_path / "scene.4dv")
     out = tmp_path / "view.png"
     options = ("--frame", 1, "--degrees", 30, "--out", out)
@@ -68,7 +69,7 @@ def test_a_scene_is_drawn_without_torch(tmp_path: Path) -> None:
 
 
 def test_a_custom_format_becomes_a_capture(tmp_path: Path) -> None:
-    """Catches a change of the importers' interface, and axes that the example converts wrongly."""
+    """Catches a change in the interface of importers, and axes that the example converts wrongly."""
     rig, cameras = [], dict(zip(("left", "right"), ring(2), strict=True))
     for name, camera in cameras.items():
         (tmp_path / "source" / name).mkdir(parents=True)
