@@ -82,7 +82,7 @@ def test_errors_of_jobs_are_raised() -> None:
 
 @pytest.mark.parametrize(("stop", "tracebacks"), [(signal.SIGKILL, 0), (signal.SIGINT, 1)])
 def test_no_process_outlives_its_parent(stop: signal.Signals, tracebacks: int, tmp_path: Path) -> None:
-    """Catches child processes that continue to write after the parent has ended, and tracebacks of child processes."""
+    """Catches child processes that continue to run after the parent has ended, and tracebacks of child processes."""
     command = [sys.executable, "-c", PARENT.format(folder=str(tmp_path))]
     parent = subprocess.Popen(command, stderr=subprocess.PIPE, start_new_session=True)
     deadline = time.monotonic() + TIMEOUT_S

@@ -14,7 +14,7 @@ from fourd.progress import EndEstimate, Tracker, format_duration
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """A clock that is controlled by tests. Its only element is the time in seconds."""
+    """A clock that is controlled by tests. The only element of the list is the time in seconds."""
     now = [100.0]
     monkeypatch.setattr("fourd.progress.monotonic", lambda: now[0])
     return now
@@ -47,7 +47,7 @@ def test_short_phases_have_no_line(clock: list[float]) -> None:
 
 
 def test_items_that_finish_together_do_not_change_the_estimate() -> None:
-    """Catches a rate that is measured between two consecutive results. This rate is wrong if processes finish items in
+    """Catches a rate that is measured between two consecutive results, which is wrong if processes finish items in
     groups."""
     estimate = EndEstimate(0.0, 100)
     assert [estimate.update(20.0, 1), estimate.update(20.0, 2)] == [2000.0, 1000.0]
@@ -57,8 +57,8 @@ def test_items_that_finish_together_do_not_change_the_estimate() -> None:
 
 
 def test_estimate_follows_a_slower_machine() -> None:
-    """Catches a remaining time from the mean rate of the whole work. This time is far too short after the work slows to
-    a tenth."""
+    """Catches a remaining time that is far too short after the work slows to a tenth, because the mean rate of the
+    whole work is used."""
     estimate = EndEstimate(0.0, 20_000)
     for done in range(1, 10_001):
         estimate.update(0.1 * done, done)

@@ -51,8 +51,8 @@ class BlendHead(nn.Module):
     """MLP that predicts a blend logit for each point and source view.
 
     The input of the first layer is [point feature, image sample, optional direction]. The part that depends on the
-    point feature alone is computed once for each point instead of once for each point and view. This changes the logits
-    only by rounding errors, because the terms are summed in another order.
+    point feature alone is computed once for each point instead of once for each point and view. The different order of
+    summation changes the logits only by rounding errors.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -104,7 +104,7 @@ def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: 
 
 
 def zero_low_visibility(visibility: Tensor) -> Tensor:
-    """Replace visibility weights below MIN_VISIBILITY by 0. All weights are in [0, 1]."""
+    """Replace visibility weights below MIN_VISIBILITY by 0. All visibility weights are in [0, 1]."""
     return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 

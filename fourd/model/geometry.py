@@ -41,8 +41,8 @@ class GeometryHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute radius (N,), as a multiple of the spacing, and density (N,) in (0, 1). The input is the output (N, H)
-        of the layer ``first``."""
+        """Compute radius (N,), as a multiple of the spacing, and density (N,) in (0, 1). The input ``hidden`` (N, H) is
+        the output of the layer ``first``."""
         raw_radius, raw_density = self.layers(hidden).unbind(-1)
         share = torch.sigmoid(raw_radius + self.radius_offset)
         radius = self.radius_low + (self.radius_high - self.radius_low) * share

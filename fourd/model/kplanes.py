@@ -38,8 +38,8 @@ class KPlanes(nn.Module):
 
     @property
     def out_features(self) -> int:
-        """Number of output channels. For the reduction "concat", this is the sum of the channels over all planes and
-        levels. For the other reductions, it is the sum of the channels over all levels."""
+        """Number of output channels. The reduction "concat" gives the channels of all planes of all levels. The other
+        reductions give the channels of one plane for each level."""
         planes = len(self.pairs) if self.config.reduction == "concat" else 1
         return self.config.levels * self.config.features * planes
 
@@ -56,7 +56,7 @@ class KPlanes(nn.Module):
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)
         if self.config.reduction == "product":
-            # Initial values of 0 would make the gradient of the product 0. As in K-Planes, the initial value of time
-            # planes is 1.
+            # If all planes were initialised to 0, the gradient of their product would be 0. As in K-Planes, the initial
+            # value of time planes is 1.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)

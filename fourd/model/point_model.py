@@ -92,8 +92,8 @@ class PointModel(nn.Module):
             upper: (3,) upper corner of the bounds.
             spacing: mean distance between neighbouring points in world units.
             frame_count: number of frames of the whole capture, which is the number of rows of the time planes.
-            contraction: function that maps unbounded space into the volume of the planes. If it is None, the planes
-                cover the scene's bounds only.
+            contraction: function that maps unbounded space into the volume of the planes. Without a contraction, the
+                planes cover the scene's bounds only.
         """
         super().__init__()
         self.config = config
@@ -150,7 +150,7 @@ class PointModel(nn.Module):
 
         Args:
             xyz: (N, 3) optimised positions in world units.
-            spacing: (N,) distance between neighbouring points in world units. Radii are proportional to this distance.
+            spacing: (N,) distance between neighbouring points in world units. Radii are proportional to the spacing.
             time: time of the frame in [0, 1].
             explicit_sh: (N, 48) optimised SH coefficients; see :class:`EvaluatedPoints`.
             rgb: (N, 3) the points' own colours; see :class:`EvaluatedPoints`.
@@ -256,7 +256,8 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
     """Viewing direction relative to the source directions, (V, N, 4), as in IBRNet. The first three numbers are the
-    viewing direction minus the source direction. The last number is the cosine of the angle between them."""
+    viewing direction minus the source direction. The last number is the cosine of the angle between the two
+    directions."""
     target = unit_directions(xyz, viewer)
     parts = []
     for camera in cameras:

@@ -57,7 +57,7 @@ class ShadowField(nn.Module):
     margin.
 
     ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0.
-    Therefore, the factor is exactly 1 before training. It remains 1 wherever the planes never get a gradient.
+    Therefore, the factor is exactly 1 before training. The factor remains 1 wherever the planes never get a gradient.
     """
 
     lower: Tensor

@@ -1,5 +1,5 @@
-"""Several linear layers over the same input, computed as one matrix product. The single product reads the input only
-once."""
+"""Several linear layers over the same input, computed as one matrix product. The matrix product reads the input only
+once for all layers."""
 
 from __future__ import annotations
 

@@ -61,16 +61,16 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
 
     A point's visibility weight in a view is the squared matte times the occlusion factor. The matte is squared because
     pixels on the silhouette contain background colour, so that their weight must be lower than their coverage. For
-    float32 inputs, one fused kernel projects the points and samples the views. This kernel runs on the CPU or, if the
-    CUDA kernels are compiled, on a CUDA device.
+    float32 inputs, one fused kernel projects the points and samples the views. The fused kernel runs on the CPU or, if
+    the CUDA kernels are compiled, on a CUDA device.
 
     Args:
-        xyz: (N, 3) points in world units. They get gradients through the projection.
+        xyz: (N, 3) points in world units. The points get gradients through the projection.
         sources: the source views.
         features: (V, C, h, w) features of ``sources`` from the image encoder, at the encoder's resolution; None to
             sample RGB alone.
         softness: (N,) decay length of a point's visibility weight, in world units. The weight decays exponentially with
-            the point's depth behind the nearest surface in the view. The decay starts two decay lengths behind that
+            the point's depth behind the nearest surface in the view. The decay starts two decay lengths behind the
             surface. ``softness`` gets no gradient.
     """
     cameras = _pack_cameras(sources.cameras)

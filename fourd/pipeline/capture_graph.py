@@ -1,4 +1,4 @@
-"""The stages that produce a capture with mattes and plates. These stages do not need the packages for training."""
+"""The stages that produce a capture with mattes and plates. None of these stages needs the packages for training."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The differentiable point renderer: :func:`render_points` and :func:`point_visibility`.
 
-The package loads torch on the first use of one of these two functions, not when the package is imported.
+torch is loaded on the first use of one of the two functions, not when this package is imported.
 """
 
 from __future__ import annotations

@@ -122,17 +122,17 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
     The logarithm of each motion energy is band-passed by a difference of Gaussians, which removes gains and slow
     trends. The band-passed signals are correlated for every pair of cameras, which gives one lag per pair. The offsets
     are fitted to the lags by iteratively reweighted least squares, which approximates least absolute deviations. Pairs
-    with a flat, ambiguous or inconsistent correlation have little weight in this fit.
+    with a flat, ambiguous or inconsistent correlation have little weight in the fit of the offsets.
 
     Each camera records a different part of the motion. For slow and smooth motion, the best lag can therefore be wrong
-    by some frames. The confidence does not reveal this error. For a balancing man recorded from four sides, the error
-    was up to 3 frames at 60 Hz. For sudden motion, such as claps or steps, the estimate is exact. An offset of up to 3
-    frames does not prove that the cameras lack a common trigger.
+    by some frames. The confidence does not reveal an error of some frames. For a balancing man recorded from four
+    sides, the error was up to 3 frames at 60 Hz. For sudden motion, such as claps or steps, the estimate is exact. An
+    offset of up to 3 frames does not prove that the cameras lack a common trigger.
 
     Args:
         energies: :func:`motion_energy` (F,) of each camera. The number of frames F may differ between cameras.
-        max_offset: largest offset in frames, at least 1. With this offset, at least 12 frames of two videos must
-            overlap.
+        max_offset: largest offset in frames, at least 1. At least 12 frames of two videos must overlap at the largest
+            offset.
 
     Raises:
         ValueError: if there is no camera, or there are too few frames for ``max_offset``.

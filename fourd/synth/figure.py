@@ -39,8 +39,8 @@ class Part:
     pattern: Pattern
 
     def spheres(self) -> list[tuple[Array, float]]:
-        """Two spheres whose convex hull contains the part. Each sphere is a centre (3,) in the world and a radius, in
-        metres."""
+        """Two spheres whose convex hull contains the part. Each sphere is given by its centre (3,) in the world and its
+        radius, in metres."""
         scale = float(self.stretch.max())
         end = self.origin + self.frame[:, 2] * (self.length * self.stretch[2])
         return [(self.origin, self.radii[0] * scale), (end, self.radii[1] * scale)]

@@ -148,8 +148,8 @@ def _prepare_folder(out: Path) -> None:
 
 
 def _phase(frame: int, frames: int) -> float:
-    """Gait phase of a frame in cycles. The capture covers a whole number of cycles, so that it can be played in a
-    loop."""
+    """Gait phase of a frame in cycles. The capture covers a whole number of cycles, so that the capture can be played
+    in a loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 

@@ -1,4 +1,4 @@
-"""A small capture without masks, made from the ball capture. Its ground-truth mattes are in a separate folder."""
+"""A small capture without masks, made from the ball capture. The ground-truth mattes are in a separate folder."""
 
 from __future__ import annotations
 

@@ -67,7 +67,7 @@ def test_uneven_light_and_shadow_are_not_foreground(rng: np.random.Generator, co
     assert matte.dtype == np.uint8
     assert overlap(matte, alpha) > 0.985
     assert error.mean() < 0.0025
-    # This is the error in the soft edge of the matte. A distance that ignores luma has an error of 0.15, because it
+    # The error in the soft edge of the matte is small. A distance that ignores luma has an error of 0.15, because it
     # fails on dark clothes.
     assert error[(alpha > 0.02) & (alpha < 0.98)].mean() < 0.06
     assert (matte[alpha < 1e-3] > 64).mean() < 2e-4
@@ -116,7 +116,7 @@ def test_pictures_without_a_screen_are_refused(rng: np.random.Generator, kind: s
 
 
 def test_parse_screen_validates_its_argument() -> None:
-    """Catches grey screen colours and typing errors that are accepted. They would make every matte empty or full."""
+    """Catches grey screen colours and typing errors that are accepted and make every matte empty or full."""
     assert parse_screen("0,177, 64") == ScreenColour((0.0, 177.0, 64.0))
     for text in ("0,177", "green", "0,300,0", "0,-1,4", "1.5,2,3"):
         with pytest.raises(UserError, match=r"^--screen: expected R,G,B"):

@@ -15,8 +15,8 @@ from fourd.matting.rvm import automatic_ratio, load_rvm
 
 Picture = NDArray[np.uint8]
 
-# A recurrent network with the published interface. Its alpha is half of the red channel plus a quarter of the sum of
-# red over all earlier frames.
+# A recurrent network with the published interface. The alpha of the network is half of the red channel plus a quarter
+# of the sum of red over all earlier frames.
 PROGRAM = """
 def forward(self, src, r1: Optional[Tensor], r2: Optional[Tensor], r3: Optional[Tensor], r4: Optional[Tensor],
             downsample_ratio: float = 1.0, segmentation_pass: bool = False):
@@ -104,7 +104,7 @@ def test_bad_ratios_and_sizes_are_refused(tmp_path: Path, rng: np.random.Generat
     ],
 )
 def test_other_networks_are_refused_when_loaded(tmp_path: Path, result: str, message: str) -> None:
-    """Catches a network for another task that is accepted. Its outputs would be written as mattes."""
+    """Catches a network for another task that is accepted, so that its outputs are written as mattes."""
     with pytest.raises(UserError, match=rf"small\.pt: expected .*{message}") as caught:
         load_rvm(script(tmp_path / "small.pt", result), "cpu")
     assert "\n" not in str(caught.value)

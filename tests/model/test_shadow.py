@@ -26,7 +26,7 @@ def random_points(rng: np.random.Generator, count: int = 500) -> torch.Tensor:
 
 
 def test_an_untrained_field_is_the_identity(rng: np.random.Generator) -> None:
-    """Catches an initial shadow factor that is not exactly 1. It would darken the whole background."""
+    """Catches an initial shadow factor that is not exactly 1 and darkens the whole background."""
     shadow = field(0)(random_points(rng), 0.3)
     assert torch.equal(shadow.factor, torch.ones(500))
     assert 0 < int(shadow.is_inside.sum()) < 500

@@ -38,7 +38,7 @@ Encode = Callable[[Tensor, Tensor, HashGridShape], Tensor]
 def results(
     function: Encode, shape: HashGridShape, coordinates: Tensor, table: Tensor, upstream: Tensor
 ) -> list[Tensor]:
-    """Return the encoding and its gradients with respect to the coordinates and the table. All are on the CPU."""
+    """Return the encoding and its gradients with respect to the coordinates and the table, as tensors on the CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (coordinates, table)]
     out = function(*leaves, shape)
     return [tensor.detach().cpu() for tensor in (out, *torch.autograd.grad(out, leaves, upstream))]
@@ -76,7 +76,7 @@ def test_gpu_equals_the_reference(features: int, gpu: torch.device, rng: np.rand
 
 
 def test_a_grid_of_default_size_equals_the_reference(rng: np.random.Generator) -> None:
-    """Catches integer overflow in the hash. It occurs only in grids of high resolution, so the finest level has 2^20
+    """Catches integer overflow in the hash, which occurs only in grids of high resolution. The finest level has 2^20
     cells per side."""
     shape = HashGridShape(levels=2, log2_entries=19, finest=2**20)
     table = random_table(rng, shape)

@@ -269,8 +269,8 @@ def test_an_image_with_too_many_tiles_is_rejected(rng: np.random.Generator) -> N
 
 
 def test_native_shapes_are_checked_again(rng: np.random.Generator) -> None:
-    """Catches a native kernel that does not check shapes itself. It would read past an array if a caller bypasses the
-    checks in Python."""
+    """Catches a native kernel that does not check shapes itself and reads past an array if a caller bypasses the checks
+    in Python."""
     cloud, camera = random_cloud(rng, 5, 3), turned_camera(8, 6)
     image = [np.empty((6, 8, 3), np.float32), np.empty((6, 8), np.float32), np.empty((6, 7), np.float32)]
     arrays = [array.numpy() for array in cloud.arrays]

@@ -63,7 +63,8 @@ Result = tuple[Tensor, Tensor, list[Tensor]]
 def run(
     function: Callable[..., tuple[Tensor, Tensor]], xyz: Tensor, views: Views, features: Tensor | None, seed: int
 ) -> Result:
-    """Return channels, visibility and the gradients of a random linear function of the channels. All are on the CPU."""
+    """Return channels, visibility and the gradients of a random linear function of the channels, as tensors on the
+    CPU."""
     leaves = [tensor.clone().requires_grad_() for tensor in (xyz, features) if tensor is not None]
     leaf = leaves[1] if features is not None else None
     channels, visibility = function(leaves[0], leaf, *views.arguments, make_softness(leaves[0]))
@@ -158,8 +159,7 @@ def test_operator_passes_opcheck(gpu: torch.device, rng: np.random.Generator) ->
 
 
 def test_too_many_views_are_rejected(gpu: torch.device) -> None:
-    """Catches too many views that are accepted. Their cameras would be written past the end of the kernel's
-    argument."""
+    """Catches too many views that are accepted, so that cameras are written past the end of the kernel's argument."""
     many = torch.zeros(17, 3, 4, 4, device=gpu)
     with pytest.raises(ValueError, match="images: expected at most 16 views on a GPU"):
         load_gpu(gpu).kernels.sample_sources(

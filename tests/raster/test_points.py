@@ -40,7 +40,7 @@ def output_weights(rng: np.random.Generator, camera: Camera, channels: int) -> t
 
 def assert_gradients_agree(got: list[Tensor], expected: list[Tensor]) -> None:
     """Assert that gradients match. The tolerance is 1e-4 of the largest gradient in the array, because rounding errors
-    of sums are proportional to it."""
+    of sums are proportional to the largest gradient."""
     for name, value, wanted in zip(NAMES, got, expected, strict=True):
         scale = float(wanted.abs().max()) if wanted.numel() else 0.0
         worst = float((value - wanted).abs().max()) if wanted.numel() else 0.0

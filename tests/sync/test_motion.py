@@ -80,8 +80,8 @@ def test_camera_without_motion_has_no_confidence_and_no_influence(rng: np.random
 
 
 def test_outlier_pair_does_not_move_the_solution(rng: np.random.Generator) -> None:
-    """Catches a plain least-squares fit, which a single wrong lag distorts. Such a lag occurs if only two cameras see a
-    second motion."""
+    """Catches a plain least-squares fit, which a single wrong lag distorts. A wrong lag occurs if only two cameras see
+    a second motion."""
     shifts = np.array([0, 5, 5, -3, -3])
     pairs = list(combinations(range(5), 2))
     lags = np.array([shifts[j] - shifts[i] + rng.uniform(-0.2, 0.2) for i, j in pairs])
@@ -98,7 +98,7 @@ def test_single_camera_has_no_offset() -> None:
 
 
 def test_too_few_frames_are_refused() -> None:
-    """Catches correlations over only a few frames. These correlations are high for any two signals."""
+    """Catches correlations over only a few frames, which are high for any two signals."""
     with pytest.raises(ValueError, match="expected at most 8 for videos of 20 frames, got 10"):
         estimate_offsets([np.ones(20), np.ones(30)], max_offset=10)
 

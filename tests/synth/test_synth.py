@@ -160,8 +160,8 @@ def _signed_distance(part: Part, xyz: NDArray[np.float64]) -> NDArray[np.float64
 
 @pytest.mark.parametrize("length", [0.0, 0.1, 0.6])
 def test_intersections_lie_on_the_rounded_cone(rng: np.random.Generator, length: float) -> None:
-    """Catches a wrong root of the ray equation or a missing cap of a rounded cone. Cases include one sphere that
-    contains the other."""
+    """Catches a wrong root of the ray equation or a missing cap of a rounded cone, also if one sphere contains the
+    other sphere."""
     camera = _test_camera(48)
     for _ in range(20):
         part = _random_part(rng, length)

@@ -59,7 +59,7 @@ def _painted(points: FramePoints, colour: tuple[float, float, float]) -> Rendera
 
 def test_clouds_occlude_each_other_in_any_order() -> None:
     """Catches foreground and background clouds that are composited one after the other. Background points in front of
-    the foreground must occlude it."""
+    the foreground must occlude the foreground."""
     viewer = ring_cameras(8, 64)[0]
     near = _painted(_sheet(0.5, 0.2), (1.0, 0.0, 0.0))
     far = _painted(_sheet(-1.0, 3.0), (0.0, 0.0, 1.0))
@@ -107,7 +107,7 @@ def test_a_full_run_renders_the_surroundings_of_the_subject(run: Run) -> None:
 
 def test_a_floor_at_a_grazing_angle_does_not_occlude_itself() -> None:
     """Catches discs of a floor that occlude the floor points behind them. The occluded points would lose their
-    image-based colours and blur. Their discs would then grow and occlude even more points."""
+    image-based colours and blur. The discs of the occluded points would then grow and occlude even more points."""
     x, y = torch.meshgrid(torch.arange(-1, 1, 0.02), torch.arange(-1, 3, 0.02), indexing="ij")
     xyz = torch.stack([x, y, torch.zeros_like(x)], -1).reshape(-1, 3)
     floor = FramePoints.initial(xyz, torch.full((len(xyz),), 0.02), 1.3, explicit_sh=False)

@@ -108,7 +108,7 @@ def flip_a_bit(content: bytes) -> bytes:
 
 
 def zero(content: bytes) -> bytes:
-    """Replace the content by zeros. After a power failure, some file systems contain such files."""
+    """Replace the content by zeros. After a power failure, some file systems contain files of zeros."""
     return bytes(len(content))
 
 

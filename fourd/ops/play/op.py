@@ -63,11 +63,11 @@ class PointPlayer:
             near: camera depth below which points are culled, in world units.
             background: red, green and blue behind the points, in [0, 1].
             threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
-            out: C-contiguous (H, W, 4) uint8 array to draw into. With None, a new array is allocated.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
 
         Returns:
-            (H, W, 4) uint8 image. Its channels are RGB, composited over the background, and alpha. If ``out`` is given,
-            ``out`` itself is returned.
+            (H, W, 4) uint8 image. The channels of the image are RGB, composited over the background, and alpha. If
+            ``out`` is given, ``out`` itself is returned.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

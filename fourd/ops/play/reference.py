@@ -36,8 +36,8 @@ def draw_points_reference(
     """Compute the image of :meth:`fourd.ops.play.op.PointPlayer.draw` without early termination.
 
     Returns:
-        (H, W, 4) float32 image in [0, 1]. Its channels are RGB, composited over the background, and alpha. The values
-        are not rounded to bytes.
+        (H, W, 4) float32 image in [0, 1]. The channels of the image are RGB, composited over the background, and alpha.
+        The values are not rounded to bytes.
     """
     colours = shade_points_reference(xyz, sh, blend_weights, rgb, shading)
     rendered = render_points_reference(

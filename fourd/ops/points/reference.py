@@ -1,9 +1,9 @@
 """The reference point renderer in plain torch, which is slow and simple. Tests compare the other backends with this
 renderer.
 
-The renderer works in float32 and float64 on any device and is differentiable by autograd. In float32, it computes
-depth, projection and alpha by the same operations in the same order as ``csrc/points/maths.h``. The kernels and the
-reference therefore composite the same points at every pixel.
+The renderer works in float32 and float64 on any device and is differentiable by autograd. In float32, the renderer
+computes depth, projection and alpha by the same operations in the same order as ``csrc/points/maths.h``. The kernels
+and the reference therefore composite the same points at every pixel.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ MB."""
 
 
 class Splats(NamedTuple):
-    """M points projected to the image. Each array has the shape (M,). ``inverse_square`` is 1 / radius_px^2."""
+    """M points projected to the image. The arrays of a Splats object have the shape (M,). ``inverse_square`` is 1 /
+    radius_px^2."""
 
     u: Tensor
     v: Tensor

@@ -14,7 +14,7 @@ MAX_SIDE_PX = 2**18
 """Maximum width or height of an image.
 
 The kernels count tiles of 16 x 16 pixels in signed 32-bit integers. The largest allowed image has an eighth of the
-tiles that such an integer can count.
+tiles that a signed 32-bit integer can count.
 """
 
 

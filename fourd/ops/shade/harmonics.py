@@ -19,8 +19,8 @@ def directional_terms(x: Any, y: Any, z: Any) -> list[Any]:
         x, y, z: NumPy arrays or torch tensors of equal shape. This function does not normalize the vectors.
 
     Returns:
-        15 arrays with the shape of ``x``. These functions and spherical harmonic 0, :data:`SH_CONSTANT`, are an
-        orthonormal basis on the sphere.
+        15 arrays with the shape of ``x``. The spherical harmonics 0 (:data:`SH_CONSTANT`) to 15 are an orthonormal
+        basis on the sphere.
     """
     xx, yy, zz = x * x, y * y, z * z
     return [

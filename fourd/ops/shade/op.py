@@ -22,7 +22,7 @@ def shade_points(
 
     Let d be the unit vector from the camera to the point. Let Y(d) be the 16 spherical harmonics in this direction.
     The colour is ``sum_v w_v rgb_v / sum_v w_v + sh_base + sh_range * tanh(sh . Y(d))``. The sums are over the views v
-    in ``shading.views``. If the weights of a point are 0 in all these views, the views get equal weights.
+    in ``shading.views``. If all blend weights of a point in these views are 0, the views get equal weights.
 
     Args:
         xyz: (N, 3) positions, world units.

@@ -16,7 +16,7 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
     """Compute :func:`fourd.ops.similarity.reference.structural_similarity_reference` of two (H, W, C) images.
 
     Float32 images on the CPU use a kernel if the target requires no gradient. The kernel computes value and gradient
-    together. Both are bit-identical for any number of threads. Other inputs use the reference.
+    together. The value and the gradient are bit-identical for any number of threads. Other inputs use the reference.
 
     Returns:
         The similarity as a scalar, differentiable in both images.

@@ -51,7 +51,7 @@ def project_points(xyz: Tensor, cameras: Sequence[float]) -> tuple[Tensor, Tenso
 
     Returns:
         pixel coordinates (V, N, 2) as (x, y), and depth (V, N) in world units. Points with a depth of at most 1e-6 get
-        pixel coordinates far outside the image. Both results are differentiable in ``xyz``.
+        pixel coordinates far outside the image. Pixel coordinates and depth are differentiable in ``xyz``.
     """
     numbers = torch.tensor(cameras, dtype=torch.float64).reshape(-1, 21)
     rotation, translation = numbers[:, 9:18].reshape(-1, 3, 3), numbers[:, 18:, None]

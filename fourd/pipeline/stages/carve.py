@@ -101,7 +101,8 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:
-    """Open the capture without the held-out views. Held-out views evaluate the scene, so they must not influence it."""
+    """Open the capture without the held-out views. Held-out views must not influence the scene, because they are used
+    to evaluate the scene."""
     if not selection.test_views and files.run is None:
         views = None if selection.views is None else list(selection.views)
         return _open(files.capture, selection, views)

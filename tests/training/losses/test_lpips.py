@@ -25,8 +25,8 @@ TAPS = (2, 7, 14, 21, 28)
 
 
 def published_weights(seed: int) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """Random weights of the VGG-16 features and the LPIPS heads. Their names are those of torchvision and of the lpips
-    package."""
+    """Random weights of the VGG-16 features and the LPIPS heads. The weights have the names that torchvision and the
+    lpips package use."""
     generator = torch.Generator().manual_seed(seed)
     features: dict[str, Tensor] = {}
     for layer in PUBLISHED:

@@ -47,7 +47,7 @@ def test_two_stores_of_one_run_do_not_read_each_others_frames(tmp_path: Path) ->
 
 
 def test_a_folder_goes_with_its_owner(tmp_path: Path) -> None:
-    """Catches scratch folders that are not removed. They would fill the disk while a viewer reloads a run."""
+    """Catches scratch folders that are not removed and fill the disk while a viewer reloads a run."""
     parent = tmp_path / "scratch"
     first, second = Scratch(parent), Scratch(parent)
     assert len({first.folder, second.folder}) == len(folders(parent)) == 2
