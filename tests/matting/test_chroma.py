@@ -67,8 +67,8 @@ def test_uneven_light_and_shadow_are_not_foreground(rng: np.random.Generator, co
     assert matte.dtype == np.uint8
     assert overlap(matte, alpha) > 0.985
     assert error.mean() < 0.0025
-    # The error in the soft edge of the matte must be small. A distance that ignores luma has an error of 0.15, because it
-    # fails on dark clothes.
+    # The error in the soft edge must be small. A distance that ignores luma has an error of 0.15, because it fails on
+    # dark clothes.
     assert error[(alpha > 0.02) & (alpha < 0.98)].mean() < 0.06
     assert (matte[alpha < 1e-3] > 64).mean() < 2e-4
     assert (matte[alpha > 0.999] < 192).mean() < 2e-3
