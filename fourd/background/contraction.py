@@ -13,7 +13,7 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CONTRACTED_RADIUS = 2.0
-"""Radius of the ball, to whose surface points at infinity map. The contraction is the identity within radius 1."""
+"""Radius of the ball. Points at infinity map to the ball's surface. The contraction is the identity within radius 1."""
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Contraction:
 
     Attributes:
         centre: world point that maps to the centre of the ball.
-        radius: radius of the inner region in world units; points inside it are only translated and scaled.
+        radius: radius of the inner region in world units. Points in the inner region are only translated and scaled.
     """
 
     centre: tuple[float, float, float]

@@ -1,4 +1,4 @@
-"""A spherical grid of directions around a point, and interpolation on it."""
+"""A spherical grid of directions around a point, and interpolation on this grid."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: in
 def summarize_cells(
     cells: NDArray[np.intp], distance: Array, rgb: NDArray[np.uint8], count: int
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Compute a distance and a colour for each cell from the points in it.
+    """Compute a distance and a colour for each cell from the points in the cell.
 
     Returns:
         known: (count,) bool, whether the cell has points.
@@ -99,7 +99,7 @@ def interpolate_harmonic(
 
     Args:
         grid: the grid of directions.
-        known: (cells,) bool, whether a cell's value is given. Given values do not change.
+        known: (cells,) bool, whether a cell's value is given. The interpolation keeps given values.
         values: (cells, C) values. The values of unknown cells are ignored.
         horizontal_weight: weight of horizontal neighbours; vertical neighbours have weight 1.
     """

@@ -33,7 +33,7 @@ def seed_from_stereo(
     """Create coloured points of a static background, evenly spread over the plates' images.
 
     COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The depth map
-    of each plate is initialised from these features and from the dominant planes through them. PatchMatch then
+    of each plate is initialised from the triangulated features and from dominant planes through them. PatchMatch then
     optimises the depth map. A depth is kept if another plate confirms it and no plate contradicts it. The same input
     and seed give the same points.
 

@@ -12,7 +12,7 @@ from fourd.capture import Capture
 from fourd.capture.layout import sample_indices
 
 FRAMES = 6
-"""Number of frames per camera that are compared; they are evenly spaced over the capture."""
+"""Number of compared frames per camera. The compared frames are evenly spaced over the capture."""
 MAX_DIFFERENCE = 24.0
 """Largest colour difference of an unchanged pixel in 8-bit levels, after blurring and exposure compensation."""
 BLUR_PX = 2.0

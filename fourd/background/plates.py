@@ -35,7 +35,8 @@ class PlateView:
         name: name of the camera.
         camera: pinhole camera of the undistorted plate.
         rgb: (H, W, 3) uint8 colours; undefined in holes.
-        seen: (H, W) bool, whether the background is visible; False in holes and outside the lens's field of view.
+        seen: (H, W) bool, whether the background is visible. Holes and pixels outside the lens's field of view are
+            False.
     """
 
     name: str
@@ -52,11 +53,12 @@ def has_plate(path: Path, name: str) -> bool:
 def read_plates(
     capture: Capture, cameras: Sequence[int], log: Log = lambda line: None, made: Path | None = None
 ) -> tuple[PlateView, ...]:
-    """Read the plates of some of a capture's cameras; undistort and resize them to match ``capture.cameras``.
+    """Read the plates of some cameras of a capture. The plates are undistorted and resized to match
+    ``capture.cameras``.
 
     A plate from the user, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, has priority. The user's plate must have the full size
-    and the lens distortion of the frames. Pixels of this plate that are not opaque are holes. If the user provides no
-    plate, ``.fourd/plates/CAM.png`` is read. Files of this kind are written by :mod:`fourd.matting.plates`.
+    and the lens distortion of the frames. Pixels of the user's plate that are not opaque are holes. If the user
+    provides no plate, the plate ``.fourd/plates/CAM.png`` from :mod:`fourd.matting.plates` is read.
 
     Args:
         capture: the capture.
@@ -158,8 +160,8 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
             f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # In plates made by fourd, pixels outside the lens's field of view are black and opaque. To find these pixels,
-        # an opaque matte is undistorted.
+        # In plates made by fourd, pixels outside the lens's field of view are black and opaque. An opaque matte is
+        # undistorted to find the pixels outside the field of view.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)

@@ -47,13 +47,13 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
     chosen = _select_cells(sphere, known)
-    # The rim of the shell is placed behind known points. Without this overlap between the shell and the known points, a
-    # slit between them would be visible from other viewpoints.
+    # The rim of the shell is placed behind known points. Without an overlap between the shell and the known points,
+    # other viewpoints would show a slit.
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Shell points nearer to the centre than the median camera are dropped. Some cameras see the space near the centre.
-    # Gaps there are only gaps between sparse points and need no shell.
+    # Shell points nearer to the centre than the median camera are dropped. Some cameras see the space near the centre,
+    # so gaps near the centre come from sparse points and need no shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
@@ -95,7 +95,7 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
     step = np.where(degrees > NEAR_GAP_DEG, 4 * step, step)
     level = np.where(degrees > NEAR_GAP_DEG, row % 4 == 0, True)
-    # Every second sparse row is offset by half a step. This hexagonal layout covers the sphere most evenly.
+    # Every second sparse row is offset by half a step. A hexagonal layout covers the sphere most evenly.
     offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
     return np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
 
@@ -113,8 +113,8 @@ def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArra
 
 
 def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Known cells (rows, columns), dilated along rows by one degree on the sphere. Near the poles, one degree spans
-    more cells."""
+    """Known cells (rows, columns), dilated along rows by one degree on the sphere. One degree spans more cells near the
+    poles than at the equator."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):
         elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi

@@ -34,7 +34,7 @@ class Attribute:
         shape: side lengths of the array. "points" stands for the number of points and "views" for the number of source
             views.
         values: the valid values, see :data:`Values`.
-        combine: how the background's array is appended to that of the dynamic points, see :data:`Combine`.
+        combine: how the background's array is appended to the array of the dynamic points, see :data:`Combine`.
         is_optional: whether a scene may lack this attribute.
     """
 
@@ -112,6 +112,6 @@ def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # The bits of infinity and NaN are 0x7C00 or more, and the bits of negative values are 0x8000 or more. All of these
-    # exceed the limit. -0 has the bits 0x8000 and is valid.
+    # The bits of infinity and NaN are 0x7C00 or more, and the bits of negative values are 0x8000 or more. Infinity, NaN
+    # and negative values therefore exceed the limit. -0 has the bits 0x8000 and is valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

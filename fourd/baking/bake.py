@@ -1,6 +1,6 @@
 """Export of a trained run to a scene file.
 
-Export evaluates the networks for every frame, so that rendering the scene file does not need them.
+Export evaluates the networks for every frame, so that rendering the scene file does not need the networks.
 """
 
 from __future__ import annotations

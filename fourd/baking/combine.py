@@ -19,9 +19,10 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
 
     Args:
         dynamic: the N dynamic points of the frame.
-        background: the M background points. They must have the same source views and attributes as ``dynamic``.
-        shadow: (M,) uint8 factors that multiply the background's colours, in units of 1/128. None leaves the colours
-            unchanged.
+        background: the M background points. The background must have the same source views and attributes as
+            ``dynamic``.
+        shadow: (M,) uint8 factors that multiply the background's colours, in units of 1/128. If ``shadow`` is None, the
+            colours are unchanged.
 
     Raises:
         ValueError: for an invalid argument. The message names the argument and the expected value.

@@ -1,10 +1,11 @@
 """The `.4dv` file: a ZIP64 with manifest.json and one member per frame and attribute. A member is a file inside the
 ZIP.
 
-A full scene also stores the attributes of its background once. It can store one shadow per frame.
+A full scene also stores the attributes of its background once. A full scene can also store one shadow per frame.
 
 Members are stored uncompressed, so that a seek or an HTTP range request can read one frame. The reader treats the file
-as untrusted: before it allocates memory, it compares the members' sizes with the manifest. It skips unknown members.
+as untrusted: before it allocates memory, it compares the members' sizes with the manifest. The reader skips unknown
+members.
 """
 
 from __future__ import annotations
@@ -201,9 +202,9 @@ class SceneReader:
     Several threads may use one instance.
 
     Raises:
-        UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. These errors are
-            raised when the file is opened. A damaged member of the ZIP raises UserError when the member is read. The
-            message is one line that names the file and the fix.
+        UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. An invalid file
+            raises UserError when it is opened. A damaged member of the ZIP raises UserError when the member is read.
+            The message is one line that names the file and the fix.
     """
 
     def __init__(self, path: Path | str) -> None:

@@ -45,7 +45,8 @@ class Playable(Protocol):
         """Render a frame (index from 0): RGB (H, W, 3) float32 in [0, 1].
 
         Args:
-            layers: K, the maximum number of points that a pixel composites. None selects the value of the scene or run.
+            layers: K, the maximum number of points that a pixel composites. If ``layers`` is None, the value of the
+                scene or run is used.
             background: (3,) colour in [0, 1] behind the points.
         """
 
@@ -136,7 +137,7 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    ``selection`` is A:B or A:B:S. It selects the frames from A to B - 1, with step S. None selects all frames. Raises
+    ``selection`` is A:B or A:B:S, which selects the frames from A to B - 1 with step S. None selects all frames. Raises
     UserError.
     """
     numbers = playable.frame_numbers

@@ -42,10 +42,11 @@ class Player:
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
             camera: a pinhole camera without lens distortion.
-            layers: K, the maximum number of points that a pixel composites. None selects the manifest's value.
+            layers: K, the maximum number of points that a pixel composites. If ``layers`` is None, the manifest's value
+                is used.
             background: RGB colour behind the points, in [0, 1].
             threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
-            out: C-contiguous (H, W, 4) uint8 array to draw into. None creates a new array.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is created.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.

@@ -102,8 +102,9 @@ class Scene:
         Args:
             camera: a pinhole camera without lens distortion.
             frame: index of the frame, from 0.
-            layers: maximum number of points that a pixel composites. None selects the manifest's value.
-            background: (3,) RGB colour in [0, 1] behind the points; None selects black.
+            layers: maximum number of points that a pixel composites. If ``layers`` is None, the manifest's value is
+                used.
+            background: (3,) RGB colour in [0, 1] behind the points, or None for black.
             threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
 
         Raises:

@@ -33,10 +33,10 @@ class BakedFrame:
         radius: (N,) float16, world units.
         density: (N,) float16 in [0, 1].
         sh: (N, 3, 16) float16, degree-3 spherical harmonics of red, green and blue.
-        blend_weights: (N, V) float16, 0 or more. Shading normalizes the weights over the views that it selects.
+        blend_weights: (N, V) float16, 0 or more. Shading normalizes the blend weights over the selected views.
         rgb: (N, V, 3) uint8, the point's colour in every source view.
-        background: the M background points, which are the last M points of this frame. All frames share this object.
-            None if the frame has no background points.
+        background: the M background points, which are the last M points of this frame. All frames share the same
+            background object. None if the frame has no background points.
         has_shadow: whether a shadow has been multiplied into the ``rgb`` of the last M points.
 
     Raises:
@@ -139,7 +139,7 @@ class SceneManifest:
         bounds: lower and upper corner, in world units, of the box that contains the dynamic points.
         frame_numbers: number of each frame in the capture.
         points: number of dynamic points of each frame; set by the writer.
-        other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. These views
+        other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Other views
             are not source views, but images can be rendered from their cameras by name.
         fps: playback rate, frames per second.
         layers: maximum number of points that a pixel composites (K in 4K4D).
@@ -154,7 +154,7 @@ class SceneManifest:
         optional_attributes: names of the optional attributes that the scene has; set by the writer.
 
     Raises:
-        ValueError: if fields contradict each other. The message names these fields.
+        ValueError: if fields contradict each other. The error message names the contradictory fields.
     """
 
     source_names: tuple[str, ...]

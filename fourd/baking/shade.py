@@ -38,8 +38,8 @@ def make_shading(camera: Camera, manifest: SceneManifest) -> Shading:
 
 
 def select_source_views(camera: Camera, manifest: SceneManifest) -> list[int]:
-    """Return the indices of the source views nearest to ``camera``, measured by the angle at the focus. Their number is
-    ``manifest.neighbours``.
+    """Return the indices of the source views nearest to ``camera``, measured by the angle at the focus.
+    ``manifest.neighbours`` is the number of returned views.
 
     The list is empty for a scene without source views.
     """

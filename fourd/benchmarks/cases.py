@@ -36,7 +36,7 @@ class Case:
         name: description of the computation and its size.
         work: function that runs the computation ``repeats`` times.
         rivals: other implementations of the same computation, by name.
-        repeats: number of times that ``work`` runs the computation. Timings are divided by this number.
+        repeats: number of times that ``work`` runs the computation. Timings are divided by ``repeats``.
     """
 
     name: str
@@ -49,7 +49,7 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     """Yield all cases. Each case is created on demand. Temporary files are removed when ``resources`` is closed.
 
     Args:
-        steps: whether to include whole training steps. A synthetic capture is created for these steps.
+        steps: whether to include whole training steps. A synthetic capture is created for training steps.
     """
     # Only this small case times the reference. The reference's memory is proportional to the number of points times the
     # number of pixels.

@@ -1,7 +1,7 @@
 """Timings that are comparable on a machine under varying load.
 
-A timing is the median over several runs. It is given in milliseconds and relative to the time of the unit, a fixed
-computation.
+A timing is the median over several runs. A timing is given in milliseconds and relative to the time of the unit, a
+fixed computation.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Clock:
     def __init__(self, seconds: float, min_runs: int = 3, max_runs: int = 50) -> None:
         """``seconds`` is the approximate total time of the timed runs of one function.
 
-        This total time determines the number of timed runs, which lies between ``min_runs`` and ``max_runs``.
+        ``seconds`` determines the number of timed runs, which lies between ``min_runs`` and ``max_runs``.
         """
         generator = torch.Generator().manual_seed(0)
         self._square = torch.randn(UNIT_SIDE, UNIT_SIDE, generator=generator)
@@ -57,8 +57,8 @@ class Clock:
         units, times = [], []
         for _ in range(runs):
             units.append(_time_ms(lambda: self._square @ self._square))
-            # This run is not timed. The OpenMP threads of the matrix product still spin and would slow down a timed
-            # run.
+            # This run is not timed, because the OpenMP threads of the matrix product still spin and would slow down a
+            # timed run.
             work()
             times.append(_time_ms(work) / repeats)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]

@@ -1,5 +1,5 @@
-"""Whole training steps on a synthetic capture. They include everything in a step of `fourd train` except the reading of
-images."""
+"""Whole training steps on a synthetic capture. A step includes everything in a step of `fourd train` except the reading
+of images."""
 
 from __future__ import annotations
 

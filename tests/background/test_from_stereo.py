@@ -128,7 +128,7 @@ def test_points_have_an_even_density_in_the_pictures(stage: Stage) -> None:
 
 
 def test_any_prefix_is_a_uniform_sample(stage: Stage) -> None:
-    """Catches points that are stored plate by plate. The first half of such points would cover only one corner."""
+    """Catches points that are stored plate by plate, so that the first half of the points covers only one corner."""
     half = stage.points.xyz[: len(stage.points.xyz) // 2]
     spread = stage.points.xyz.std(axis=0)
     assert np.allclose(half.mean(axis=0), stage.points.xyz.mean(axis=0), atol=0.15 * spread.max())

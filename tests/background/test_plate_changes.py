@@ -26,8 +26,7 @@ def plate_views(path: Path) -> list[PlateView]:
 
 
 def test_subject_and_exposure_are_not_changes(ball_capture: Path) -> None:
-    """Catches a false report of a changing background. The subject or a different exposure could cause such a
-    report."""
+    """Catches a static background that is reported as changing because of the subject or a different exposure."""
     capture = open_capture(ball_capture)
     assert find_changing_backgrounds(capture, range(len(capture.names)), plate_views(ball_capture)) == {}
 

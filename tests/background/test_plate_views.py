@@ -109,8 +109,7 @@ def test_scale(folder: Path, rng: np.random.Generator) -> None:
 
 
 def test_the_users_plates_are_undistorted_like_the_pictures(folder: Path, rng: np.random.Generator) -> None:
-    """Catches plates that are not undistorted, or are undistorted in another way than the frames. Points would then
-    miss the walls."""
+    """Catches plates that are not undistorted like the frames, so that points miss the walls."""
     picture = stage(rng)
     for name in ("00", "01"):
         provide(folder, f"{name}.png", picture)

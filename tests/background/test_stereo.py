@@ -55,8 +55,8 @@ def textured(view: Camera, rng: np.random.Generator) -> np.ndarray:
 
 
 def test_the_true_plane_has_the_highest_score() -> None:
-    """Catches half-pixel and sign errors between two images. With such an error, a wrong plane would have a higher
-    score."""
+    """Catches half-pixel and sign errors between two images. With a half-pixel or sign error, a wrong plane has a
+    higher score."""
     everywhere = np.ones((HEIGHT, WIDTH), bool)
     views = [GreyView.from_rgb(view, textured(view, np.random.default_rng(5)), everywhere) for view in CAMERAS]
     grid = Grid.covering(WIDTH, HEIGHT, 4)
@@ -128,7 +128,7 @@ def test_one_confirming_picture_is_needed_and_enough() -> None:
 
 
 def test_small_components_are_dropped() -> None:
-    """Catches small groups of cells that are kept because they are consistent by chance. Such groups distort the depth
+    """Catches small groups of cells that are kept because they are consistent by chance, and that distort the depth
     completion."""
     maps = [floor_map(view) for view in CAMERAS]
     numbers = np.arange(len(maps[0].scores)).reshape(maps[0].grid.shape)
@@ -198,7 +198,7 @@ def corner_room(view: Camera, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_wall_ends_where_it_meets_the_floor() -> None:
-    """Catches walls that are interpolated from the last known floor cells. Such walls bend towards the cameras."""
+    """Catches walls that bend towards the cameras because they are interpolated from the last known floor cells."""
     target, up = np.array([0, 3.0, 0.8]), np.array([0, 0, 1.0])
     views = [look_at(np.array([x, -3.0, 1.0]), target, up, INTRINSICS, WIDTH, HEIGHT) for x in (-0.5, 0.5)]
     grid = Grid.covering(WIDTH, HEIGHT, 2)
@@ -248,8 +248,8 @@ def test_overlap_does_not_raise_the_density() -> None:
 
 
 def test_samples_have_an_even_spacing() -> None:
-    """Catches rows without samples, which aliasing between squares and cells would cause. Walls would have visible
-    seams."""
+    """Catches rows without samples, which are visible as seams on walls. Aliasing between squares and cells causes rows
+    without samples."""
     samples = sample_surfaces([surface_of(CAMERAS[1], np.ones(48 * 36, bool))], WHOLE, 700)[0]
     distances, _ = KDTree(samples.xy).query(samples.xy, k=2)
     assert distances[:, 1].max() < 1.6 * distances[:, 1].min()

@@ -83,8 +83,8 @@ def test_optional_attributes_are_stored_where_frames_have_them(
 
 @pytest.mark.usefixtures("optional_sh")
 def test_frames_of_one_scene_have_the_same_attributes(tmp_path: Path) -> None:
-    """Catches a scene in which only some frames have an optional attribute. The manifest cannot describe such a
-    scene."""
+    """Catches a scene in which only some frames have an optional attribute, because the manifest cannot describe
+    this."""
     own, room = random_frame(20, 6, seed=1), without_sh(room_frame(30, 6, seed=2))
     with pytest.raises(ValueError, match=r"background: expected the attributes \['xyz', .*'sh'.*\], got \['xyz'"):
         combine_frames(own, room)

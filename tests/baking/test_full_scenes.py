@@ -139,8 +139,8 @@ def test_combined_frames_are_read_only(scene: Path) -> None:
 
 @pytest.mark.parametrize(("points", "background_points", "views"), [(0, 50, 2), (50, 0, 2), (0, 0, 2), (50, 50, 0)])
 def test_empty_frames_and_backgrounds(tmp_path: Path, points: int, background_points: int, views: int) -> None:
-    """Catches errors from arrays of zero bytes. An empty frame, an empty background and a scene without source views
-    have such arrays."""
+    """Catches errors from arrays of zero bytes, as in an empty frame, an empty background or a scene without source
+    views."""
     with SceneWriter(tmp_path / "full.4dv", full_manifest(views, 1)) as writer:
         writer.add_frame(0, random_frame(points, views, seed=0), np.full(background_points, 64, np.uint8))
         writer.add_background(room_frame(background_points, views, seed=1))
@@ -285,8 +285,7 @@ def test_missing_and_truncated_members_are_rejected(scene: Path, name: str, keep
     ("name", "value"), [("xyz", np.inf), ("radius", -1), ("density", 2), ("sh", np.nan), ("blend_weights", np.nan)]
 )
 def test_invalid_values_in_the_background_are_rejected_on_reading(scene: Path, name: str, value: float) -> None:
-    """Catches NaN that is accepted in a background if the checksums are correct. Another program may write such a
-    background."""
+    """Catches NaN in a background from another program that is accepted because the checksums are correct."""
     dtype = next(item.dtype for item in ATTRIBUTES if item.name == name)
 
     def spoil(members: dict[str, bytes]) -> None:

@@ -73,8 +73,7 @@ def test_residuals_alone_choose_the_true_hypothesis(rng: np.random.Generator, na
     sizes = [(camera.width, camera.height) for camera in true]
     choice = choose_size(_project_to_matches(rng, true), cameras, sizes)
     assert choice.name == name
-    # Stretching an image by 8 pixels hardly differs from cropping 4 pixels on each side, for the positions of these
-    # points.
+    # At the positions of the test points, stretching by 8 pixels hardly differs from cropping 4 pixels on each side.
     assert choice.is_clear or name in ("stretched", "cropped centre")
     assert f"{name}: 0." in choice.why
     for camera, expected in zip(choice.cameras, true, strict=True):
@@ -160,7 +159,7 @@ def test_real_recording_is_letterboxed_and_mirrored() -> None:
         assert found.max_difference(Borders(0, 7.06, 0, 7.06)) < 0.5
     boxed = [size_hypotheses(camera, *size) for camera, size in zip(cameras, sizes, strict=True)]
     start = [found.get("letterboxed", camera) for found, camera in zip(boxed, cameras, strict=True)]
-    # The top of the treadmill. According to the calibration, it is within 2 cm of z = 0.
+    # According to the calibration, the treadmill's top is within 2 cm of z = 0.
     top = PlanePatch(np.array([-2.6, 1.3, 0]), np.array([1.0, 0, 0]), np.array([0, -1.0, 0]), 3.5, 2.6, 400)
     matches = {
         (i, j): match_on_plane(pictures[i], pictures[j], (start[i], start[j]), top)

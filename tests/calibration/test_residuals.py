@@ -113,8 +113,7 @@ def test_verification_separates_true_from_random_matches(rng: np.random.Generato
 
 
 def test_planar_scene_keeps_the_matches_on_the_plane_alone(rng: np.random.Generator) -> None:
-    """Catches the degenerate fundamental matrix of a planar scene. Such a matrix also fits any two matches off the
-    plane."""
+    """Catches the degenerate fundamental matrix of a planar scene, which also fits any two matches off the plane."""
     cameras = room_cameras(2, 1000, 800)
     xyz = np.column_stack([rng.uniform((0.6, 0.6), (1.8, 1.8), (100, 2)), np.full(100, 0.4)])
     first, second = (camera.project(xyz)[0] + rng.normal(0, 0.2, (100, 2)) for camera in cameras)

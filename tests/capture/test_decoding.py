@@ -36,8 +36,7 @@ def encode(file_format: str) -> bytes:
 @pytest.mark.parametrize("decode", DECODERS)
 @pytest.mark.parametrize("file_format", ["EPS", "TIFF", "BMP", "GIF"])
 def test_other_formats_are_refused(tmp_path: Path, decode: Callable[[Path], object], file_format: str) -> None:
-    """Catches a decoder that is chosen by the file's content. Such a decoder would run the PostScript code of an EPS
-    file named .jpg."""
+    """Catches a decoder that is chosen by content and runs the PostScript code of an EPS file named .jpg."""
     path = tmp_path / "000000.jpg"
     path.write_bytes(encode(file_format))
     with pytest.raises(UserError, match="expected a complete JPEG or PNG image, got another format; copy"):

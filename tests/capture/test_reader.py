@@ -296,7 +296,7 @@ def test_parallel_cameras_have_no_focus(capture: Path) -> None:
 
 
 def test_check_warns_of_inverted_mattes(capture: Path) -> None:
-    """Catches inverted mattes that are not reported. Carving finds no object in such mattes."""
+    """Catches inverted mattes that are not reported. Carving finds no object in inverted mattes."""
     for path in (capture / "masks").glob("*/*.png"):
         matte = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
         assert matte is not None

@@ -110,8 +110,8 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_truncated_mp4_is_refused(tmp_path: Path) -> None:
-    """Catches an interrupted copy of a video that is accepted. The index of such a copy is missing or declares more
-    frames than the file contains."""
+    """Catches an interrupted copy that is accepted although its index is missing or declares more frames than the file
+    contains."""
     whole = write_numbered_video(tmp_path / "whole.mp4")
     cut = tmp_path / "cut.mp4"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])

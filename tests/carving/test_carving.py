@@ -45,8 +45,8 @@ def test_points_lie_on_the_hull_of_a_ball(one_ball: MemoryCapture) -> None:
 
 
 def test_points_have_an_even_density(one_ball: MemoryCapture) -> None:
-    """Catches clumps and holes in the points. The test divides the 5% quantile of the distances between nearest points
-    by the mean distance. This ratio is 1 for a lattice and 0.26 for random points."""
+    """Catches clumps and holes in the points. The 5% quantile of the nearest-neighbour distances, divided by their
+    mean, is 1 for a lattice and 0.26 for random points."""
     carved = carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=3000)
     nearest = cKDTree(carved.xyz).query(carved.xyz, k=2)[0][:, 1]
     assert np.quantile(nearest, 0.05) > 0.55 * nearest.mean()
@@ -82,8 +82,7 @@ def test_points_outside_some_views_are_kept() -> None:
 
 @pytest.mark.parametrize(("cameras", "needed"), [(2, 2), (3, 3), (4, 3), (6, 3), (8, 4), (20, 10)])
 def test_minimum_number_of_views(cameras: int, needed: int) -> None:
-    """Catches points that only two of four views see. Such points form ghosts where the rays of two silhouettes
-    intersect."""
+    """Catches points that only two of four views see, which form ghosts where the rays of two silhouettes intersect."""
     ring = ring_cameras(cameras, 32)
     views = Silhouettes.from_masks(
         [mask(camera, [ball((0, 0, 0), 0.3)]) for camera in ring], ring, np.zeros(3), agreement=0.95, least_views=0.5

@@ -103,7 +103,7 @@ def test_make_writes_full_scenes(capture: Path, tmp_path: Path, capsys: pytest.C
 
 
 def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) -> None:
-    """Catches commands that share a scratch folder. Such commands read or delete each other's frames."""
+    """Catches commands that read or delete each other's frames because they share a scratch folder."""
     run = made.with_suffix(".work") / "run"
     assert main(["render", str(run), "--out", str(tmp_path / "alone"), "--views", "02"]) == 0
     fourd = [sys.executable, "-m", "fourd.cli.main"]

@@ -51,7 +51,7 @@ def test_a_quoted_number_is_the_code_s(page: str, row: str, number: float, sourc
 
 
 def test_every_marker_belongs_to_a_number() -> None:
-    """Catches a marker that the pattern misses. The number at such a marker would not be checked."""
+    """Catches a marker that the pattern misses, so that the marked number is not checked."""
     marked = sum(page.read_text(encoding="utf-8").count(MARKER) for page in PAGES)
     assert marked == len(quotes())
     assert marked >= 10

@@ -1,4 +1,4 @@
-"""The sources use plain technical English. They contain no phrase that readers from the field would have to look up.
+"""The sources use plain technical English, without phrases that readers from the field would have to look up.
 
 Each entry of PHRASES pairs a phrase with its replacement. Add a phrase when a reader does not understand it.
 """

@@ -48,10 +48,10 @@ def seed_from_radiance(
 
     Stereo measures depths where two plates match (:mod:`fourd.background.stereo`). Depths are extrapolated in areas
     where no plates match. A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on the
-    measured and extrapolated depths. Colours alone are not enough: if cameras are 20 degrees apart, the field
-    reproduces each plate by radiance that only one camera sees. In cells without a stereo depth, the field's median
-    depth is used if another plate confirms this depth. The same input, seed and number of torch threads give the same
-    points.
+    measured and extrapolated depths. Colours alone are not enough: if cameras are 20 degrees apart, a field optimised
+    only on colours reproduces each plate by radiance that only one camera sees. In cells without a stereo depth, the
+    field's median depth is used if another plate confirms this depth. The same input, seed and number of torch threads
+    give the same points.
 
     Args:
         plates: clean plates of at least two cameras.

@@ -42,8 +42,8 @@ class OccupancyGrid:
         Args:
             rays: R rays.
             count: intervals per ray.
-            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1); None for deterministic edges.
-            hint: (R,) normalised distances near which samples are added; NaN for rays without a hint.
+            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). None gives deterministic edges.
+            hint: (R,) normalised distances near which samples are added, or NaN for rays without a hint.
 
         Returns:
             (R, count + 1) normalised distances of the intervals' edges.
@@ -61,8 +61,8 @@ class OccupancyGrid:
         return resample_edges(self.edges, histogram, count, jitter)
 
     def update(self, xyz: Tensor, density: Tensor) -> None:
-        """Update the cells at world points (N, 3) with a new ``density`` (N,). The old density decays first, and the
-        larger value is kept."""
+        """Update the cells at world points (N, 3) with a new ``density`` (N,). Each cell keeps the larger of its
+        decayed old density and the new density."""
         cells = self.cell_of(xyz)
         self.density[cells] = self.density[cells] * DECAY
         self.density.scatter_reduce_(0, cells, density, "amax")

@@ -40,7 +40,7 @@ class OptimizedField:
             rays: R rays.
             samples: S, samples per ray.
             generator: source of the random jitter of the samples. None gives samples without jitter.
-            hint: (R,) normalised distances near which samples are added; NaN for rays without a hint.
+            hint: (R,) normalised distances near which samples are added, or NaN for rays without a hint.
         """
         with torch.no_grad():
             jitter = None if generator is None else torch.rand(len(rays), samples + 1, generator=generator)
@@ -81,9 +81,9 @@ def optimize_field(
     """Optimise a radiance field on pixels of plates.
 
     The loss is a weighted sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022,
-    eq. 15). The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). For each
-    sample on a ray, the rendering weight is multiplied by the absolute difference between the normalised distances of
-    the sample and of the surface. The depth loss is the sum of these products over the ray. The same input, seed and
+    eq. 15). The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). The depth
+    loss of a ray is a weighted sum over the samples. Each term is the absolute difference between the normalised
+    distances of a sample and of the surface, and each weight is the sample's rendering weight. The same input, seed and
     number of torch threads give the same field.
     """
     generator = torch.Generator().manual_seed(seed)

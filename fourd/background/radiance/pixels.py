@@ -31,7 +31,7 @@ class Batch:
     Attributes:
         rays: the rays in world coordinates.
         rgb: (R, 3) colours in [0, 1].
-        surface: (R,) normalised distance of the surface; NaN where the distance is unknown.
+        surface: (R,) normalised distance of the surface, or NaN if the distance is unknown.
         measured: (R,) bool, whether stereo measured the distance.
     """
 
@@ -49,7 +49,7 @@ class Pixels:
         plate: (P,) int16 index of each pixel's plate.
         xy: (P, 2) int16 column and row.
         rgb: (P, 3) uint8 colours.
-        surface: (P,) normalised distance of the surface; NaN where the distance is unknown.
+        surface: (P,) normalised distance of the surface, or NaN if the distance is unknown.
         measured: (P,) bool, whether stereo measured the distance.
         centres: (V, 3) float32 camera centres in the world.
         matrices: (V, 3, 3) float32 matrices that map (x, y, 1) in pixels to directions in the world.

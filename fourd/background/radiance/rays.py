@@ -81,8 +81,8 @@ def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | 
         edges: (C + 1,) ascending edges of the histogram's bins.
         weights: (R, C) weights of the bins, at least 0 and with a positive sum per row.
         count: number of intervals.
-        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1); None places every edge at the centre
-            of its stratum.
+        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, every edge is
+            at the centre of its stratum.
     """
     cumulative = functional.pad(weights.cumsum(1), (1, 0))
     cumulative = cumulative / cumulative[:, -1:]

@@ -41,12 +41,12 @@ EDGE_SCALE = 0.1
 def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
     """Complete the unknown cells of surfaces.
 
-    A completed depth is the smaller of two depths. The first depth is the depth of the nearest enclosing plane. The
-    second depth comes from harmonic interpolation of inverse depth between known cells that lie on no enclosing plane.
-    Harmonic interpolation of inverse depth is exact for planar surfaces. The interpolation also uses points that are
-    known or completed in other images. A cell stays unknown if it would occlude a known surface of another image, or if
-    less than a quarter of its image's cells are known. Completed cells have support 0, because no other image confirms
-    them.
+    A completed depth is the smaller of an interpolated depth and the depth of the nearest enclosing plane. The
+    interpolated depth comes from harmonic interpolation of inverse depth between known cells that lie on no enclosing
+    plane. Harmonic interpolation of inverse depth is exact for planar surfaces. Harmonic interpolation also uses points
+    that are known or completed in other images. A cell stays unknown if it would occlude a known surface of another
+    image, or if less than a quarter of its image's cells are known. Completed cells have support 0, because no other
+    image confirms them.
 
     Args:
         surfaces: one surface per image.
@@ -152,7 +152,7 @@ def interpolate_inverse_depths(
 ) -> Array:
     """Interpolate harmonically: each unknown cell (R, C) gets the weighted mean of its neighbours.
 
-    Weights are lower across grey edges. Each mean includes the value 0 with weight ``zero_weight``.
+    The weights of neighbours are lower across grey edges. Each mean includes the value 0 with weight ``zero_weight``.
     """
     numbers = np.arange(known.size).reshape(known.shape)
     first, second, weights = [], [], []

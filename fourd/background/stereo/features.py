@@ -59,7 +59,8 @@ def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
 
 
 def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
-    """Write the plates and masks of their visible areas for COLMAP; return the file names in the order of plates."""
+    """Write the plates and the masks of the plates' visible areas for COLMAP. Returns the file names in the order of
+    the plates."""
     images, masks = folder / IMAGES, folder / MASKS
     images.mkdir()
     masks.mkdir()
@@ -76,8 +77,8 @@ def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
 def extract_features(folder: Path, database: Path, names: list[str]) -> None:
     """Detect features in the images written by :func:`write_pictures` and add them to the COLMAP ``database``."""
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Neighbouring cameras of a typical ring are at least 18 degrees apart. Over such baselines, only affine-covariant
-    # features match.
+    # Neighbouring cameras of a typical ring are at least 18 degrees apart. Over baselines of 18 degrees and more, only
+    # affine-covariant features match.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.peak_threshold = MIN_CONTRAST
     extraction.sift.max_num_features = MAX_FEATURES

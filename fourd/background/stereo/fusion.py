@@ -81,9 +81,9 @@ class Projection:
 
     Attributes:
         xy: (M, 2) pixel indices.
-        cells: (M,) index of the depth-map cell; -1 outside the image.
-        ratio: (M,) depth of the point divided by the depth of the surface; NaN where the surface is unknown.
-        inverse_depth: (M,) inverse depth of the surface; NaN where the surface is unknown.
+        cells: (M,) index of the depth-map cell, or -1 outside the image.
+        ratio: (M,) depth of the point divided by the depth of the surface, or NaN if the surface is unknown.
+        inverse_depth: (M,) inverse depth of the surface, or NaN if the surface is unknown.
     """
 
     xy: Array
@@ -105,10 +105,10 @@ class Projection:
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
     """Remove the cells of depth maps that are inconsistent with other depth maps.
 
-    A cell is kept if at least one other image confirms it. In addition, the cell must occlude the known surfaces of
-    fewer images than confirm it. One confirmation is enough because walls are often seen by only two cameras. With two
-    cameras, one in 60 cells is confirmed although its depth is wrong. Connected components of fewer than 25 cells are
-    removed.
+    A cell is kept if at least one other image confirms it. A kept cell must also occlude fewer known surfaces than
+    there are images that confirm the cell. One confirmation is enough because walls are often seen by only two cameras.
+    With two cameras, one in 60 cells is confirmed although its depth is wrong. Connected components of fewer than 25
+    cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))

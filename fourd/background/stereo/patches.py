@@ -46,8 +46,8 @@ class GreyView:
 
     Attributes:
         camera: pinhole camera of the image.
-        greys: (H, W) float32 grey values in [-0.5, 0.5], one array per window size; NaN in holes. The first array is
-            almost sharp. In the other arrays, the blur doubles with the window size.
+        greys: (H, W) float32 grey values in [-0.5, 0.5], one array per window size, with NaN in holes. The first array
+            is almost sharp. In the other arrays, the blur doubles with the window size.
     """
 
     camera: Camera
@@ -97,7 +97,7 @@ class Grid:
         return self.pixels[:, 1].astype(np.intp), self.pixels[:, 0].astype(np.intp)
 
     def cells_at(self, xy: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Indices (M,) of the cells that contain pixel indices (M, 2); -1 outside the grid and for NaN."""
+        """Indices (M,) of the cells that contain pixel indices (M, 2), or -1 outside the grid and for NaN."""
         columns, rows = (np.rint((xy[:, axis] - self.pixels[0, axis]) / self.stride) for axis in (0, 1))
         height, width = self.shape
         inside = (columns >= 0) & (rows >= 0) & (columns < width) & (rows < height)
@@ -139,11 +139,12 @@ class PatchSimilarity:
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
         """Score planes (n, 3) of cells (n,).
 
-        The score is the mean of the two best correlations, so that occlusion in the other sources is tolerated. If the
-        cell is visible in only one source, the score is this source's correlation minus SINGLE_SOURCE_PENALTY.
+        The score is the mean of the two best correlations, so that occlusion in the remaining source images is
+        tolerated. If the cell is visible in only one source, the score is this source's correlation minus
+        SINGLE_SOURCE_PENALTY.
 
         Returns:
-            (n,) scores, at most 1; -1 where the cell is visible in no source.
+            (n,) scores of at most 1, or -1 if the cell is visible in no source image.
         """
         out = np.empty(len(cells), np.float32)
         for level in range(LEVELS):
@@ -215,8 +216,8 @@ class _PlaneWarp:
 
 
 def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
-    """Index (N,) of each cell's window size: the smallest size with texture in every direction, or the largest size if
-    there is none."""
+    """Index (N,) of each cell's window size: the smallest size with texture in every direction, or else the largest
+    size."""
     level = np.full(len(grid.pixels), LEVELS - 1, np.int8)
     for index in reversed(range(LEVELS)):
         grey = np.nan_to_num(view.greys[index])
@@ -276,7 +277,7 @@ def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _sample_grey(grey: Floats, x: Floats, y: Floats) -> Floats:
-    """Bilinear samples at pixel indices x and y; NaN outside the image and where x or y is NaN."""
+    """Bilinear samples at pixel indices x and y, or NaN outside the image and for positions that are NaN."""
     if not x.size:
         return np.empty(x.shape, np.float32)
     height, width = grey.shape

@@ -36,7 +36,7 @@ class DepthMap:
     Attributes:
         grid: the grid of N cells.
         planes: (N, 3) float32 planes in the parametrisation of Grid.
-        scores: (N,) float32 photometric similarity, at most 1; UNKNOWN_SCORE where the plane is unknown.
+        scores: (N,) float32 photometric similarity of at most 1, or UNKNOWN_SCORE if the plane is unknown.
     """
 
     grid: Grid
@@ -130,8 +130,8 @@ class _PlaneSearch:
         self.planes[cells[better]] = planes[cells[better]]
 
     def propagate(self, down: int, across: int) -> None:
-        """Try in each cell the plane of the neighbour at an offset. The neighbour must have a higher score and its
-        plane a different depth."""
+        """Try in each cell the plane of the neighbour at an offset. The plane is tried only if the neighbour has a
+        higher score and the neighbour's plane gives a different depth."""
         rows, columns = self._grid.shape
         numbers = np.arange(rows * columns).reshape(rows, columns)
         i, j = np.clip(np.arange(rows) + down, 0, rows - 1), np.clip(np.arange(columns) + across, 0, columns - 1)
@@ -171,7 +171,7 @@ class _PlaneSearch:
         return np.einsum("nc,nc->n", planes, self._grid.pixels)
 
     def _is_valid(self, planes: Floats) -> NDArray[np.bool_]:
-        """(N,) bool: whether a plane is in the depth range and not seen edge-on; False for NaN."""
+        """(N,) bool: whether a plane is in the depth range and not seen edge-on. Planes with NaN give False."""
         inverse = self._inverse_depth(planes)
         normals = planes @ self._k.astype(np.float32)
         cosine = np.einsum("nc,nc->n", normals, self._rays)

@@ -30,7 +30,7 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
         rng: random generator.
 
     Returns:
-        (P, 4) planes (n, d) with n . x = d in world coordinates; P is at most MAX_PLANES.
+        (P, 4) planes (n, d) with n . x = d in world coordinates, where P is at most MAX_PLANES.
     """
     remaining = np.ones(len(xyz), bool)
     planes: list[list[float]] = []

@@ -27,9 +27,9 @@ def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthe
     """Select up to 6 source cameras for camera ``index``. If possible, two source cameras see each point in the
     camera's frustum.
 
-    The frustum is sampled between the depths ``nearest`` and ``farthest``. A source camera has a score for each point.
-    The score depends on the angle between the rays of the two cameras. The objective is the sum over all points of each
-    point's two best scores. The selection is greedy: each step adds the camera that increases the objective most.
+    The frustum is sampled between the depths ``nearest`` and ``farthest``. The score of a source camera for a point
+    depends on the angle between the rays of the two cameras to the point. The objective is the sum over all points of
+    each point's two best scores. The selection is greedy: each step adds the camera that increases the objective most.
     """
     xyz = _frustum_points(cameras[index], nearest, farthest)
     scores = np.array([_view_scores(cameras[index], other, xyz) for other in cameras])
