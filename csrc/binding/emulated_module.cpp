@@ -1,4 +1,4 @@
-// The Python module fourd._emulated: the CUDA kernels compiled for the CPU, for tests.
+// The Python module fourd._emulated has the CUDA kernels, compiled for the CPU. Only tests use this module.
 #include "binding/module.h"
 
 NB_MODULE(_emulated, module) {

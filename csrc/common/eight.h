@@ -1,6 +1,6 @@
-// Vectors of eight floats for any instruction set. They serve loops that compilers do not vectorise by themselves.
-// Functions take and return vectors by pointer, because the calling convention for vectors depends on the instruction
-// set.
+// Vectors of eight floats for any instruction set. These vectors serve loops that compilers do not vectorise by
+// themselves. Functions take and return vectors by pointer, because the calling convention for vectors depends on the
+// instruction set.
 #pragma once
 
 #include <cstddef>
@@ -28,8 +28,8 @@ template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
 // Calls body(i, tag) for i in [0, count). The index i increases in steps of 8, and in steps of 1 for the last elements.
-// `tag` is a null pointer whose type tells the body how many elements to process from i on: Eight for 8 elements, float
-// for 1 element.
+// `tag` is a null pointer whose type tells the body how many elements to process from i on. A pointer to Eight means 8
+// elements, and a pointer to float means 1 element.
 template <typename Body>
 FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;

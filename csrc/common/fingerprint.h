@@ -28,7 +28,7 @@ class Fingerprint {
     }
 
   private:
-    static constexpr int kLanes = 4;  // Number of accumulators. A processor can update them in parallel.
+    static constexpr int kLanes = 4;  // Number of accumulators, which a processor can update in parallel.
 
     void mix(const std::uint64_t* words) {
         for (int lane = 0; lane < kLanes; ++lane) {

@@ -8,7 +8,7 @@
 
 #if defined(__GNUC__)
 #define FOURD_INLINE inline __attribute__((always_inline))
-#define FOURD_INLINE_LAMBDA __attribute__((always_inline))  // Write this after the parameters of a lambda.
+#define FOURD_INLINE_LAMBDA __attribute__((always_inline))  // Write this macro after the parameters of a lambda.
 #define FOURD_RESTRICT __restrict__
 #elif defined(_MSC_VER)
 #include <intrin.h>

@@ -13,7 +13,7 @@
 
 namespace fourd::device {
 
-constexpr int kThreads = 256;  // Number of threads per block. It must be a multiple of the warp size.
+constexpr int kThreads = 256;  // Number of threads per block, which must be a multiple of the warp size.
 constexpr std::size_t kMaxBlocks = 1 << 20;
 
 template <typename Kernel>
@@ -58,7 +58,7 @@ class Executor {
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // Sorts (key, value) pairs stably by the lowest bits of their keys. count is below 2^31.
+    // Sorts (key, value) pairs stably by the `bits` lowest bits of their keys. count is below 2^31.
     void sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const std::uint32_t* values,
               std::uint32_t* sorted_values, std::size_t count, int bits, void* scratch,
               std::size_t scratch_bytes) const {

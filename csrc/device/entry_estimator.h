@@ -20,8 +20,8 @@ class EntryEstimator {
     EntryEstimator(const EntryEstimator&) = delete;
     EntryEstimator& operator=(const EntryEstimator&) = delete;
 
-    // The number of entries to allocate for the next image, which has `count` points. This number is 25% above the
-    // recent maximum. The maximum decays slowly, because near and far views of a scene may alternate.
+    // The number of entries to allocate for the next image, which has `count` points. The result is 25% above the
+    // recent maximum number of entries. The maximum decays slowly, because near and far views of a scene may alternate.
     std::size_t entries(std::size_t count) {
         const std::uint64_t needed = *static_cast<volatile std::uint64_t*>(needed_);
         recent_max_ = std::max(recent_max_ - recent_max_ / 64, needed);

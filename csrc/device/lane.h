@@ -70,8 +70,8 @@ FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #endif
 }
 
-// target and value must not be negative. For floats of this kind, a comparison of the bits gives the same result as a
-// comparison of the values.
+// target and value must not be negative. For floats that are not negative, the order of the bits is the order of the
+// values.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicMax(reinterpret_cast<unsigned*>(target), __float_as_uint(value));

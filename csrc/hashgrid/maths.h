@@ -21,8 +21,8 @@ constexpr std::size_t kAlign = 16;  // Each level starts at a multiple of kAlign
 // entries.
 struct Level {
     std::size_t first;
-    std::uint32_t entries;    // A power of two if the level is hashed.
-    std::uint32_t stride[3];  // For each axis, entry_of multiplies the vertex index by it.
+    std::uint32_t entries;    // Number of entries, which is a power of two if the level is hashed.
+    std::uint32_t stride[3];  // For each axis, the factor of the vertex index in entry_of.
     int resolution;
     bool hashed;
 };
@@ -71,8 +71,8 @@ FOURD_HD static FOURD_INLINE std::uint32_t entry_of(const Level& level, std::uin
     return level.hashed ? (x ^ y ^ z) & (level.entries - 1u) : x + y + z;
 }
 
-// The eight vertices around a point. Corners 2e and 2e + 1 form edge e, which is parallel to x. The weights of these
-// two corners are weight[e] * (1 - fraction) and weight[e] * fraction.
+// The eight vertices around a point. Corners 2e and 2e + 1 form edge e, which is parallel to x. Corners 2e and 2e + 1
+// have the weights weight[e] * (1 - fraction) and weight[e] * fraction.
 struct Cell {
     std::uint32_t entry[kCorners];
     float weight[kCorners / 2];
@@ -96,8 +96,7 @@ FOURD_HD static FOURD_INLINE Cell cell_of(const Level& level, const Interpolatio
     return out;
 }
 
-// Computes the gradient of the trilinear interpolation of value (kCorners,) with respect to the coordinates. Adds the
-// gradient to out (3,).
+// Adds to out (3,) the gradient of the trilinear interpolation of value (kCorners,) with respect to the coordinates.
 FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* coordinates, const float* value,
                                              float* out) {
     const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),

@@ -24,7 +24,7 @@ struct PlaneArguments {
     using Rows = Array<const float, 2>;
     using RowsOut = Array<float, 2>;
 
-    static constexpr std::size_t kLongestSide = 1 << 24;  // Up to this size, float32 represents indices exactly.
+    static constexpr std::size_t kLongestSide = 1 << 24;  // float32 represents indices below 2^24 exactly.
 
     const std::vector<Values>& values;
     std::vector<planes::Plane> planes;

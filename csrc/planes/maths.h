@@ -38,7 +38,7 @@ FOURD_HD static inline Interpolation interpolate_axis(float coordinate, int size
 
 // The four samples around a position, with weights indexed as [row][column].
 struct Corners {
-    std::size_t top, bottom;  // Offsets of the left samples. Each right sample follows in memory.
+    std::size_t top, bottom;  // Offsets of the left samples. Each right sample follows its left sample in memory.
     float weight[2][2];
 };
 

@@ -25,8 +25,8 @@ struct Query {
 void sample(const Query& query, float* out);
 
 // gradient (count, plane_count * features) is the gradient with respect to the output of sample(). The function
-// overwrites grad_planes, which has one array per plane, with the shape of the values of the plane. It also overwrites
-// grad_coordinates (count, 4) unless this pointer is null.
+// overwrites grad_planes, which has one array per plane, with the shape of the values of the plane. The function also
+// overwrites grad_coordinates (count, 4) unless grad_coordinates is null.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates);
 
 }  // namespace fourd::planes

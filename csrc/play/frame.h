@@ -9,7 +9,7 @@ namespace fourd::play {
 
 struct Frame {
     shade::Points points;
-    const std::uint16_t* radius;   // (count,), as float16 in world units.
+    const std::uint16_t* radius;   // Shape (count,), as float16 in world units.
     const std::uint16_t* density;  // (count,), as float16.
 };
 

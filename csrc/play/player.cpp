@@ -46,7 +46,8 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
              [&](int index, int) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
 }
 
-// Skips long spans of invisible points. There are such spans because the points of a frame are in spatial order.
+// Shades the visible points. The points of a frame are in spatial order, so invisible points form long spans, which the
+// function skips.
 void Player::shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end) {
     constexpr std::size_t kStretch = 64;
     for (std::size_t first = begin; first < end; first += kStretch) {

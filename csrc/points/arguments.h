@@ -14,8 +14,8 @@
 
 namespace fourd {
 
-// `camera` has 21 numbers: the matrices K and R, both row-major, and the vector T. Throws std::invalid_argument if the
-// number is not 21.
+// `camera` has 21 numbers: the matrices K and R, both row-major, and the vector T. Throws std::invalid_argument if
+// `camera` does not have 21 numbers.
 inline points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                         int layers, double near_depth, double transmittance_min, int threads,
                                         const std::string& simd) {

@@ -26,10 +26,10 @@ constexpr int kTile = 16;              // Side of a tile in pixels.
 constexpr int kBlock = 4;              // Side of a block in pixels. A tile has 4 x 4 blocks.
 constexpr int kLongestSide = 1 << 18;  // Largest image side in pixels. Block indices have 16 bits.
 
-// A projected point. Its alpha at a pixel is density * (1 - |(u, v) - pixel|^2 * inverse_square).
+// A projected point. The alpha of the point at a pixel is density * (1 - |(u, v) - pixel|^2 * inverse_square).
 struct alignas(16) Splat {
     float u, v;            // Projected centre in pixels.
-    float inverse_square;  // 1 / rho^2.
+    float inverse_square;  // Equal to 1 / rho^2.
     float density;         // At most 1.
     float z;               // Camera depth.
     float rho;             // Projected radius in pixels.
@@ -66,8 +66,7 @@ struct SplatGradient {
 FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
 
 // The range of pixels along one axis whose centres are within rho of `centre`, clipped to [0, size). The range is empty
-// if first > last. The bounds are clipped before they are rounded. This order needs no branches, so the code
-// vectorises.
+// if first > last. Clipping the bounds before rounding them needs no branches, so the code vectorises.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
     // The hit test has a float32 rounding error of about 4e-7 of rho^2. A margin of 1e-6 ensures that the pixel range
     // contains all hits.
@@ -101,9 +100,9 @@ struct Projection {
     bool visible;
 };
 
-// Projects a point. The point is culled if it is nearer than near_depth or outside the image. It is also culled if its
-// radius or density is 0, or if any of its numbers is not finite. The comparisons are written so that they are false
-// for NaN.
+// Projects a point. The point is culled if it is nearer than near_depth or outside the image. The point is also culled
+// if its radius or density is 0, or if any of its numbers is not finite. The comparisons are written so that they are
+// false for NaN.
 FOURD_HD static inline Projection project(const Pinhole& camera, float near_depth, const float* xyz, float radius,
                                           float density) {
     const float max_float = 3.402823466e38f;

@@ -22,7 +22,7 @@ struct Settings {
     Pinhole camera;
     float near_depth;         // Positive. Points with a smaller camera depth are culled.
     int layers;               // Number K of depth layers, at least 1.
-    float transmittance_min;  // A pixel is complete at or below this transmittance. The value 0 is exact.
+    float transmittance_min;  // Pixels are complete at or below this transmittance. A value of 0 gives exact images.
     int threads;              // At least 1. The result is the same for any number of threads.
     Simd simd;                // An instruction set that this machine supports.
 };

@@ -25,13 +25,13 @@ struct Settings {
     const std::int32_t* chosen;  // (chosen_count,): indices of the views to blend.
     int chosen_count;            // From 0 to kMaxChosen.
     double centre[3];            // Position of the camera in world coordinates.
-    float sh_range;              // The SH colour is sh_base + sh_range * tanh(sh . Y(direction)).
+    float sh_range;              // The SH colour is sh_base + sh_range * tanh(dot(sh, Y(direction))).
     float sh_base;
     int threads;  // At least 1. The result is the same for any number of threads.
     Simd simd;    // An instruction set that this machine supports.
 };
 
-// Writes the colours to `out` (count, 3). They have the same bits for any number of threads.
+// Writes the colours to `out` (count, 3). The colours have the same bits for any number of threads.
 void shade(const Points& points, const Settings& settings, float* out);
 
 // Computes the colours of points [begin, end) on the thread of the caller. `out` is indexed by point, starting with

@@ -27,7 +27,7 @@ struct SourceArguments {
     using VisibilityOut = Array<float, nanobind::ndim<2>>;
     using Softness = Array<const float, nanobind::ndim<1>>;
 
-    static constexpr std::size_t kNumbers = 21;  // Numbers per camera: K and R (row-major), then T.
+    static constexpr std::size_t kNumbers = 21;  // Numbers per camera, which are K, R (both row-major) and T.
     static constexpr std::size_t kMaxViews = 1 << 16;
     static constexpr std::size_t kMaxChannels = 256;
     static constexpr std::size_t kLongestSide = 1 << 24;

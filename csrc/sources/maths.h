@@ -52,13 +52,12 @@ FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Project
 struct Bilinear {
     std::size_t offset[4];
     float weight[4];
-    float slope_x[4];  // Derivatives of the weights with respect to x, in samples.
+    float slope_x[4];  // Derivatives of the weights with respect to x, where x is measured in samples.
     float slope_y[4];
 };
 
 FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int height) {
-    // NaN and positions outside these bounds do not use any sample. Such a position is replaced by a position where all
-    // weights are 0.
+    // NaN and positions outside these bounds use no sample. They are replaced by a position where all weights are 0.
     const bool inside = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
     x = inside ? x : -1.0f;
     y = inside ? y : -1.0f;
@@ -82,7 +81,7 @@ FOURD_HD FOURD_INLINE float sample(const float* map, const Bilinear& at) {
            at.weight[3] * map[at.offset[3]];
 }
 
-// A gradient with respect to a position. The position is measured in samples.
+// A gradient with respect to a position that is measured in samples.
 struct PixelGradient {
     float u, v;
 };

@@ -14,10 +14,10 @@ namespace fourd::sources {
 struct Maps {
     const float* images;    // (views, 3, height, width).
     const float* mattes;    // (views, height, width). Values are in [0, 1].
-    const float* depth;     // (views, height, width): depth of the nearest surface. Null if there is no occlusion test.
+    const float* depth;     // (views, height, width): depth of the nearest surface. Null disables the occlusion test.
     const float* features;  // (views, feature_height, feature_width, channels). May be null.
     int width, height;
-    int channels, feature_width, feature_height;  // These are 0 if there are no features.
+    int channels, feature_width, feature_height;  // All three numbers are 0 if there are no features.
 };
 
 struct Query {
@@ -26,10 +26,10 @@ struct Query {
     int views;
     const float* xyz;  // (count, 3).
     std::size_t count;
-    // (count,): decay length of the visibility behind a surface, in world units. The gradient does not use it.
+    // (count,): decay length of the visibility behind a surface, in world units. sample_backward() does not read it.
     const float* softness;
-    int threads;  // At least 1. Only the CPU uses it, and the result does not depend on it.
-    Simd simd;    // An instruction set that this machine supports. Only the CPU uses it.
+    int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.
+    Simd simd;    // An instruction set that this machine supports. Only the CPU uses simd.
 };
 
 struct Samples {
@@ -37,8 +37,8 @@ struct Samples {
     float* visibility;  // (views, count).
 };
 
-// Gradients with respect to the inputs. They are computed from the gradient with respect to Samples::channels. The
-// visibility is treated as constant.
+// Gradients with respect to the inputs. All gradients are computed from the gradient with respect to Samples::channels.
+// The visibility is treated as constant.
 struct Gradients {
     float* xyz;       // (count, 3).
     float* features;  // The shape is that of Maps::features. May be null.
@@ -73,8 +73,8 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
 constexpr float kMinSoftness = 1e-12f;  // Replaces a softness that is smaller or NaN.
 
 // The visibility weight of a view at a point: the squared matte times a decay factor. If the point is at most twice the
-// softness behind the visible surface, the factor is 1. From there the factor decays exponentially. The matte is
-// squared because pixels on the silhouette contain some background.
+// softness behind the visible surface, the factor is 1. Farther behind the surface, the factor decays exponentially.
+// The matte is squared because pixels on the silhouette contain some background.
 FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const Projection& at, const Bilinear& image,
                                        float softness) {
     if (!(at.z > 0.0f)) return 0.0f;

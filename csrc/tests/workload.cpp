@@ -1,8 +1,9 @@
 // Runs one kernel on synthetic points, for profilers and for counting instructions. The program prints the milliseconds
-// per repeat. Usage:
+// per repeat. KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity,
+// hashgrid or hashgrid_backward. For the hash grid, LAYERS is the logarithm to base 2 of the maximum number of entries
+// per level.
+// Usage:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
-// KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity, hashgrid or
-// hashgrid_backward. For the hash grid, LAYERS is the logarithm to base 2 of the maximum number of entries per level.
 #include <chrono>
 #include <cmath>
 #include <cstdio>

@@ -43,7 +43,7 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     Team team(query.threads);
     if (grad_table != nullptr) {
         prefer_huge_pages(grad_table, query.entries * query.features * sizeof(float));
-        // One worker processes all points of a level in order. No locks are therefore needed, and the order of sums is
+        // Because one worker processes all points of a level in order, no locks are needed and the order of sums is
         // fixed.
         team.run(query.level_count, [&](int task, int) {
             const int l = query.level_count - 1 - task;  // Small levels come last, to balance the load.

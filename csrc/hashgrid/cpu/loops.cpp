@@ -237,7 +237,7 @@ FOURD_INLINE void coordinate_gradient_level(const Query& query, int l, std::size
             FOURD_INLINE_LAMBDA { prefetch_entries<Features, 0>(cells, i, values); },
         [&](const Cells& cells, int i, std::size_t point) FOURD_INLINE_LAMBDA {
             const float* const from = gradient + at.width * point + at.column;
-            float grad_corner[kCorners];  // For each corner, its entry times the point's gradient.
+            float grad_corner[kCorners];  // For each corner, the dot product of its entry and the point's gradient.
             for (int corner = 0; corner < kCorners; ++corner) {
                 const float* const entry = values + entry_of<Features>(cells, corner, i);
                 grad_corner[corner] = 0.0f;

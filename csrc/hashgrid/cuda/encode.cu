@@ -56,8 +56,8 @@ struct Encode {
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);
-        // This loop processes one feature at a time. If it kept all features in an array with a run-time index, the
-        // array would be in local memory, not in registers.
+        // This loop processes one feature at a time. An array of all features with a run-time index would be in local
+        // memory, not in registers.
         for (int f = 0; f < grid.features; ++f) {
             float sum = 0.0f;
             for (int corner = 0; corner < kCorners; ++corner) {

@@ -121,8 +121,8 @@ FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, con
     }
 }
 
-// The template argument Features is the number of features if it is known at compile time. Otherwise Features is 0, and
-// the query has the number of features.
+// The template argument Features is the number of features if it is known at compile time. Features is 0 if the number
+// is known only at run time.
 template <int Features>
 FOURD_INLINE void sample_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions,
                              float* out) {

@@ -115,9 +115,8 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     QueryPlan planned(query, team.size());
-    // One worker processes all points of a plane in order. No locks are therefore needed, and the order of sums is
-    // fixed. Each worker processes its planes together, because the gradients of these planes share cache lines of
-    // `gradient`.
+    // Because one worker processes all points of a plane in order, no locks are needed and the order of sums is fixed.
+    // Each worker processes its planes together, because the gradients of these planes share cache lines of `gradient`.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

@@ -18,7 +18,7 @@ struct Unpack {
     }
 };
 
-// The arrays of a frame, converted to float32. They are at the start of the workspace.
+// The arrays of a frame, converted to float32. The float32 arrays are at the start of the workspace.
 struct Floats {
     float *radius, *density, *colour;
 

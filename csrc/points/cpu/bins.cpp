@@ -100,7 +100,7 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// Counts, for each part, the entries of every tile. Also copies the tile ranges into the order of ranks.
+// Counts, for each part, the entries of every tile. The function also copies the tile ranges into the order of ranks.
 std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());
@@ -117,7 +117,7 @@ std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team&
     return counts;
 }
 
-// Writes the entries of all tiles. In each tile, a part writes its entries after those of the previous parts. The
+// Writes the entries of all tiles. In each tile, the entries of a part follow the entries of the previous parts. The
 // argument `places` has the counts from count_entries.
 void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());

@@ -1,6 +1,6 @@
-// The type Lanes: 16 floats, one per pixel of a 4 x 4 block. Their vector type depends on the instruction set that this
-// file is compiled for. tiles.cpp includes this file inside its namespace. Additions have the same order for all
-// instruction sets, so results have the same bits.
+// The type Lanes: 16 floats, one per pixel of a 4 x 4 block. The vector type of Lanes depends on the instruction set
+// that this file is compiled for. tiles.cpp includes this file inside its namespace. Additions have the same order for
+// all instruction sets, so results have the same bits.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 
@@ -23,8 +23,8 @@ inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & 
 inline bool any(Mask a) { return a.bits != 0; }
 inline Lanes select(Mask m, Lanes a, Lanes b) { return {_mm512_mask_blend_ps(m.bits, b.value, a.value)}; }
 inline Lanes keep(Mask m, Lanes a) { return {_mm512_maskz_mov_ps(m.bits, a.value)}; }
-// Packs four Lanes into one 32-bit word per pixel. Values from 0 to 255.99 are truncated to bytes. The first Lanes
-// becomes the lowest byte of each word.
+// Packs four Lanes into one 32-bit word per pixel. Values from 0 to 255.99 are truncated to bytes. The first of the
+// four Lanes becomes the lowest byte of each word.
 inline void store_packed(std::uint32_t* to, const Lanes* bytes) {
     __m512i packed = _mm512_cvttps_epi32(bytes[0].value);
     packed = _mm512_or_si512(packed, _mm512_slli_epi32(_mm512_cvttps_epi32(bytes[1].value), 8));

@@ -22,7 +22,7 @@ constexpr int kMaxChannels = 32;
 struct Projections {
     static constexpr std::size_t kMax = 64;
     float u[kMax], v[kMax], inverse_square[kMax], density[kMax], z[kMax], rho[kMax];
-    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // First block in the lower 16 bits, last in the upper.
+    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // Lower 16 bits are the first block, upper 16 the last.
     std::uint32_t tiles_across[kMax], tiles_down[kMax];
     std::uint32_t visible[kMax];
 };
@@ -35,7 +35,7 @@ inline std::uint32_t pair(int first, int last) {
 inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t count,
                                   Projections& out) {
     constexpr int kBlocksPerSide = kTile / kBlock;
-    const Pinhole camera = settings.camera;  // The compiler knows that no write can change this copy.
+    const Pinhole camera = settings.camera;  // A local copy, which no write through a pointer can change.
     const float near_depth = settings.near_depth;
     std::uint32_t visible = 0;
     for (std::size_t i = 0; i < count; ++i) {

@@ -34,7 +34,7 @@ struct Tile {
 // pixels of the block. Visits are sorted by entry, then by block.
 struct Visits {
     float* transmittance;  // (count, 16): transmittance before the entry, negative at pixels without a hit.
-    std::uint64_t* tags;   // The value is 16 * entry + block, or kNoVisit if no pixel was hit.
+    std::uint64_t* tags;   // Tag of each visit, which is 16 * entry + block, or kNoVisit if no pixel was hit.
     std::size_t count;     // Equal to count_visits(tile).
 };
 

@@ -10,7 +10,7 @@
 namespace fourd::points::cuda {
 
 constexpr int kTilePixels = kTile * kTile;
-constexpr std::uint32_t kCulled = 0xffffffffu;  // Sort key of culled points. It is above the key of any depth.
+constexpr std::uint32_t kCulled = 0xffffffffu;  // Sort key of culled points, above the key of any depth.
 
 struct Tiles {
     int columns, rows;
@@ -124,7 +124,7 @@ struct EmitEntry {
     Entries to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // Not a tile. It sorts after all tiles.
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // This key sorts after all tiles.
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
             // The rank of an entry is the last rank whose first entry is at or before this entry. A rank without tiles

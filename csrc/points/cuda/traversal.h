@@ -1,5 +1,5 @@
 // Front-to-back traversal of the points of a tile. Each pixel has one thread. A warp covers 8 x 4 pixels and processes
-// the same point for all of them at the same time.
+// the same point for all its pixels at the same time.
 #pragma once
 
 #include "points/cuda/entries.h"
@@ -9,7 +9,7 @@ namespace fourd::points::cuda {
 struct Pixel {
     float x, y;         // Coordinates of the centre of the pixel.
     bool inside;        // Whether the pixel is inside the image.
-    std::size_t index;  // Index in the image, row by row. Valid only if inside is true.
+    std::size_t index;  // Index in the image, row by row, valid only if the pixel is inside.
     std::size_t tile;
 };
 
@@ -28,7 +28,7 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
 // The points that the pixels of a tile process, nearest first. These points are the entries of the tile, or all visible
 // points if the entries do not fit into the workspace.
 struct EntryList {
-    const std::uint32_t* ranks;  // Ranks of the points. If null, the point at position i has rank i.
+    const std::uint32_t* ranks;  // Ranks of the points. If `ranks` is null, the point at position i has rank i.
     std::size_t count;
 
     FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }

@@ -66,7 +66,7 @@ double similarity(const Pictures& pictures, float* gradient) {
         });
     }
     double total = 0;
-    for (const double sum : sums) total += sum;  // The order is fixed, so all numbers of threads agree.
+    for (const double sum : sums) total += sum;  // In row order, any number of threads gives the same total.
     return total / (static_cast<double>(plan.valid) * plan.valid_rows);
 }
 

@@ -13,7 +13,7 @@ constexpr int kMaxChannels = 256;
 FOURD_INLINE std::size_t image_size(const Maps& maps) { return static_cast<std::size_t>(maps.width) * maps.height; }
 
 // The template argument Channels is the number of channels if it is known at compile time, which lets loops fit vectors
-// exactly. Otherwise Channels is 0, and the maps have the number of channels.
+// exactly. Channels is 0 if the number is known only at run time.
 template <int Channels>
 FOURD_INLINE int channels_of(const Maps& maps) {
     return Channels > 0 ? Channels : maps.channels;
@@ -65,9 +65,9 @@ FOURD_INLINE float total(const Eight* number) {
 }
 #endif
 
-// Processes the gradient of channel c. If Number is Eight, the function also processes the next seven channels. It adds
-// the gradient with respect to the pixel position to `sum`. Unless `to` is null, it also adds the gradient with respect
-// to the features to `to`.
+// Processes the gradient of channel c. If Number is Eight, the function also processes the next seven channels. The
+// function adds the gradient with respect to the pixel position to `sum`. Unless `to` is null, the function also adds
+// the gradient with respect to the features to `to`.
 template <typename Number>
 FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
                              const float* gradient, float* to, PixelGradient* sum) {
