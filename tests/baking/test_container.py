@@ -357,7 +357,7 @@ def test_compressed_members_are_rejected(scene: Path) -> None:
 
 
 def test_invalid_values_in_a_frame_are_rejected_on_reading(scene: Path) -> None:
-    """Catches NaN from another program that is accepted because the checksums are correct."""
+    """Catches NaN values that are accepted because the checksums of the scene are correct."""
 
     def spoil(members: dict[str, bytes]) -> None:
         content = bytearray(members["frames/000001/blend_weights"])

@@ -285,7 +285,7 @@ def test_missing_and_truncated_members_are_rejected(scene: Path, name: str, keep
     ("name", "value"), [("xyz", np.inf), ("radius", -1), ("density", 2), ("sh", np.nan), ("blend_weights", np.nan)]
 )
 def test_invalid_values_in_the_background_are_rejected_on_reading(scene: Path, name: str, value: float) -> None:
-    """Catches NaN in a background from another program that is accepted because the checksums are correct."""
+    """Catches NaN values in a background that are accepted because the checksums of the scene are correct."""
     dtype = next(item.dtype for item in ATTRIBUTES if item.name == name)
 
     def spoil(members: dict[str, bytes]) -> None:

@@ -178,7 +178,7 @@ def test_rotation_metadata_is_refused(tmp_path: Path) -> None:
 
 
 def test_videos_of_one_name_are_refused(tmp_path: Path) -> None:
-    """Catches two videos of the same name, if one video is ignored without an error."""
+    """Catches a capture with two videos of the same name that is read without an error."""
     for name in ("a.mp4", "a.mov"):
         write_numbered_video(tmp_path / name, range(2))
     with pytest.raises(

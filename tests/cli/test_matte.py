@@ -72,7 +72,7 @@ def stop_when_exists(path: Path, how: signal.Signals, command: list[str]) -> int
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A capture on which ``fourd matte`` ran without interruption. Tests must not change it."""
+    """A capture on which ``fourd matte`` ran without interruption. Tests must not change this capture."""
     capture = write_capture_without_masks(tmp_path_factory.mktemp("finished"), frames=8, size=64)
     subprocess.run([*MATTE, "1", str(capture)], check=True, timeout=300)
     return capture

@@ -16,7 +16,8 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 FENCE = re.compile(r"^```\w*\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PLACEHOLDERS = re.compile(r"[\[\]|<>]|\.\.\.|…")
-"""Characters of a usage line, which is not a complete command, such as ``fourd import [FORMAT] SRC OUT``."""
+"""Characters that mark a usage line, such as ``fourd import [FORMAT] SRC OUT``. A usage line is not a complete
+command."""
 
 
 def commands() -> list[tuple[str, str]]:

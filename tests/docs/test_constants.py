@@ -58,8 +58,8 @@ def test_every_marker_belongs_to_a_number() -> None:
 
 
 def test_visibility_falls_where_conventions_say() -> None:
-    """Catches a wrong visibility margin or falloff, in the code or on the page. The margin is two spacings, and the
-    falloff is one spacing."""
+    """Catches a wrong visibility margin or falloff, in the code or on the page. The visibility margin is two point
+    spacings, and the falloff is one point spacing."""
     text = (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")
     assert "exp(-max(z - surface - 2 s, 0) / s)" in text
     spacing, surface = 0.1, 3.0

@@ -1,4 +1,4 @@
-"""The programs in examples/ run as a user would run them."""
+"""The test runs the programs in examples/ as a user would run them."""
 
 from __future__ import annotations
 
