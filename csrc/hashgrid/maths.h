@@ -17,8 +17,8 @@ constexpr int kCorners = 8;
 constexpr std::size_t kAlign = 16;  // Each level starts at a multiple of kAlign entries, the start of a cache line.
 
 // A level has (resolution + 1)^3 grid vertices on [0, 1]^3. The entries of the level start at index `first` of the
-// table. If there are enough entries, each vertex has its own entry. Otherwise a spatial hash assigns vertices to
-// entries.
+// table. If there are enough entries, each vertex has its own entry. If there are fewer entries than vertices, a
+// spatial hash assigns vertices to entries.
 struct Level {
     std::size_t first;
     std::uint32_t entries;    // Number of entries, which is a power of two if the level is hashed.

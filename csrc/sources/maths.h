@@ -57,7 +57,8 @@ struct Bilinear {
 };
 
 FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int height) {
-    // NaN and positions outside these bounds use no sample. They are replaced by a position where all weights are 0.
+    // NaN and positions outside these bounds use no sample, because they are replaced by a position where all weights
+    // are 0.
     const bool inside = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
     x = inside ? x : -1.0f;
     y = inside ? y : -1.0f;

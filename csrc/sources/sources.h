@@ -26,7 +26,8 @@ struct Query {
     int views;
     const float* xyz;  // (count, 3).
     std::size_t count;
-    // (count,): decay length of the visibility behind a surface, in world units. sample_backward() does not read it.
+    // (count,): decay length of the visibility behind a surface, in world units. sample_backward() does not read
+    // softness.
     const float* softness;
     int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.
     Simd simd;    // An instruction set that this machine supports. Only the CPU uses simd.

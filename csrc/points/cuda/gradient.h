@@ -21,9 +21,9 @@ struct Upstream {
     }
 };
 
-// A thread composites its pixel front to back and records the layers. Then the thread processes these layers back to
-// front. On the way back, the threads of a warp stay together: they stop at every entry that at least one of them
-// recorded.
+// A thread composites its pixel front to back and records the layers. Afterwards, the thread processes the recorded
+// layers back to front. In this pass, the threads of a warp stay together: they stop at every entry that at least one
+// thread recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // The value of view.layers is at most kLayers.

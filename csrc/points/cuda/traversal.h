@@ -25,8 +25,8 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
             static_cast<std::size_t>(row) * width + column, tile};
 }
 
-// The points that the pixels of a tile process, nearest first. These points are the entries of the tile, or all visible
-// points if the entries do not fit into the workspace.
+// The points that the pixels of a tile process, nearest first. The list contains the entries of the tile, or all
+// visible points if the entries do not fit into the workspace.
 struct EntryList {
     const std::uint32_t* ranks;  // Ranks of the points. If `ranks` is null, the point at position i has rank i.
     std::size_t count;

@@ -136,8 +136,8 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
 #endif
 }
 
-// Computes the sum of the colours of the chosen views without weights, and returns the number of these views. This sum
-// is used if all chosen views have weight 0 at the point.
+// Computes the sum of the colours of the chosen views without weights, and returns the number of these views. The sum
+// without weights is used if all chosen views have weight 0 at the point.
 FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
     *out = {{0, 0, 0}};
     for (int v = 0; v < settings.chosen_count; ++v) {
