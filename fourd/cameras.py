@@ -1,8 +1,8 @@
-"""The camera type, in OpenCV's convention: x points right, y down and z forward; intrinsics are in pixels.
+"""The camera type. It follows OpenCV's convention: x points right, y down and z forward. Intrinsics are in pixels.
 
-A world point has camera coordinates ``x_camera = R_camera_world @ x_world + T``. The centre of the pixel in row i and
-column j is at ``(j + 0.5, i + 0.5)``. All arrays are NumPy arrays of float64. The module does not use
-torch, so that scenes can be opened and rendered without it.
+A world point has camera coordinates ``x_camera = R_camera_world @ x_world + T_camera_world``. The centre of the pixel
+in row i and column j is at ``(j + 0.5, i + 0.5)``. All arrays are NumPy arrays of float64. This module does not import
+torch, so that scenes can be opened and rendered without torch.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ class Camera:
 
     Attributes:
         intrinsics: (3, 3) matrix K in pixels; K[2] must be (0, 0, 1).
-        rotation: (3, 3) R_camera_world, orthonormal with determinant +1.
-        translation: (3,) T_camera_world, in world units.
+        rotation: (3, 3) matrix R_camera_world, orthonormal with determinant +1.
+        translation: (3,) vector T_camera_world, in world units.
         width: image width in pixels, at least 1.
         height: image height in pixels, at least 1.
         distortion: 4, 5, 8, 12 or 14 OpenCV coefficients (k1, k2, p1, p2, k3, ...), or None for an ideal pinhole.
-            Renderers require an ideal pinhole; undistort images first.
+            Renderers require an ideal pinhole camera, so undistort the images first.
 
     Raises:
-        ValueError: for a wrong shape, a value that is not finite, or a matrix that is not a rotation (tolerance 1e-3).
-            The message names the field.
+        ValueError: if an array has a wrong shape, a value is not finite, or ``rotation`` is not a rotation matrix
+            (tolerance 1e-3). The error message names the field.
     """
 
     intrinsics: Array
@@ -49,7 +49,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
-        # "not (error <= ...)" also rejects NaN, which results if the matrix product overflows.
+        # The error is NaN if the matrix product overflows. The comparison "not (error <= ...)" also rejects NaN.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
                 f"rotation: expected an orthonormal matrix of determinant +1, got one that differs from orthonormal by "
@@ -82,7 +82,8 @@ class Camera:
         """Project world points (N, 3) without lens distortion.
 
         Returns:
-            pixels (N, 2) as (x, y), and camera depth z (N,) in world units. Pixels are not valid where z <= 0.
+            pixels (N, 2) as (x, y), and camera depth z (N,) in world units. The pixels of points with z <= 0 are not
+            valid.
         """
         xyz_camera = np.asarray(xyz, dtype=np.float64) @ self.rotation.T + self.translation
         depth = xyz_camera[:, 2]
@@ -91,19 +92,22 @@ class Camera:
         return pixels, depth
 
     def is_in_image(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """Return a mask (N,) of the points from :meth:`project` that lie before the camera and inside its image."""
+        """Return a mask (N,) of the points that are in front of the camera and inside its image.
+
+        ``pixels`` and ``depth`` are the results of :meth:`project`.
+        """
         inside = (pixels >= 0).all(axis=1) & (pixels <= (self.width, self.height)).all(axis=1)
         return np.asarray((depth > 0) & inside)
 
     def rescale(self, scale: float) -> Camera:
-        """Return the same view at ``scale`` times the size, rounded to whole pixels.
+        """Return this camera at ``scale`` times its image size, rounded to whole pixels.
 
-        K matches the rounded size exactly.
+        The intrinsics match the rounded size exactly.
         """
         return self.resize(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
     def resize(self, width: int, height: int) -> Camera:
-        """Return the same view sampled at ``width`` x ``height`` pixels."""
+        """Return this camera with the same view sampled at ``width`` x ``height`` pixels."""
         zoom = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, intrinsics=zoom @ self.intrinsics, width=width, height=height)
 
@@ -136,7 +140,7 @@ def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Arra
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
     The angle is measured at ``focus``, a (3,) world point, between the rays to the centres of ``camera`` and of the
-    source camera. 4K4D (sec. 3.2) selects source views in this way. Equal angles are ordered by index.
+    source camera. Selecting source views by this angle follows 4K4D (sec. 3.2). Equal angles are ordered by index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])

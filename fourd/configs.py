@@ -1,7 +1,8 @@
 """Convert typed dataclass configs to YAML and back. An unknown key or a wrong type raises an error with the key's name.
 
-The type of the field decides how a scalar is read, not YAML 1.1's rules: ``test_views: [05, 11]`` gives the names "05"
-and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. YAML tags cannot create Python objects.
+A scalar is read by the type of its field, and not by the rules of YAML 1.1. For example, ``test_views: [05, 11]`` gives
+the names "05" and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. YAML tags cannot create Python
+objects.
 """
 
 from __future__ import annotations
@@ -33,17 +34,20 @@ _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "
 
 
 def load_overlay(base: Config, path: Path) -> Config:
-    """Return ``base`` with the values of the YAML file ``path``; other fields are unchanged.
+    """Return a copy of ``base`` with the values of the YAML file ``path``.
+
+    Fields that the file does not set keep their values.
 
     Args:
         base: a frozen dataclass instance. Fields may be bool, int, float, str, Path, Literal,
             tuples of these, optional (``X | None``), and nested dataclasses.
-        path: a file with a YAML mapping of field names to values. An empty file returns ``base``.
+        path: a file with a YAML mapping of field names to values. If the file is empty, ``base`` is returned.
 
     Raises:
         UserError: the file is missing, the YAML is invalid, a key is unknown or repeated, a value has the wrong type,
-            or ``__post_init__`` of the dataclass raises ValueError. The message names the file, the line and the key.
-        TypeError: a field has a type that is not listed above, which is a bug in the dataclass.
+            or ``__post_init__`` of the dataclass raises ValueError. The error message names the file, the line and the
+            key.
+        TypeError: a field has a type that is not listed for ``base``. This is a bug in the dataclass.
     """
     node = _parse_file(path)
     if node is None:
@@ -52,17 +56,19 @@ def load_overlay(base: Config, path: Path) -> Config:
 
 
 def set_values(base: Config, assignments: Sequence[str], option: str = "--set") -> Config:
-    """Return ``base`` with values from the command line; other fields are unchanged.
+    """Return a copy of ``base`` with values from the command line.
+
+    Fields that no assignment sets keep their values.
 
     Args:
         base: a frozen dataclass instance, with the field types of :func:`load_overlay`.
-        assignments: strings KEY=VALUE. Dots in KEY separate nested fields; VALUE is YAML. If a key is assigned twice,
-            the last assignment wins. Values are validated after all assignments.
+        assignments: strings KEY=VALUE. Dots in KEY separate the names of nested fields. VALUE is YAML. If a key is
+            assigned twice, the last assignment wins. Values are validated after all assignments are applied.
         option: name of the option, for error messages.
 
     Raises:
-        UserError: an assignment is not KEY=VALUE, a key is unknown, or a value is invalid. The message names the option
-            and the key.
+        UserError: an assignment is not KEY=VALUE, a key is unknown, or a value is invalid. The error message names the
+            option and the key.
     """
     root = yaml.MappingNode(_MAP_TAG, [])
     for assignment in assignments:
@@ -79,7 +85,7 @@ def assigned_keys(assignments: Sequence[str]) -> set[str]:
 
 
 def to_yaml(config: object) -> str:
-    """Convert all fields of a dataclass to YAML text. :func:`load_overlay` reads the text back to an equal instance."""
+    """Convert all fields of a dataclass to YAML text, which :func:`load_overlay` reads back to an equal instance."""
     return yaml.dump(_plain(config), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000)
 
 
@@ -90,7 +96,7 @@ def save_config(config: object, path: Path) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class _Place:
-    """Source of a value for error messages: a file or an option, and the dotted key."""
+    """The source of a config value, for error messages: a file or an option, and the dotted key."""
 
     source: str
     key: str
@@ -110,7 +116,7 @@ class _Place:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes lists on one line, indents mappings, and writes no anchors."""
+    """A YAML dumper that writes lists on one line, indents mappings, and writes no anchors."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True
@@ -120,7 +126,10 @@ _Dumper.add_representer(list, lambda dumper, data: dumper.represent_sequence("ta
 
 
 def _parse_file(path: Path) -> yaml.Node | None:
-    """Parse a file to a tree of YAML nodes. Nodes are not constructed, so tags cannot create Python objects."""
+    """Parse a file to a tree of YAML nodes.
+
+    No Python objects are built from the nodes, so YAML tags cannot create any.
+    """
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -157,7 +166,7 @@ def _assign(root: yaml.MappingNode, keys: list[str], value: yaml.Node, option: s
             child = yaml.MappingNode(_MAP_TAG, [])
             node.value.append((yaml.ScalarNode(_STRING_TAG, key, value.start_mark), child))
         if not isinstance(child, yaml.MappingNode):
-            raise UserError(f"{option} {'.'.join(keys)}: expected keys below '{key}', got a value too; remove one")
+            raise UserError(f"{option} {'.'.join(keys)}: expected keys below '{key}' or a value, got both; remove one")
         node = child
     node.value = [(name, old) for name, old in node.value if name.value != keys[-1]]
     node.value.append((yaml.ScalarNode(_STRING_TAG, keys[-1], value.start_mark), value))
@@ -185,7 +194,7 @@ def _overlay(base: Any, node: yaml.Node, place: _Place) -> Any:
 
 
 def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str, yaml.Node]]:
-    """The keys of a mapping with the nodes of their values. null counts as an empty mapping.
+    """Return the keys of a mapping with the nodes of their values. A null node counts as an empty mapping.
 
     Raises UserError if a key is unknown or repeated.
     """
@@ -205,7 +214,7 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
             raise place.error(key_node, f"expected a known key, got '{key}'; {hint}")
         if key in seen:
             raise place.error(
-                key_node, f"expected each key once, got '{key}' here and in line {seen[key]}; remove one of them"
+                key_node, f"expected each key once, got '{key}' also in line {seen[key]}; remove one of them"
             )
         seen[key] = key_node.start_mark.line + 1
         entries.append((key, value))
@@ -215,7 +224,7 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
     """Convert a node to the type ``kind``.
 
-    ``base`` is the old value. If it is a dataclass, the fields that the node does not name are kept.
+    ``base`` is the old value. If ``base`` is a dataclass, the fields that the node does not name are kept.
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
@@ -230,7 +239,7 @@ def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
 
 
 def _blank(kind: type, node: yaml.Node, place: _Place) -> Any:
-    """A dataclass with default values, used as base if the old value is None."""
+    """An instance of the dataclass ``kind`` with default values. It is the base if the old value is None."""
     try:
         return kind()
     except TypeError as error:
@@ -326,7 +335,7 @@ def _describe(node: yaml.Node) -> str:
 
 
 def _yaml_word(option: object) -> str:
-    """The YAML text of one of a Literal's values."""
+    """The YAML text of one value of a Literal type."""
     if option is None or isinstance(option, bool):
         return {None: "null", True: "true", False: "false"}[option]
     return str(option)

@@ -15,11 +15,12 @@ UNFINISHED = ".unfinished-"
 
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside ``target``; on success fsync it and rename it over ``target``.
+    """Yield a temporary path beside ``target``. On success, sync the file to disk and rename it to ``target``.
 
-    Use it for writers that take a path. If the body raises, the temporary file is removed and ``target`` is unchanged.
-    A killed process leaves the temporary file behind; :func:`remove_unfinished` removes it. The temporary name keeps
-    the suffix of ``target``, because some writers choose the file format by the suffix.
+    This context manager is for writers that take a path. If the ``with`` block raises an exception, the temporary file
+    is removed and ``target`` is unchanged. A killed process leaves the temporary file behind; :func:`remove_unfinished`
+    removes it. The temporary name keeps the suffix of ``target``, because some writers choose the file format by the
+    suffix.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -38,7 +39,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, name) or error.errno is None:
             raise
-        # Report the target: the user does not know the temporary name.
+        # The error names the target, because the user does not know the temporary name.
         raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
         temporary.unlink(missing_ok=True)
@@ -56,16 +57,17 @@ def write_text_atomically(target: Path | str, content: str) -> None:
 
 
 def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
-    """Remove the temporary files that killed processes left in ``folder``; with ``deep``, also in its subfolders.
+    """Remove the temporary files that killed processes left in ``folder`` and, if ``deep``, in its subfolders.
 
-    Do not call it while another process writes to ``folder``: the temporary files of that process are removed too.
+    Do not call this function while another process writes to ``folder``: the temporary files of that process are
+    removed too.
     """
     for path in Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*"):
         path.unlink(missing_ok=True)
 
 
 def remove_unfinished_file(target: Path | str) -> None:
-    """Remove the temporary files that killed processes left for one target. Other files are kept."""
+    """Remove the temporary files that killed processes left for the file ``target``. Other files are kept."""
     target = Path(target)
     for path in target.parent.glob(f"{UNFINISHED}{glob.escape(target.stem)}-????????{glob.escape(target.suffix)}"):
         path.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Morton order (Z-order curve), which stores points that are close in space close together in memory."""
+"""Morton order (Z-order curve): points that are close in space are stored close together in memory."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BITS = 10
-"""Bits per axis. The code of three axes fits 32 bits."""
+"""Number of bits per axis. The Morton code of three axes then fits in 32 bits."""
 
 
 def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -21,7 +21,7 @@ def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def _spread_bits(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Insert two zero bits before each of the ten low bits."""
+    """Insert two zero bits before each of the ten lowest bits of every value."""
     for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
         values = (values | values << np.uint32(shift)) & np.uint32(mask)
     return values

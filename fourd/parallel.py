@@ -1,4 +1,4 @@
-"""A process pool that yields each result as soon as it is ready. It leaves no process running after an error."""
+"""A process pool that yields each result as soon as it is ready. The pool leaves no process running after an error."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ Result = TypeVar("Result")
 Item = TypeVar("Item")
 
 MAX_BLOCK = 16
-"""Maximum number of items per job. Small jobs let all cores finish together; large jobs reopen files less often."""
+"""Maximum number of items per job. Small jobs let all cores finish at about the same time. Large jobs open files less
+often."""
 POLL_SECONDS = 0.2
 """Interval in seconds at which the queue of results is read."""
 
@@ -37,11 +38,11 @@ def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item
 
 
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """Yield the results of ``work`` for all jobs in the order of completion.
+    """Yield the results of ``work`` for all jobs, each as soon as it is ready.
 
-    With one worker or one job, ``work`` runs in this process, without a pool. The processes of the pool are terminated
-    when the caller stops the iteration or a job fails, and they exit when this process is killed. Jobs must therefore
-    write files atomically.
+    With one worker or one job, ``work`` runs in this process, without a pool. The pool's processes are terminated when
+    the caller stops the iteration or a job fails. They also exit when this process is killed. Because a job can be
+    terminated at any time, jobs must write files atomically.
     """
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
@@ -73,8 +74,9 @@ _results: SimpleQueue[Any]
 def _initialize(results: SimpleQueue[Any]) -> None:
     """Set up a process of the pool.
 
-    The process ignores Ctrl-C: the terminal sends it to all processes, and the parent handles it. The process exits
-    when its parent exits. It uses one OpenCV thread, because the other cores run other processes of the pool.
+    The process ignores Ctrl-C, because the terminal sends Ctrl-C to all processes and the parent handles it. The
+    process exits when its parent exits. The process uses one OpenCV thread, because the other cores run other processes
+    of the pool.
     """
     global _results
     cv2.setNumThreads(1)

@@ -1,4 +1,4 @@
-"""Coloured points in PLY files. Files are written as binary little endian. All three PLY formats can be read."""
+"""Coloured points in PLY files. All three PLY formats can be read. Written files are binary little endian."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def read_ply(path: Path | str) -> ColouredPoints:
 
     Raises:
         UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
-            contains coordinates that are not finite. The message names the file.
+            contains coordinates that are not finite. The error message names the file.
     """
     path = Path(path)
     try:

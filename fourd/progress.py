@@ -19,18 +19,18 @@ Log = Callable[[str], None]
 LINE_SECONDS = 30.0
 """Interval in seconds between progress lines if the output is not a terminal."""
 RATE_SECONDS = 60.0
-"""Minimum length in seconds of the window that the rate is measured over."""
+"""Minimum length, in seconds, of the time window over which the rate of finished items is measured."""
 RATE_ITEMS = 20
-"""Minimum number of items in the window that the rate is measured over."""
+"""Minimum number of items in the time window over which the rate of finished items is measured."""
 MIN_LOGGED_SECONDS = 2.0
-"""Phases shorter than this number of seconds print no line."""
+"""Minimum duration, in seconds, of a phase that prints a line when it ends."""
 
 
 class Track(Protocol):
-    """Wraps an iterable to report progress."""
+    """A function that wraps an iterable to report progress."""
 
     def __call__(self, items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-        """Yield the same items. ``count`` is the number of items, ``what`` describes the work."""
+        """Yield ``items`` unchanged. ``count`` is the number of items, and ``what`` names the work in the reports."""
 
 
 def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
@@ -94,18 +94,21 @@ class Tracker:
 class EndEstimate:
     """Estimates the end of a phase from the rate of the last items.
 
-    The rate is measured over the last minute, or over the last 20 items if they took longer. This is enough to keep the
-    estimate stable when several processes finish items at the same time, but the estimate still follows changes of the
-    machine's load.
+    The rate is measured over the last minute, or over the last 20 items if these took longer than a minute. This window
+    is long enough that the estimate stays stable when several processes finish items at the same time. The window is
+    short enough that the estimate follows changes of the machine's load.
     """
 
     def __init__(self, start: float, count: int) -> None:
-        """Start a phase of ``count`` items at the time ``start``, in seconds of any clock."""
+        """Start a phase of ``count`` items. ``start`` is the time of the start, in seconds of any clock."""
         self._count = count
         self._marks = deque([(start, 0)])
 
     def update(self, now: float, done: int) -> float:
-        """Return the estimated end of the phase on the same clock. ``done`` counts finished items and must increase."""
+        """Return the estimated end of the phase on the clock of ``now``.
+
+        ``done`` is the number of finished items, which must increase with every call.
+        """
         self._marks.append((now, done))
         while len(self._marks) > RATE_ITEMS + 1 and self._marks[1][0] <= now - RATE_SECONDS:
             self._marks.popleft()

@@ -1,1 +1,1 @@
-"""The command line. Each command is one file, which parses the options, calls the library and prints the result."""
+"""The command line. Each command is one module that parses the options, calls the library and prints the result."""

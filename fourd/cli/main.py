@@ -44,7 +44,7 @@ FILE_ERRORS = (
 """File system errors that the user can fix."""
 
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch")
-"""Packages of the extra ``fourd[train]``. They are not needed to play a scene."""
+"""Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
 
 HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
@@ -72,8 +72,8 @@ Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be
 SPIN_COUNT = "20000"
 """Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
 
-With the default, spinning threads delay fourd's own threads on the same cores. With this value a training step is 6 to
-12% faster.
+With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With this value a training
+step is 6 to 12% faster.
 """
 
 
@@ -139,7 +139,10 @@ def _run(command: str, words: list[str]) -> int:
 
 
 def _wrap(text: str) -> str:
-    """Wrap a description to the terminal. tyro would join the lines again if they did not start with a space."""
+    """Wrap a description to the width of the terminal.
+
+    Each line starts with a space, because tyro would join the lines otherwise.
+    """
     import shutil
     import textwrap
 

@@ -11,18 +11,18 @@ import tyro
 from fourd.errors import UserError
 from fourd.parallel import core_count
 
-FRAMES_HELP = "Every S-th frame from A to B, B excluded. A and B are positions in the capture, from 0."
+FRAMES_HELP = "Every S-th frame from A to B, B excluded. A and B are indices of frames in the capture, from 0."
 VIEWS_HELP = "Names of cameras, separated by commas."
 LPIPS_DEFAULT = "VGG-16 from torch.hub's cache, LPIPS from the installed lpips or torchmetrics"
 
 
 def describe(*sentences: str) -> Any:
-    """A help text from several sentences. In a docstring, tyro would keep the line breaks of the source."""
+    """Make a help text from several sentences. If the text were a docstring, tyro would keep its line breaks."""
     return tyro.conf.arg(help=" ".join(sentences))
 
 
 def option(metavar: str, default: str, text: str | None = None) -> Any:
-    """An option whose default is computed after parsing; --help shows the text ``default``."""
+    """Make an option whose default is computed after parsing. --help shows the text ``default``."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
 
 
@@ -81,5 +81,5 @@ def worker_count(workers: int | None) -> int:
     if workers is None:
         return core_count()
     if workers < 1:
-        raise UserError(f"--workers: expected at least 1, got {workers}; leave it out for one per core")
+        raise UserError(f"--workers: expected at least 1, got {workers}; omit the option for one process per core")
     return workers

@@ -39,7 +39,7 @@ CONFIG_KEYS = {
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
-    """An option that overrides a key of the config; --help shows the key's default."""
+    """Make an option that overrides a key of the config. --help shows the key's default."""
     value = operator.attrgetter(CONFIG_KEYS[name])(TrainConfig())
     return option(metavar, {None: "all", (): "none"}.get(value, str(value)), text)
 
@@ -49,7 +49,7 @@ class TrainingOptions:
     """Flags and --set override the config file, which overrides the defaults."""
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
-    """object: only the foreground that the mattes mark, on black. full: the foreground and a static background."""
+    """object: only the foreground of the mattes, on black. full: the foreground and a static background."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
     """YAML file with config keys; docs/configuration.md lists them."""
     assignments: Annotated[
@@ -57,13 +57,13 @@ class TrainingOptions:
         tyro.conf.arg(name="set", metavar="KEY=VALUE", help_behavior_hint="(repeatable)"),
         tyro.conf.UseAppendAction,
     ] = ()
-    """Set any config key: --set rates.planes=1e-3 --set model.planes.levels=3."""
+    """Set any config key, for example --set rates.planes=1e-3 --set model.planes.levels=3."""
     test_views: Annotated[str | None, _config_option("test_views", "NAME,NAME")] = None
-    """Names of held-out cameras, separated by commas. They are not used for carving or training."""
+    """Names of held-out cameras, separated by commas. Held-out cameras are not used for carving or training."""
     views: Annotated[str | None, _config_option("views", "NAME,NAME", VIEWS_HELP)] = None
     frames: Annotated[str | None, _config_option("frames", "A:B[:S]", FRAMES_HELP)] = None
     scale: Annotated[float | None, _config_option("scale", "FLOAT")] = None
-    """Scale of the images; 0.5 halves width and height."""
+    """Scale factor of the images. A factor of 0.5 halves width and height."""
     points: Annotated[int | None, _config_option("points", "INT")] = None
     """Maximum number of points per frame."""
     background: Annotated[str | None, _config_option("background", "{ngp,sfm,FILE.ply}", BACKGROUND_HELP)] = None
@@ -75,7 +75,7 @@ class TrainingOptions:
     """Learn an affine colour correction for each camera."""
     points_from: Annotated[Path | None, option("DIR", "points are carved from the mattes")] = None
     """Folder with your own initial points: one PLY file per frame, 000000.ply and so on, in world units."""
-    max_seconds: Annotated[float | None, option("SECONDS", "1800 in fourd make without --max-steps, else none")] = None
+    max_seconds: Annotated[float | None, option("SECONDS", "1800 for fourd make without --max-steps, else none")] = None
     """Stop after this many seconds of training. fourd train needs --max-steps or --max-seconds."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
     """Stop after this many training steps. fourd train needs --max-steps or --max-seconds."""
@@ -84,11 +84,11 @@ class TrainingOptions:
     lpips_weights: LpipsWeights = None
 
     def train_config(self, max_seconds: float | None = None) -> TrainConfig:
-        """The defaults, overridden first by the config file and then by --set and the flags.
+        """Return the default config, overridden first by the config file and then by --set and the flags.
 
         Args:
-            max_seconds: time budget in seconds, used if neither an option nor the config file sets a budget. If it
-                is None, a missing budget raises UserError.
+            max_seconds: time budget in seconds. It is used if the options and the config file set no budget. If
+                ``max_seconds`` is None, a missing budget raises UserError.
         """
         config = self.overlay(TrainConfig())
         if config.max_steps is None and config.max_seconds is None:
@@ -98,7 +98,7 @@ class TrainingOptions:
         return config
 
     def overlay(self, config: TrainConfig) -> TrainConfig:
-        """``config``, overridden by the config file, --set and the flags."""
+        """Return ``config``, overridden by the config file, --set and the flags."""
         if self.config is not None:
             config = load_overlay(config, self.config)
         assigned = assigned_keys(self.assignments)
@@ -117,7 +117,7 @@ class TrainingOptions:
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
-    """The fields, with their values, that option ``name`` sets in the dataclass that contains ``key``."""
+    """The config fields that option ``name`` sets, and their values. All are in the dataclass that contains ``key``."""
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):
@@ -126,7 +126,7 @@ def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
 
 
 def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) -> Any:
-    """``config`` with ``values`` set in the dataclass that contains the dotted ``key``."""
+    """Return a copy of ``config`` in which ``values`` are set in the dataclass that contains the dotted ``key``."""
     head, _, rest = key.partition(".")
     if rest:
         return replace(config, **{head: _replace_key(getattr(config, head), rest, values, flag)})

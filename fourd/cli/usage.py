@@ -22,7 +22,10 @@ HELP = "Argument helptext:"
 
 @contextmanager
 def one_line_of_usage() -> Iterator[None]:
-    """Catch tyro's exit after a usage error and raise a one-line UserError instead. --help still exits with code 0."""
+    """Catch tyro's exit after a usage error and raise a one-line UserError instead.
+
+    The exit of --help with code 0 is not changed.
+    """
     printed = io.StringIO()
     try:
         with redirect_stderr(printed):
@@ -34,7 +37,7 @@ def one_line_of_usage() -> Iterator[None]:
 
 
 def condense(box: str) -> str:
-    """The first section of tyro's box as one line, with the option that tyro suggests."""
+    """Condense tyro's box to one line: its first section, and the option that tyro suggests."""
     sections: list[list[str]] = [[]]
     for line in COLOUR.sub("", box).splitlines():
         text = line.strip(FRAME)
@@ -67,6 +70,9 @@ def condense(box: str) -> str:
 
 
 def _missing(lines: list[str]) -> list[str]:
-    """The missing options. Each is listed as a line with its names, then lines of help that end with "(required)"."""
+    """The names of the missing options.
+
+    tyro lists each missing option as one line with its names, followed by lines of help that end with "(required)".
+    """
     names = [name for before, name in zip([REQUIRED, *lines], lines, strict=False) if before.endswith(REQUIRED)]
     return [name.rpartition(", ")[2] for name in names]

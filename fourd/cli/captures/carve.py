@@ -34,22 +34,22 @@ class Arguments:
     agreement: Annotated[
         float,
         describe(
-            "Minimum share in (0, 1] of mattes that contain a point, among the views that see it.",
-            "Lower it if mattes have holes.",
+            "Minimum share in (0, 1] of mattes that must contain a point. Only views that see the point count.",
+            "Choose a lower share if mattes have holes.",
         ),
     ] = 0.95
     least_views: Annotated[
         float,
         describe(
-            "Minimum share in (0, 1] of all views that must see a point. Lower it if each camera sees only a part",
-            "of the scene. At least three views are always needed (or all, if there are fewer), since two views give",
-            "false points.",
+            "Minimum share in (0, 1] of all views that must see a point. Choose a lower share if each camera sees only",
+            "a part of the scene. At least three views must always see a point (or all views, if there are fewer),",
+            "because two views give false points.",
         ),
     ] = 0.5
     scale: float = 1.0
-    """Scale factor of the images; 0.5 halves width and height."""
+    """Scale factor of the images. A factor of 0.5 halves width and height."""
     seed: int = 0
-    """Random seed of the order in which points are stored."""
+    """Random seed for the order in which points are stored."""
     workers: Workers = None
 
 

@@ -28,12 +28,12 @@ class Arguments:
     deep: bool = False
     """Decode all images to find damaged files."""
     quick: bool = False
-    """Skip the epipolar residuals. They need feature matching between all cameras, which takes seconds for 20 cameras
-    of 512 x 512 pixels."""
+    """Skip the epipolar residuals. The residuals need feature matching between all cameras. For 20 cameras of 512 x 512
+    pixels, the matching takes seconds."""
 
 
 def run(arguments: Arguments) -> None:
-    """Check the capture and print the report. Raises UserError with the first problem."""
+    """Check the capture and print the report. Raises UserError that names the first problem."""
     console = Console()
     report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Console(stderr=True)).track)
     agreement = None
@@ -41,7 +41,7 @@ def run(arguments: Arguments) -> None:
         try:
             agreement = _agreement(arguments.capture)
         except UserError as error:
-            # Matching decodes images, so it can find damage that the check without --deep misses.
+            # Feature matching decodes images, so it can find damage that the check without --deep misses.
             report = replace(report, problems=(str(error),))
     console.print(_facts(arguments.capture, report, agreement))
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()))
@@ -82,6 +82,6 @@ def _residuals(agreement: Agreement) -> str:
         return f"unknown: too few points match between the cameras ({agreement.matches})"
     name, worst_px = agreement.worst
     return (
-        f"{agreement.mean_px:.2f} px from epipolar lines on average over {agreement.pairs} pairs "
-        f"({agreement.matches} matches); worst: {name}, {worst_px:.2f} px"
+        f"{agreement.mean_px:.2f} px from epipolar lines on average over {agreement.pairs} camera pairs "
+        f"({agreement.matches} matches); worst camera: {name}, {worst_px:.2f} px"
     )

@@ -26,10 +26,10 @@ WORDS_HELP = (
     "SRC: input folder or file. OUT: capture folder to create."
 )
 
-OFFSET_HELP = "Number of frames by which the video of CAM is late. Several at once: cam02=3,cam05=-1."
+OFFSET_HELP = "Number of frames by which the video of CAM is late. Separate cameras by commas: cam02=3,cam05=-1."
 BOARD_HELP = (
-    "Chessboard in the first frames: inner corners and square size in metres. It sets the world's origin and axes, and "
-    "the unit if two cameras see it."
+    "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
+    "world's origin and axes. If two cameras see the chessboard, it also sets the unit."
 )
 
 
@@ -46,7 +46,7 @@ class Arguments:
     copy: bool = False
     """Copy the files of SRC instead of linking to them."""
     unpack: bool = False
-    """Write the frames of videos as JPEG images, which makes random access faster."""
+    """Write the frames of videos as JPEG images, so that random access is faster."""
     offset: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
@@ -55,27 +55,27 @@ class Arguments:
     """Estimate the videos' time offsets from motion and print them, but do not apply them. Writes a plot to
     OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate the videos' time offsets and apply those above 3 frames with a confidence of at least 0.5."""
+    """Estimate the videos' time offsets. Apply every offset above 3 frames whose confidence is at least 0.5."""
     resize: Annotated[
         str,
         tyro.conf.arg(
             metavar="MODE",
-            help="How images were resized after calibration: auto (detect it), scaled, stretched, letterboxed, filled, "
+            help="How images were resized after calibration: auto (detected), scaled, stretched, letterboxed, filled, "
             'or "cropped SIDE" with SIDE left, right, top, bottom or centre.',
         ),
     ] = "auto"
     centres: Annotated[
         PrincipalPointMode,
         describe(
-            "Principal points. auto: warn if they seem to be mirrored by a rotated calibration. as-given: do not check",
-            "them. mirrored: fix principal points that a rotated calibration mirrors.",
+            "Check of the principal points. auto: warn if a rotated calibration seems to have mirrored them. as-given:",
+            "no check. mirrored: fix principal points that a rotated calibration mirrored.",
         ),
     ] = "auto"
     calibrate: bool = False
     """Calibrate the cameras from the images, and ignore a calibration in SRC."""
     scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
-    """Distance in metres between the optical centres of two cameras. The world is scaled so that
-    its unit is the metre."""
+    """Distance in metres between the optical centres of two cameras. The world is scaled so that one world unit is one
+    metre."""
     board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
 
 

@@ -18,9 +18,9 @@ class Arguments:
     """The same options give byte-identical captures."""
 
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """Capture folder to write: new, empty, or a synthetic capture to replace."""
+    """Capture folder to write. It must be new, empty, or a synthetic capture, which is replaced."""
     frames: Annotated[str, tyro.conf.arg(metavar="0:N|N")] = "0:24"
-    """Frames 0 to N, N excluded. The motion loops."""
+    """Number N of frames. The figure's motion repeats after N frames."""
     cameras: int = 12
     """Number of cameras on the ring, 3 to 100."""
     size: int = 256
@@ -32,7 +32,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Make the capture unless a finished one with the same options exists."""
+    """Make the capture, unless a finished capture with the same options exists."""
     settings = SynthSettings(
         _frame_count(arguments.frames), arguments.cameras, arguments.size, arguments.seed, arguments.gloss
     )

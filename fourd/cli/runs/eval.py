@@ -26,8 +26,8 @@ from fourd.training.losses.lpips import load_lpips
 from fourd.training.run import TrainedRun, load_run
 
 PLATES_HELP = (
-    "Also evaluate the background of a full scene, against the images DIR/CAM.png of the empty scene without the "
-    "subject."
+    "Also evaluate the background of a full scene. The rendered background is compared with the images DIR/CAM.png of "
+    "the scene without the subject."
 )
 
 
@@ -42,12 +42,12 @@ class Arguments:
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
     scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
-    """Evaluate images rendered from this scene, which was exported from the run, instead of from the run's model."""
+    """Scene file exported from the run. Its renderings are evaluated instead of those of the run's model."""
     plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
     """Before evaluation, fit the pose of each evaluated camera to its own images, with the scene fixed (as in BARF)."""
     refine_test_colours: bool = False
-    """Also fit an affine colour correction of each evaluated camera to its own images. Needs --refine-test."""
+    """With --refine-test, also fit an affine colour correction of each evaluated camera to its own images."""
     lpips_weights: LpipsWeights = None
 
 
@@ -58,7 +58,7 @@ def run(arguments: Arguments) -> None:
     indices = _evaluated_views(trained, arguments.views)
     lpips = load_lpips(arguments.lpips_weights)
     if lpips is None:
-        console.print("LPIPS: no weights found, so lpips is null; name them with --lpips-weights")
+        console.print("LPIPS: no weights found, so the LPIPS scores are null; name the weights with --lpips-weights")
     pictures = []
     capture = trained.run.capture
     fitted = _fit_cameras(trained, indices, arguments, console)
@@ -109,7 +109,10 @@ def run(arguments: Arguments) -> None:
 def _fit_cameras(
     trained: TrainedRun, indices: list[int], arguments: Arguments, console: Console
 ) -> dict[int, FittedView]:
-    """Fit each evaluated camera to its own images, by camera index. Returns none without --refine-test."""
+    """Fit each evaluated camera to its own images.
+
+    Returns the fitted cameras by camera index, or no cameras without --refine-test.
+    """
     if arguments.refine_test_colours and not arguments.refine_test:
         raise UserError("--refine-test-colours: expected --refine-test too, got it alone; add --refine-test")
     if arguments.refine_test_colours and arguments.scene is not None:
@@ -126,7 +129,7 @@ def _fit_cameras(
 def _display_colours(
     trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
 ) -> NDArray[np.float32]:
-    """A rendered image (H, W, 3) with the colour correction of camera ``index``, if there is one."""
+    """Apply the colour correction of camera ``index``, if there is one, to a rendered image. Returns (H, W, 3)."""
     if index in fitted and fitted[index].colours is not None:
         return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)

@@ -29,7 +29,7 @@ class Arguments:
 
     capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]]
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The .4dv file to write. Intermediate results are kept beside it: -o scene.4dv keeps them in scene.work/."""
+    """The .4dv file to write. For scene.4dv, intermediate results are kept beside it in the folder scene.work/."""
     training: TrainingOptions
     mattes: MatteOptions
     workers: Workers = None

@@ -25,8 +25,8 @@ from fourd.training.run import open_run
 
 @dataclass(frozen=True)
 class Arguments:
-    """Before training, adjusts the cameras, carves the initial points and seeds the background, as the options require.
-    Interrupted training continues with --resume."""
+    """Before training, the command adjusts the cameras, carves the initial points and seeds the background, as the
+    options require. Use --resume to continue interrupted training."""
 
     capture: CapturePath
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""

@@ -30,7 +30,7 @@ _MOST_HEADER = 100 << 20
 
 @dataclass(frozen=True)
 class Arguments:
-    """Detects the type from the content. Changes no file."""
+    """The type is detected from the content. No file is changed."""
 
     path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE|DIR")]]
     """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder."""
@@ -56,7 +56,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
-    # A truncated scene file still starts with PK, so damaged scenes are recognised too.
+    # A truncated scene file still starts with the bytes PK, so damaged scene files are recognised too.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if head.startswith((b"ply\n", b"ply\r")):
@@ -134,7 +134,7 @@ def _points(path: Path) -> Rows:
 
 
 def _checkpoint(path: Path) -> Rows:
-    """Reads the header only: tensors may be large, and torch is slow to import."""
+    """Describe a checkpoint. Only the header is read, because tensors may be large and torch is slow to import."""
     damaged = UserError(f"{path}: expected a whole safetensors file, got a damaged one; name another checkpoint")
     size = path.stat().st_size
     with path.open("rb") as stream:

@@ -24,22 +24,22 @@ from fourd.viewer.output.video import write_video
 
 @dataclass(frozen=True)
 class Arguments:
-    """With --views, writes OUT/CAM/FRAME.png; with --path, OUT/STEP.png. If OUT ends in .mp4, writes a video."""
+    """Writes OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, writes a video."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
     """Run folder or .4dv file."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for PNG files, or an .mp4 file."""
-    views: Annotated[str | None, option("NAME,NAME", "none; this or --path is required")] = None
+    views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None
     """Names of the capture cameras to render from, separated by commas."""
     path: Annotated[
         Literal["orbit", "spiral", "cameras"] | None,
-        option("{orbit,spiral,cameras}", "none; this or --views is required"),
+        option("{orbit,spiral,cameras}", "none; --views or --path is required"),
     ] = None
     """orbit: once around the scene. spiral: two orbits with changing height. cameras: through all capture cameras."""
     frames: Frames = None
-    steps: Annotated[int | None, option("INT", "120, or the number of frames if larger")] = None
-    """Number of images along the path. Each image shows the next frame of the scene; the scene loops."""
+    steps: Annotated[int | None, option("INT", "120, or the number of frames if that is larger")] = None
+    """Number of images along the path. The scene advances by one frame per image and plays in a loop."""
     size: Annotated[tuple[int, int] | None, option("W H", "the capture's")] = None
     """Width and height in pixels."""
     layers: Annotated[int | None, option("INT", "the source's")] = None

@@ -26,10 +26,10 @@ class Arguments:
         describe(
             "sorted: one pass over points sorted by depth, for GPUs. peel: depth peeling, exact and slow.",
             "dual: dual depth peeling, exact and slow. cpu: exact, needs no GPU.",
-            "auto: sorted on a GPU, else cpu; prints the choice and the reason.",
+            "auto: sorted on a GPU, otherwise cpu. The choice and its reason are printed.",
         ),
     ] = "auto"
-    size: Annotated[tuple[int, int] | None, option("W H", "1280 720; for --screenshot the camera's")] = None
+    size: Annotated[tuple[int, int] | None, option("W H", "1280 720, or the camera's for --screenshot")] = None
     """Width and height of the window, the video or the image in pixels."""
     layers: Annotated[int | None, option("INT", "the scene's")] = None
     """Number of points composited per pixel (K), 1 to 64. Ignored by --renderer sorted, which composites all points."""
@@ -39,16 +39,16 @@ class Arguments:
     """Render a video to this file, without opening a window."""
     path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
     """Camera path of the --headless video. FILE.json is a path that was recorded in the window."""
-    steps: Annotated[int | None, option("INT", "120, or the number of frames if larger")] = None
-    """Number of images in the --headless video. Each image shows the next frame of the scene; the scene loops."""
+    steps: Annotated[int | None, option("INT", "120, or the number of frames if that is larger")] = None
+    """Number of images in the --headless video. The scene advances by one frame per image and plays in a loop."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
     """Frames per second of the --headless video."""
     screenshot: Annotated[Path | None, option("FILE.png", "none")] = None
     """Render an image to this file, without opening a window."""
     camera: Annotated[str | None, option("NAME", "the first")] = None
-    """Name of the capture camera that renders the --screenshot image."""
+    """Name of the capture camera from which the --screenshot image is rendered."""
     frame: int = 0
-    """Index, from 0, of the scene's frame in the --screenshot image."""
+    """Frame of the scene that the --screenshot image shows, counted from 0."""
 
 
 def run(arguments: Arguments) -> None:
