@@ -29,8 +29,9 @@ class Format:
     Attributes:
         name: the format's name on the command line.
         summary: what a source contains, for help texts.
-        looks_like: function that tests whether a path has this format, from file names and first bytes only.
-        read: function that reads the cameras of a source. It raises UserError.
+        looks_like: function that tests whether a path has this format. It reads only file names and the first bytes of
+            files.
+        read: function that reads the cameras of a source. It raises UserError for an invalid source.
     """
 
     name: str
@@ -50,7 +51,7 @@ FORMATS = (
     Format("easymocap", "intri.yml, extri.yml, images/CAM/ or videos/", easymocap.looks_like, easymocap.read),
     Format("videos", "videos or folders of images, no calibration", videos.looks_like, videos.read),
 )
-"""All formats in the order of detection: the most specific ones first."""
+"""All formats in the order of detection: the most specific formats first."""
 
 
 def pick_format(name: str | None, source: Path) -> Format:

@@ -18,14 +18,15 @@ from fourd.importing.imported import Frames, ImportedCamera, PictureFiles, Video
 Array = NDArray[np.float64]
 
 MAX_VALUE = 1e100
-"""Maximum magnitude of a number in a calibration file. Larger numbers count as not finite, because their products may
-overflow."""
+"""Maximum magnitude of a number in a calibration file. Larger numbers are treated as infinite, because their products
+may overflow."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw")
-"""Folders of a source that may contain the cameras' frames, in order of preference. The last two are Anipose's."""
+"""Folders of a source that may contain the cameras' frames, in order of preference. The last two folders are used by
+Anipose."""
 
 
 def list_entries(folder: Path) -> list[str]:
-    """Sorted names in ``folder``; empty if it cannot be listed."""
+    """Return the sorted names in ``folder``. The list is empty if the folder cannot be read."""
     try:
         return sorted(os.listdir(folder))
     except (OSError, ValueError):
@@ -33,7 +34,7 @@ def list_entries(folder: Path) -> list[str]:
 
 
 def read_head(path: Path, count: int) -> bytes:
-    """Read up to ``count`` bytes from the start of a file. Empty if it cannot be read."""
+    """Read up to ``count`` bytes from the start of a file. Returns no bytes if the file cannot be read."""
     try:
         with open(path, "rb") as file:
             return file.read(count)
@@ -42,7 +43,7 @@ def read_head(path: Path, count: int) -> bytes:
 
 
 def read_file(path: Path) -> bytes:
-    """Read the content of a file. Raises UserError if it cannot be read."""
+    """Read the content of a file. Raises UserError if the file cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -50,7 +51,9 @@ def read_file(path: Path) -> bytes:
 
 
 def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[str, Frames]:
-    """Find the frames of each camera, by name: videos or folders of images, in the first of ``folders`` that has any.
+    """Find the frames of each camera: a video or a folder of images.
+
+    Only the first of ``folders`` that contains frames is used. Returns frames by camera name.
 
     Raises:
         UserError: when two cameras have the same name, or no folder has frames.
@@ -68,13 +71,13 @@ def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[st
         if found and (folder_name != "." or not set(found) & set(FRAME_FOLDERS)):
             return found
     raise UserError(
-        f"{source}: expected a video or a folder of images for each camera, there or in "
-        f"{' or '.join(f'{name}/' for name in folders if name != '.')}, got none; put them there"
+        f"{source}: expected a video or a folder of images for each camera, in this folder or in "
+        f"{' or '.join(f'{name}/' for name in folders if name != '.')}, got none; add them"
     )
 
 
 def picture_files(folder: Path) -> PictureFiles | None:
-    """The images in a folder, ordered by number; None if there are none."""
+    """Return the images in a folder, ordered by frame number, or None if the folder has no images."""
     by_stem = find_pictures(folder)
     if not by_stem:
         return None
@@ -82,9 +85,9 @@ def picture_files(folder: Path) -> PictureFiles | None:
 
 
 def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
-    """Find the mattes of a camera and match them to its images by number. None if the folder has no mattes.
+    """Find the mattes of a camera, matched to its images by number. Returns None if the folder has no mattes.
 
-    For a video, all mattes in the folder are returned, because its number of frames is not known here.
+    For a video, all mattes in the folder are returned, because the video's number of frames is not known here.
 
     Raises:
         UserError: when an image has no matte.
@@ -113,8 +116,8 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
     """Match the names of the cameras that have frames to the names in the calibration.
 
-    Equal names match. If there are none, names match whose last numbers are equal, provided that these numbers are
-    unique. Returns the calibration's name for each camera in ``found``, without cameras that have no calibration.
+    Equal names match. If no names are equal, names with equal last numbers match, provided that the last numbers are
+    unique. Returns the calibration's name for each camera in ``found`` that has a calibration.
 
     Raises:
         UserError: when no camera has a calibration.
@@ -129,7 +132,7 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
             pairs = {}
     if not pairs:
         raise UserError(
-            f"{calibration}: expected calibrations named as the cameras ({', '.join(names)}), "
+            f"{calibration}: expected calibrations with the names of the cameras ({', '.join(names)}), "
             f"got {', '.join(calibrated)}; rename the videos or the calibrations"
         )
     return pairs
@@ -138,13 +141,14 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
 def join_calibrations(
     frames: Mapping[str, Frames], calibrations: Mapping[str, Camera], path: Path, mattes: Sequence[Path] = ()
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """Combine frames and calibrations, matched by :func:`match_names`. Returns cameras, and notes on missing parts.
+    """Combine frames and calibrations, matched by :func:`match_names`. Returns the cameras, and notes on missing parts.
 
     Args:
         frames: frames by camera name.
         calibrations: cameras by their names in the file ``path``.
         path: the calibration file, for error messages.
-        mattes: folders that may contain a folder of mattes for each camera; the first one with mattes is used.
+        mattes: folders that may contain a folder of mattes for each camera. The first folder that contains mattes is
+            used.
 
     Raises:
         UserError: when match_names or find_mattes raises it.
@@ -169,10 +173,10 @@ def join_calibrations(
 
 
 def parse_numbers(where: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Convert a parsed value to an array of finite numbers with the shape ``shape`` (-1: any length).
+    """Convert a parsed value to an array of finite numbers with the shape ``shape``. A size of -1 means any length.
 
     Raises:
-        UserError: when the value has another shape or type. The message starts with ``where``.
+        UserError: when the value has another shape or type. The error message starts with ``where``.
     """
     expected = " x ".join("some" if size < 0 else str(size) for size in shape) or "1"
     try:
@@ -195,7 +199,10 @@ def make_camera(
     size: tuple[float, float],
     distortion: Array | None = None,
 ) -> Camera:
-    """Make a Camera of ``size`` (width, height). For invalid values, raises UserError that starts with ``where``."""
+    """Make a Camera with images of ``size`` (width, height).
+
+    For invalid values, raises UserError with a message that starts with ``where``.
+    """
     if not np.allclose(intrinsics[2], (0, 0, 1)):
         raise UserError(f"{where}: expected a last row of 0 0 1, got {intrinsics[2].tolist()}; calibrate again")
     try:
@@ -205,6 +212,6 @@ def make_camera(
 
 
 def _last_number(name: str) -> int | None:
-    """The last number in a name, as text."""
+    """The last number in a name, or None for a name without digits."""
     digits = re.findall(r"\d+", name)
     return int(digits[-1]) if digits else None

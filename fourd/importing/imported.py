@@ -46,11 +46,11 @@ class ImportedCamera:
     """One camera of a source.
 
     Attributes:
-        name: unique name in the source, of letters, digits, ``_``, ``-`` and ``.``.
-        calibration: pose and intrinsics with distortion, OpenCV axes, in metres where the source is metric; width and
-            height are those that the calibration was made for. None where the source has no calibration.
+        name: name that is unique in the source. It consists of letters, digits, ``_``, ``-`` and ``.``.
+        calibration: pose, intrinsics and distortion with OpenCV axes, in metres if the source is metric. Its width and
+            height are the image size at calibration. None if the source has no calibration.
         frames: the images.
-        masks: mattes, 255 = object, one per frame; None where the source has none.
+        masks: mattes, 255 = object, one per frame; None if the source has no mattes.
     """
 
     name: str
@@ -61,11 +61,11 @@ class ImportedCamera:
 
 @dataclass(frozen=True)
 class Imported:
-    """The content of a source. No image is decoded.
+    """The content of a source. Its images are not decoded.
 
     Attributes:
         cameras: at least one camera, in the order of the source.
-        notes: lines of information for the user, on units, axes and cameras that are not imported.
+        notes: lines of information for the user on units, on axes, and on cameras that are not imported.
     """
 
     cameras: tuple[ImportedCamera, ...]
@@ -73,5 +73,5 @@ class Imported:
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:
-    """Paths of the videos by camera name. Cameras without a video are left out."""
+    """Paths of the videos by camera name. Cameras without a video are not included."""
     return {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}

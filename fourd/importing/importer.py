@@ -1,4 +1,4 @@
-"""Import of a source in any format: read it, align it in time, check or make the calibration, write the capture."""
+"""Import of a source in any format: reading, time alignment, calibration, and writing of the capture."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ Indices = Mapping[str, VideoIndex]
 MAX_SAMPLE_FRAMES = 3
 """Number of frames whose images are matched to check the calibration of at most FEW_CAMERAS cameras."""
 FEW_CAMERAS = 5
-"""Number of cameras above which only one frame is matched. One frame then has enough matches, and three frames would
-take minutes."""
+"""Number of cameras above which only one frame is matched. The images of one frame then have enough matches, and
+matching three frames would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class ImportOptions:
         unpack: write the frames of videos as images.
         offsets: delay of each camera's video in frames.
         sync: estimate the offsets without applying them.
-        apply_sync: estimate the offsets and apply the confident ones.
+        apply_sync: estimate the offsets and apply those with high confidence.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
-        calibrate: calibrate from the images even where the source has a calibration.
+        calibrate: calibrate from the images even if the source has a calibration.
         distance: known distance between two cameras, which sets the unit.
         board: chessboard in the first frames, which sets the world's origin and axes.
     """
@@ -71,12 +71,12 @@ class ImportOptions:
 def import_source(
     source_format: Format, source: Path, out: Path, options: ImportOptions, *, log: Log, warn: Log, track: Track
 ) -> None:
-    """Write ``source`` as a capture into the folder ``out``. The same call again completes an interrupted import.
+    """Write ``source`` as a capture into the folder ``out``. Repeating the call completes an interrupted import.
 
     Args:
         source_format: format of the source.
         source: file or folder in this format.
-        out: a new or empty folder, or one with an earlier import of this source.
+        out: a new or empty folder, or a folder with an earlier import of this source.
         options: the user's options.
         log: called with one line for each result or choice.
         warn: called with one line for each suspected error.
@@ -125,11 +125,11 @@ def import_source(
 
 
 def _check_options(imported: Imported, source: Path, options: ImportOptions) -> bool:
-    """Check the options before work starts. Returns whether the cameras must be calibrated from their images."""
+    """Check the options before the import starts. Returns whether the cameras must be calibrated from their images."""
     if options.sync and options.apply_sync:
-        raise UserError("--apply-sync: expected it without --sync, got both; choose one")
+        raise UserError("--apply-sync: expected no --sync, got both options; choose one")
     if options.apply_sync and options.offsets:
-        raise UserError("--apply-sync: expected it without --offset, got both; choose one")
+        raise UserError("--apply-sync: expected no --offset, got both options; choose one")
     check_import(imported, ImportSettings(options.copy, options.unpack, options.offsets))
     names = [camera.name for camera in imported.cameras]
     uncalibrated = [camera.name for camera in imported.cameras if camera.calibration is None]
@@ -137,8 +137,8 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
         return True
     if uncalibrated:
         raise UserError(
-            f"{source}: expected a calibration of every camera, got none for {', '.join(uncalibrated)}; add it, move "
-            "their files away, or calibrate all with --calibrate"
+            f"{source}: expected a calibration of every camera, got none for {', '.join(uncalibrated)}; add the "
+            "missing calibrations, move the files of these cameras away, or calibrate all cameras with --calibrate"
         )
     for name in (options.distance.first, options.distance.second) if options.distance else ():
         if name not in names:
@@ -178,7 +178,7 @@ def _calibrate(
     warn: Log,
     track: Track,
 ) -> Imported:
-    """Return the source with cameras that are calibrated from its images, or checked against them."""
+    """Return the source with cameras that are calibrated from the source's images or checked against these images."""
     names = [camera.name for camera in imported.cameras]
     with SynchronizedFrames(imported.cameras, indices, offsets) as frames:
         has_few = len(names) <= FEW_CAMERAS
@@ -194,7 +194,7 @@ def _calibrate(
             f"{found.error_px:.2f} px reprojection error"
         )
         if options.distance is None and options.board is None:
-            warn("the calibration's unit, origin and axes are arbitrary; give --scale, and --board for the axes")
+            warn("the calibration's unit, origin and axes are arbitrary; set the unit by --scale, the axes by --board")
     else:
         given = [camera.calibration for camera in imported.cameras if camera.calibration is not None]
         resolved = resolve_ambiguities(
@@ -223,7 +223,7 @@ def _write(
     *,
     with_calibration: bool,
 ) -> list[str]:
-    """Write the files that ``out`` lacks, and the calibration if ``with_calibration``. Returns notes for the user."""
+    """Write the files that ``out`` lacks and, if ``with_calibration``, the calibration. Returns notes for the user."""
     if not with_calibration:
         imported = replace(imported, cameras=tuple(replace(camera, calibration=None) for camera in imported.cameras))
     return write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)

@@ -1,4 +1,4 @@
-"""The record .fourd/import.json of an import: source and options. With it, an import overwrites no other capture."""
+"""The record .fourd/import.json of an import's source and options. It prevents overwriting another capture."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class ImportRecord:
         files: hash of the names and sizes of the source's files; see :func:`digests`.
         options: options of the command.
         offsets: applied delays of the videos in frames.
-        unpacked: whether the videos' frames, with these offsets, were written as images.
+        unpacked: whether the videos' frames were written as images, with these offsets.
         done: whether the import finished.
         warnings: warnings of the import.
     """
@@ -46,7 +46,7 @@ class ImportRecord:
 
 
 def read_record(out: Path) -> ImportRecord | None:
-    """Read the record in the folder ``out``. None if the folder is missing or empty.
+    """Read the record in the folder ``out``. Returns None if the folder is missing or empty.
 
     Raises:
         UserError: when ``out`` is a file, or contains files without a valid record.
@@ -55,8 +55,8 @@ def read_record(out: Path) -> ImportRecord | None:
         return None
     path = out / RECORD
     if not path.is_file():
-        got = "one with other files" if out.is_dir() else "a file"
-        raise UserError(f"{out}: expected a new folder, or one of an import, got {got}; name another folder")
+        got = "a folder with other files" if out.is_dir() else "a file"
+        raise UserError(f"{out}: expected a new folder or the folder of an import, got {got}; name another folder")
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
         if content.pop("version") != VERSION:
@@ -70,8 +70,8 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
     """Raise UserError when the folder contains an import of another source."""
     if (before.source, before.format) != (str(source.resolve()), name):
         raise UserError(
-            f"{out}: expected a new folder or an import of {source} ({name}), got one of {before.source} "
-            f"({before.format}); name another"
+            f"{out}: expected a new folder or an import of {source} ({name}), got an import of {before.source} "
+            f"({before.format}); name another folder"
         )
 
 
@@ -94,7 +94,7 @@ def write_record(out: Path, record: ImportRecord) -> None:
 
 
 def digests(imported: Imported) -> tuple[str, str]:
-    """Compute two hashes of a source: of its calibration, and of the names and sizes of its files."""
+    """Compute two hashes of a source: one of its calibration, and one of the names and sizes of its files."""
     calibrations, files = hashlib.sha256(), hashlib.sha256()
     for camera in imported.cameras:
         calibration = camera.calibration

@@ -21,12 +21,12 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class EncodedFrames:
-    """Encoded images inside another file."""
+    """The frames of one camera, read from encoded images inside another file."""
 
     frames: EncodedPictures
 
     def read(self, frame: int) -> Picture:
-        """Decode a frame to RGB, (H, W, 3) uint8, without undistortion. Raises UserError if it is damaged."""
+        """Decode a frame to RGB, (H, W, 3) uint8, without undistortion. Raises UserError if the frame is damaged."""
         return decode_rgb_bytes(self.frames.read(frame), self.describe(frame))
 
     def describe(self, frame: int) -> str:
@@ -35,11 +35,11 @@ class EncodedFrames:
 
 
 class SynchronizedFrames:
-    """Frames of all cameras of a source, by number. A context manager that closes the videos at exit.
+    """Time-aligned frames of all cameras of a source. As a context manager, it closes the videos at exit.
 
     Attributes:
         names: the cameras' names.
-        counts: number of frames of each camera, without the frames that its offset skips.
+        counts: number of frames of each camera, without the frames that the camera's offset skips.
         count: number of frames that all cameras have.
     """
 
@@ -79,7 +79,7 @@ class SynchronizedFrames:
         return self._sources[camera].read(frame)
 
     def pictures(self, frame: int) -> list[Picture]:
-        """Read the images of all cameras at one frame."""
+        """Read the images of all cameras for one frame number."""
         return [source.read(frame) for source in self._sources]
 
     def _open_frames(self, frames: Frames, index: VideoIndex | None, start: int) -> tuple[CameraFrames, int]:

@@ -20,18 +20,18 @@ from fourd.sync.motion import MIN_OVERLAP, Offsets, estimate_offsets, motion_ene
 WIDTH_PX = 200
 MAX_OFFSET_FRAMES = 300
 MIN_CONFIDENCE = 0.5
-"""Minimum confidence of an applied offset."""
+"""Minimum confidence of an offset that --apply-sync applies."""
 UNRELIABLE_FRAMES = 3
-"""Error of the estimate in frames. --apply-sync applies only larger offsets."""
+"""Error of the estimated offsets in frames. --apply-sync applies only offsets above this error."""
 PLOT = DERIVED / "sync.png"
 
 
 def find_offsets(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
 ) -> Offsets:
-    """Estimate the delay of each camera relative to the first, and plot it to ``out``/.fourd/sync.png.
+    """Estimate the delay of each camera relative to the first camera, and plot it to ``out``/.fourd/sync.png.
 
-    The maximum offset is a third of the frames of the shortest camera, and at most 300 frames.
+    The maximum offset is a third of the number of frames that all cameras have, and at most 300 frames.
 
     Raises:
         UserError: when there are too few frames, or a frame cannot be decoded.

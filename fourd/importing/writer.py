@@ -1,4 +1,4 @@
-"""Writes a source as a capture. Files are linked, or copied on request."""
+"""Writes a source as a capture. Files are linked by default, or copied on request."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ImportSettings:
     Attributes:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
-        offsets: delay of each camera's video in frames, relative to the others.
+        offsets: delay of each camera's video in frames, relative to the other videos.
     """
 
     copy: bool = False
@@ -54,9 +54,9 @@ class ImportSettings:
 def write_capture(
     imported: Imported, indices: Mapping[str, VideoIndex], out: Path, settings: ImportSettings, track: Track
 ) -> list[str]:
-    """Write ``imported`` into the folder ``out``. A call with the same source completes an interrupted call.
+    """Write ``imported`` into the folder ``out``. Repeating the call completes an interrupted call.
 
-    The calibration files contain only the cameras with a calibration.
+    The calibration files contain only the cameras that have a calibration.
 
     Args:
         imported: the source's content.
@@ -69,7 +69,8 @@ def write_capture(
         Notes for the user, one line each: frame rates, unused frames and long keyframe intervals.
 
     Raises:
-        UserError: when a camera's name is not a valid file name, a video cannot be used, or an offset names no camera.
+        UserError: when a camera's name is not a valid file name, a video cannot be used, or an offset is for an unknown
+            camera.
     """
     check_import(imported, settings)
     videos = _align_videos(imported.cameras, indices, settings.offsets)
@@ -101,7 +102,9 @@ def check_import(imported: Imported, settings: ImportSettings) -> None:
         if name not in frames:
             raise UserError(f"--offset: expected a camera among {', '.join(frames)}, got '{name}'; name one of them")
         if not isinstance(frames[name], VideoFile):
-            raise UserError(f"--offset: expected a video of '{name}', got images; rename them to align the frames")
+            raise UserError(
+                f"--offset: expected a video of '{name}', got images; rename the images to align the frames"
+            )
 
 
 def _check_names(cameras: Sequence[ImportedCamera]) -> None:
@@ -110,7 +113,7 @@ def _check_names(cameras: Sequence[ImportedCamera]) -> None:
         if not NAME.fullmatch(camera.name):
             raise UserError(f"camera '{camera.name}': expected letters, digits, _, - and . in its name; rename it")
         if camera.name in seen:
-            raise UserError(f"camera '{camera.name}': expected each camera once, got two of that name; rename one")
+            raise UserError(f"camera '{camera.name}': expected each camera once, got two with this name; rename one")
         seen.add(camera.name)
 
 
@@ -130,14 +133,14 @@ def _align_videos(
 
 
 def _check_rates(videos: Mapping[str, Video]) -> list[str]:
-    """Return notes on frame rates and frame counts. Raises UserError for different rates."""
+    """Return notes on frame rates and frame counts. Raises UserError if the frame rates differ."""
     if not videos:
         return []
     first, reference = next(iter(videos.items()))
     for video in videos.values():
         if abs(video.index.fps / reference.index.fps - 1) * video.index.frames > 0.5:
             raise UserError(
-                f"{video.path}: expected {float(reference.index.fps):g} frames per second, as {first} has, "
+                f"{video.path}: expected {float(reference.index.fps):g} frames per second, like {first}, "
                 f"got {float(video.index.fps):g}; convert it to that rate, or leave it out"
             )
     notes = [f"{len(videos)} videos at {float(reference.index.fps):g} frames per second"]
@@ -187,7 +190,7 @@ def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
 
 
 def _link_or_copy(source: Path, target: Path, copy: bool) -> None:
-    """Link ``target`` to ``source``, or copy ``source`` to ``target``, unless that is already done."""
+    """Link ``target`` to ``source``, or copy ``source`` to ``target``, unless the same link or copy already exists."""
     source = source.resolve()
     if target.is_symlink() or target.exists():
         is_link = target.resolve() == source
@@ -196,7 +199,9 @@ def _link_or_copy(source: Path, target: Path, copy: bool) -> None:
         ):
             return
         if not is_link:
-            raise UserError(f"{target}: expected no file or the same file, got another one; import into another folder")
+            raise UserError(
+                f"{target}: expected no file or the same file, got another file; import into another folder"
+            )
     target.parent.mkdir(parents=True, exist_ok=True)
     if copy:
         with atomic_path(target) as temporary:

@@ -1,7 +1,8 @@
 """Chroma keying: mattes in front of a screen of one colour, robust to uneven light and shadows.
 
-Colours are split into luma Y and chroma (Cb, Cr). Illumination scales both by the same factor. The screen's chroma is
-therefore scaled to each pixel's luma and compared with the pixel's chroma. Pixels with another chroma are the subject.
+Colours are split into luma Y and chroma (Cb, Cr). Illumination scales luma and chroma by the same factor. The screen's
+chroma is therefore scaled to each pixel's luma and compared with the pixel's chroma. Pixels whose chroma differs from
+the screen's chroma are the subject.
 """
 
 from __future__ import annotations
@@ -21,14 +22,14 @@ Picture = NDArray[np.uint8]
 
 DARKEST = 0.4
 BRIGHTEST = 1.4
-"""Upper limit of a pixel's illumination relative to the screen's median; DARKEST is the lower limit."""
+"""Upper limit of a pixel's illumination relative to the screen's median. DARKEST is the lower limit."""
 MIN_CHROMA = 28.0
-"""Minimum chroma magnitude of a screen; the maximum is 128.
+"""Minimum chroma magnitude of a screen's colour. The largest possible magnitude is 128.
 
-Weaker colours cannot be separated from noise and reflections on the subject.
+Weaker screen colours cannot be separated from noise and from reflections on the subject.
 """
 MIN_BORDER_SHARE = 0.5
-"""Minimum share of the images' border pixels that have the screen's hue."""
+"""Minimum share of the images' border pixels that must have the screen's hue."""
 BORDER = 0.08
 """Width of the border as a share of the image's shorter side."""
 HUE_BINS = 72
@@ -38,10 +39,10 @@ DEFAULT_SPREAD = 0.15
 SUBJECT_DISTANCE = 0.4
 """Minimum :func:`screen_distance` of subject pixels (0 = screen, 1 = grey).
 
-The value is below 0.5 so that edge pixels with slightly less than half subject are included.
+The value is below 0.5, so that it includes edge pixels whose share of subject is slightly below one half.
 """
 SPREAD_FACTOR = 1.6
-"""Minimum :func:`screen_distance` of subject pixels in multiples of the screen's spread."""
+"""Minimum :func:`screen_distance` of subject pixels, as a multiple of the screen's spread."""
 MAX_SAMPLES = 20_000
 """Approximate number of border pixels sampled per image."""
 
@@ -63,10 +64,11 @@ def find_screen(pictures: Sequence[Picture]) -> ScreenColour:
     """Estimate the screen's colour from the border pixels of images.
 
     Args:
-        pictures: at least one image (H, W, 3) uint8; all show the same screen.
+        pictures: images (H, W, 3) uint8 of the same screen, at least one.
 
     Raises:
-        UserError: if no single saturated hue covers half of the border pixels, or if its shades vary too much.
+        UserError: if no single saturated hue covers half of the border pixels, or if the shades of this hue vary too
+            much.
     """
     border = np.concatenate([_border(picture) for picture in pictures])
     _, chroma = _luma_chroma(border)
@@ -134,7 +136,7 @@ def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:
 
 
 def _luma_chroma(rgb: NDArray[np.generic]) -> tuple[Floats, Floats]:
-    """Convert colours (..., 3) to luma Y (...) in 0 to 255 and chroma (Cb, Cr) (..., 2) around 0 (ITU-R BT.601)."""
+    """Convert colours (..., 3) to luma (...), 0 to 255, and chroma (Cb, Cr) (..., 2) around 0 (ITU-R BT.601)."""
     red, green, blue = np.moveaxis(rgb.astype(np.float32), -1, 0)
     luma = np.float32(0.299) * red + np.float32(0.587) * green + np.float32(0.114) * blue
     return luma, np.stack([np.float32(0.564) * (blue - luma), np.float32(0.713) * (red - luma)], axis=-1)

@@ -20,14 +20,15 @@ Box = tuple[slice, slice]
 MAX_CAMERAS = 8
 CELL_HEIGHT = 240
 CELL_WIDTH = 240
-"""Maximum width of an image or a cut-out on the sheet, in pixels; CELL_HEIGHT is the maximum height."""
+"""Maximum width of an image or a cut-out on the sheet, in pixels. CELL_HEIGHT is the maximum height."""
 MARGIN = 0.12
 """Margin around the bounding box of the mattes, as a share of the box's longer side.
 
 Limbs that a matte misses remain visible in the margin.
 """
 MIN_ALPHA = 8
-"""Minimum matte value (0 to 255) of pixels that the bounding box must contain; the low value includes faint errors."""
+"""Minimum matte value (0 to 255) of pixels that the bounding box must contain. With this low value, the box includes
+faint matte errors."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120
@@ -35,7 +36,7 @@ MIN_WIDTH_PX = 120
 SHEET_COLOUR = (32, 32, 32)
 CAPTION_COLOUR = (235, 235, 235)
 FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))
-"""RGB background colours of cut-outs, of which one is chosen; all differ from black, white and skin."""
+"""Candidates for the RGB background colour of cut-outs. All candidates differ from black, white and skin."""
 NEAREST_QUANTILE = 0.1
 
 
@@ -49,15 +50,15 @@ def write_contact_sheet(
     """Write a PNG with one row per camera and one column per frame.
 
     Each tile shows an image above its cut-out. All tiles of a row are cropped to the bounding box of the row's mattes
-    plus a margin; if all mattes are empty, they show the full image. Cut-outs are composited over the colour that
-    differs most from the subject. Captions show camera names and the capture's frame numbers. Only the sheet and one
-    image are in memory at a time.
+    plus a margin. If all mattes of a row are empty, its tiles show full images. Cut-outs are composited over the colour
+    that differs most from the subject. Captions show camera names and the capture's frame numbers. Only the sheet and
+    one image are in memory at a time.
 
     Args:
         capture: capture with mattes.
-        path: PNG file to write atomically; its suffix is ignored.
+        path: PNG file to write atomically. The suffix of the path is ignored.
         cameras: indices into ``capture.names``; None selects at most 8 evenly spaced cameras.
-        columns: number of evenly spaced frames, at least 1; all frames if the capture has fewer.
+        columns: number of evenly spaced frames, at least 1. If the capture has fewer frames, all frames are shown.
         track: progress callback.
 
     Raises:
@@ -117,7 +118,7 @@ def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
 def _flat_colour(capture: Capture, cameras: Sequence[int], frames: Sequence[int]) -> Picture:
     """Choose the colour (3,) uint8 of FLAT_COLOURS that differs most from the subject.
 
-    The criterion is the 10% quantile of the colour's distances to the subject's pixels.
+    The colour with the largest 10% quantile of RGB distances to the subject's pixels is chosen.
     """
     frame = frames[len(frames) // 2]
     colours = []
@@ -146,7 +147,7 @@ def _pad(picture: Picture, width: int) -> Picture:
 
 
 def _stack(pictures: Sequence[Picture], axis: int) -> Picture:
-    """Concatenate images along ``axis`` with gaps between them; their sizes along the other axis must be equal."""
+    """Concatenate images along ``axis``, with gaps between them. Sizes along the other axis must be equal."""
     parts = []
     for picture in pictures:
         shape = list(picture.shape)

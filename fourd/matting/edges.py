@@ -14,9 +14,10 @@ COLOUR_EDGE = 10.0
 BAND = 1 / 400
 """Half the width of the soft edge, as a share of the image's longest side."""
 EDGE_VARIANCE = 40.0
-"""Regularisation of the guided filter in squared 8-bit values; areas with a lower variance are smoothed."""
+"""Regularisation of the guided filter in squared 8-bit values. Areas with a lower colour variance are smoothed."""
 MIN_REGION_SHARE = 1 / 300
-"""Minimum area of a connected region or hole, as a share of the subject's area; smaller ones are removed."""
+"""Minimum area of a connected region or hole, as a share of the subject's area. Smaller regions are removed, and
+smaller holes are filled."""
 MARGIN_PX = 16
 MIN_CONTRAST = 30.0
 """Minimum RGB distance between subject and background for estimating alpha from colours, in 8-bit values."""
@@ -65,7 +66,7 @@ def soften_edge(subject: Picture, rgb: Picture, radius: int) -> Floats:
     soft = cv2.ximgproc.guidedFilter(rgb, subject.astype(np.float32), 2 * radius, EDGE_VARIANCE)
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     edge = cv2.dilate(subject, square) != cv2.erode(subject, square)
-    # The filter's output does not reach 0 and 1 exactly.
+    # The guided filter's output does not reach 0 and 1 exactly, so its range is stretched.
     return np.where(edge, np.clip(1.15 * soft - 0.075, 0, 1), subject)
 
 
@@ -74,8 +75,9 @@ def estimate_edge_alpha(
 ) -> Floats:
     """Estimate alpha (H, W) in [0, 1]: an edge pixel is a mixture of the subject's and the background's colour.
 
-    The two colours are local means inside and outside the subject. Where ``background`` (H, W, 4) is confident, its
-    colour replaces the outside mean. Where the contrast is too low, ``alpha`` is kept.
+    The subject's colour is a local mean inside the subject. The background's colour is a local mean outside the
+    subject, or the colour in ``background`` (H, W, 4) where its confidence is high. Where the contrast of the two
+    colours is too low, ``alpha`` is kept.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     inside = np.asarray(cv2.erode(subject, disc), np.float32)

@@ -1,9 +1,9 @@
 """Clean plates: each camera's background without the subject.
 
-A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. It differs from 4K4D
-in three ways. The mean is a running mean, which needs constant memory. Each frame is matched to the first frame's
-exposure. A second pass excludes pixels that differ too much from the first pass's mean: there, a matte missed the
-subject.
+A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. The computation
+differs from 4K4D in three ways. The mean is a running mean, which needs constant memory. Each frame is matched to the
+first frame's exposure. A second pass excludes pixels that differ too much from the mean of the first pass, because a
+matte missed the subject at such pixels.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Picture = NDArray[np.uint8]
 FOLDER = Path(".fourd") / "plates"
 STATE = "plates.json"
 MAX_FRAMES = 64
-"""Maximum number of averaged frames; the mean of 64 frames has an eighth of one frame's noise."""
+"""Maximum number of averaged frames. The mean of 64 frames has an eighth of the noise of one frame."""
 MARGIN = 1 / 150
 """Width of the excluded band around the matte, as a share of the image's longest side.
 
@@ -40,7 +40,7 @@ The band covers the matte's soft edge and shadows next to the subject.
 OUTLIER_STDS = 3.0
 MIN_OUTLIER_DISTANCE = 6.0
 MIN_WEIGHT = 1.0
-"""Minimum weight of a pixel, summed over all frames; pixels with less are holes."""
+"""Minimum weight of a pixel, summed over all frames. Pixels with a lower weight are holes."""
 INPAINT_PX = 5
 
 
@@ -50,7 +50,7 @@ class Plate:
 
     Attributes:
         rgb: (H, W, 3) uint8; holes are inpainted for display.
-        seen: (H, W) bool; False in holes, which the subject covers in all frames.
+        seen: (H, W) bool, False in holes, which the subject covers in all frames.
     """
 
     rgb: Picture
@@ -122,7 +122,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
 
 
 def _camera_key(capture: Capture, name: str, key: str) -> str:
-    """Hash of ``key`` and of the matte files for the camera's plate.
+    """Hash of ``key`` and of the matte files from which the camera's plate is computed.
 
     The files' contents are hashed, because users may edit mattes.
     """
@@ -137,7 +137,7 @@ def _camera_key(capture: Capture, name: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class _Job:
-    """One camera's plate for a worker process."""
+    """A job for a worker process: the plate of one camera."""
 
     selection: Selection
     name: str
@@ -201,5 +201,5 @@ def _exposure_gain(rgb: Picture, reference: Picture, weight: Floats) -> Floats:
     if np.count_nonzero(free) < 100:
         return np.ones(3, np.float32)
     gain = np.median(other[free].astype(np.float32) / part[free], axis=0)
-    # 8-bit rounding changes the median by less than 0.004.
+    # Gains within 0.004 of 1 are ignored, because rounding to 8 bits changes the median by less than 0.004.
     return np.where(np.abs(gain - 1) < 0.004, 1, gain).astype(np.float32)

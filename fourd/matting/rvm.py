@@ -1,6 +1,6 @@
-"""Mattes of people by Robust Video Matting (Lin et al. 2022), with a network file provided by the user.
+"""Mattes of people by Robust Video Matting (Lin et al. 2022), with a network file that the user provides.
 
-torch is imported inside functions, so that other matting methods start without it.
+torch is imported inside functions, so that other matting methods start without torch.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]
 
 REDUCED_SIDE = 512
-"""Longest side in pixels of the image in the network's coarse stage, unless a ratio is given."""
+"""Longest side, in pixels, of the image in the network's coarse stage. It applies if no ratio is given."""
 SCRIPTED = (".torchscript", ".pt")
 STATES = 4
 PROBE_SIDE = 64
@@ -29,7 +29,7 @@ RELEASE = "rvm_mobilenetv3_fp32.torchscript of github.com/PeterL1n/RobustVideoMa
 
 
 class RVM:
-    """The network on one device.
+    """The network of Robust Video Matting on one device.
 
     Attributes:
         path: file of the network.
@@ -49,7 +49,7 @@ class RVM:
 
         Args:
             pictures: images (H, W, 3) uint8, all of one size.
-            ratio: scale of the coarse stage in (0, 1]; None reduces the longest side to 512 pixels. A larger ratio is
+            ratio: scale of the coarse stage in (0, 1]. None reduces the longest side to 512 pixels. A larger ratio is
                 more accurate for a full person in a large image.
 
         Raises:
@@ -115,8 +115,9 @@ class RVM:
 def load_rvm(path: Path | str, device: str | None = None) -> RVM:
     """Load the network from a local file and run it on a small image as a test.
 
-    Loading a TorchScript file (.torchscript, .pt) executes code from it, so load only trusted files. Checkpoints
-    (.pth) are refused: they contain weights only, and the licence of the network's source code is incompatible.
+    Loading a TorchScript file (.torchscript, .pt) executes code from it, so load only trusted files. Checkpoints (.pth)
+    are refused, because they contain weights only. fourd does not include the network's source code, because its
+    licence is incompatible.
 
     Args:
         path: TorchScript file.
@@ -150,7 +151,7 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
 
 
 def automatic_ratio(height: int, width: int) -> float:
-    """Scale that reduces an image's longest side to 512 pixels; 1 for smaller images."""
+    """Scale that reduces an image's longest side to 512 pixels. The scale is 1 for smaller images."""
     return min(1.0, REDUCED_SIDE / max(height, width))
 
 
@@ -166,6 +167,6 @@ def _script(path: Path, device: str) -> torch.nn.Module:
 
 
 def _reason(error: Exception) -> str:
-    """The last line of an exception's message: for TorchScript errors, the cause without the traceback."""
+    """The last line of an exception's message. For TorchScript errors, this line is the cause without the traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return re.sub(r"\s+", " ", lines[-1] if lines else type(error).__name__)[:160]

@@ -11,7 +11,7 @@ CACHE_MB = 64
 CACHE_FRAMES = 8
 """Number of decoded frames to cache for all cameras.
 
-The cache must hold all frames between the two frames of an optical flow.
+The cache must have room for all frames between the two frames of an optical flow.
 """
 
 

@@ -1,6 +1,6 @@
 """Mattes of a whole capture.
 
-The models are learned once, then frames are processed in parallel. An interrupted run can be resumed.
+The matting models are learned once, then frames are processed in parallel. An interrupted run can be resumed.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ class MatteSettings:
     """Settings of matting.
 
     Attributes:
-        method: "motion" needs no network, "chroma" needs a screen of one colour, "rvm" needs a network file.
+        method: "motion" needs no network. "chroma" needs a screen of one colour. "rvm" needs a network file.
         seed: random seed for subsampling colours.
-        screen: screen colour "R,G,B", each 0 to 255; None estimates it for each camera.
+        screen: screen colour "R,G,B", each 0 to 255. None estimates the colour for each camera.
         rvm: TorchScript file of the Robust Video Matting network.
     """
 
@@ -66,7 +66,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
     mattes are computed again.
 
     Args:
-        selection: the capture; evidence is combined over all selected cameras.
+        selection: the capture. Evidence is combined over all selected cameras.
         settings: the matting method and its parameters.
         workers: number of processes.
         track: progress callback.
@@ -102,7 +102,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
 
 
 def matte_key(capture: Capture, settings: MatteSettings) -> str:
-    """Hash of everything that determines the mattes: settings, selection, and input files' sizes and times."""
+    """Hash of all inputs of the mattes: settings, selection, and the sizes and modification times of input files."""
     digest = hashlib.sha256(
         json.dumps([VERSION, asdict(settings), capture.names, capture.frame_names], default=str).encode()
     )
@@ -163,8 +163,8 @@ def _make_network_mattes(
 ) -> None:
     """Run the network on each camera's frames in order.
 
-    The network starts at the first frame even if its matte exists, because the recurrent state depends on all earlier
-    frames.
+    The network starts at the first frame even if the first frame's matte exists, because the recurrent state depends on
+    all earlier frames.
     """
     if settings.rvm is None:
         raise UserError("--rvm: expected a network file for --method rvm, got none; pass --rvm FILE")
@@ -198,7 +198,7 @@ class _Job:
 
 
 def _make_frames(job: _Job) -> Iterator[int]:
-    """Compute the mattes of a job's frames; yield each frame index after its files are written."""
+    """Compute the mattes of a job's frames, and yield the index of each frame after its files are written."""
     cv2.setNumThreads(1)
     capture = job.selection.open(mattes=False)
     maker = load_matte_maker(job.model, matting_cameras(capture)) if isinstance(job.model, Path) else None

@@ -89,8 +89,8 @@ def test_other_captures_are_not_overwritten(
     """Catches an import that overwrites the calibration in a mistyped output folder."""
     source = write_source(tmp_path / "source")
     before = (ball_capture / "intri.yml").read_bytes()
-    assert "got one with other files; name another" in refused_line(capsys, source, ball_capture)
-    assert "got one with other files; name another" in refused_line(capsys, source, source)
+    assert "got a folder with other files; name another" in refused_line(capsys, source, ball_capture)
+    assert "got a folder with other files; name another" in refused_line(capsys, source, source)
     assert (ball_capture / "intri.yml").read_bytes() == before
 
 
@@ -100,7 +100,7 @@ def test_uncalibrated_cameras_are_named(tmp_path: Path, capsys: pytest.CaptureFi
     calibrations = read_calibration(source)
     write_calibration(source, ["a", "b"], [calibrations[name].camera(32, 48) for name in ("a", "b")])
     line = refused_line(capsys, source, tmp_path / "out")
-    assert "expected a calibration of every camera, got none for c; add it" in line
+    assert "expected a calibration of every camera, got none for c; add the missing calibrations" in line
     assert "--calibrate" in line
 
 

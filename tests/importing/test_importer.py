@@ -107,7 +107,7 @@ def test_different_frame_rates_are_refused(tmp_path: Path) -> None:
     """Catches cameras with different frame rates, which would drift apart in time."""
     source = write_source(tmp_path / "source")
     write_numbered_video(source / "videos" / "b.mp4", fps=25)
-    with pytest.raises(UserError, match=r"b.mp4: expected 30 frames per second, as a has, got 25"):
+    with pytest.raises(UserError, match=r"b.mp4: expected 30 frames per second, like a, got 25"):
         run_import(source, tmp_path / "out")
 
 
@@ -182,7 +182,9 @@ def test_other_folders_are_not_overwritten(tmp_path: Path, ball_capture: Path) -
     other = tmp_path / "thesis"
     other.mkdir()
     (other / "intri.yml").write_text("mine")
-    with pytest.raises(UserError, match="expected a new folder, or one of an import, got one with other files"):
+    with pytest.raises(
+        UserError, match="expected a new folder or the folder of an import, got a folder with other files"
+    ):
         run_import(source, other)
     assert contents(other).keys() == {"intri.yml"}
     run_import(source, tmp_path / "out")

@@ -1,8 +1,8 @@
 """ActorsHQ: calibration.csv beside rgbs/CAM/CAM_rgb000000.jpg and masks/CAM/CAM_mask000000.png.
 
-A row of the CSV contains the camera-to-world pose (OpenCV axes) as a rotation vector and a position in metres.
-Focal lengths and principal points are in units of the image's width and height. The origin is therefore the corner of
-the first pixel, as in fourd.
+Each row of the CSV contains the camera-to-world pose (OpenCV axes) as a rotation vector and a position in metres. Focal
+lengths and principal points are in units of the image's width and height. The origin of the pixel coordinates is
+therefore the corner of the first pixel, as in fourd.
 """
 
 from __future__ import annotations
@@ -36,20 +36,22 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``, in metres.
+    """Read the cameras of ``source``. Lengths are in metres.
 
     Raises:
-        UserError: when the CSV lacks a column or a number, names a camera twice, or names no camera in rgbs/.
+        UserError: when the CSV lacks a column or a number, names a camera twice, or names none of the cameras in rgbs/.
     """
     path = source / NAME
     calibrations = read_cameras(path)
     frames = find_frames(source, ("rgbs",))
     cameras, notes = join_calibrations(frames, calibrations, path, [source / "masks"])
-    return Imported(cameras, ("metres and axes kept; poses inverted from camera-to-world to world-to-camera", *notes))
+    return Imported(
+        cameras, ("unit metre and axes kept; poses inverted from camera-to-world to world-to-camera", *notes)
+    )
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read the cameras of a calibration.csv by name, in metres. Raises UserError like :func:`read`."""
+    """Read a calibration.csv. Returns cameras by name, in metres. Raises UserError as :func:`read` does."""
     try:
         rows = list(csv.DictReader(read_file(path).decode("utf-8-sig").splitlines(), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:

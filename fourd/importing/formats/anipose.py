@@ -1,6 +1,7 @@
-"""Anipose and Pose2Sim: a calibration TOML beside the videos, with a table per camera that has a world-to-camera pose.
+"""Anipose and Pose2Sim: a calibration TOML beside the videos. The TOML contains one table per camera.
 
-Both calibrate with OpenCV, whose origin is the centre of the first pixel. In fourd it is the corner, so half a pixel is
+Each table contains a world-to-camera pose. Anipose and Pose2Sim calibrate with OpenCV, in which the origin of pixel
+coordinates is the centre of the first pixel. In fourd, the origin is the corner of the first pixel, so half a pixel is
 added to the principal points.
 """
 
@@ -31,8 +32,8 @@ HEAD_BYTES = 4096
 """Number of bytes at the start of a file that contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
-"""Largest plausible median distance between cameras in metres. If the number in the file is larger, the file's unit is
-assumed to be millimetres."""
+"""Largest plausible median distance between cameras in metres. If the median distance in the file is larger, the file's
+unit is assumed to be millimetres."""
 MAX_PIXELS = 1 << 20
 
 
@@ -45,8 +46,8 @@ def read(source: Path) -> Imported:
     """Read the cameras of ``source``: a folder with the TOML and videos, or the TOML file beside the videos.
 
     Raises:
-        UserError: when there is no such TOML or several, it does not parse, a value is missing or invalid, a lens is a
-            fisheye, or no camera in the TOML has a video.
+        UserError: when there is no calibration TOML or more than one, the TOML does not parse, a value is missing or
+            invalid, a lens is a fisheye, or no camera in the TOML has a video.
     """
     files = _find_files(source)
     if len(files) != 1:
@@ -59,7 +60,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
-    """Read the cameras of a calibration TOML by name, and notes. Raises UserError like :func:`read`."""
+    """Read a calibration TOML. Returns cameras by name, and notes. Raises UserError as :func:`read` does."""
     try:
         data = tomllib.loads(read_file(path).decode())
     except (ValueError, RecursionError) as error:
@@ -82,7 +83,7 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
         raise UserError(f"{path}: expected a table for each camera, got none; calibrate again")
     scale, unit = _guess_unit(list(cameras.values()))
     cameras = {name: _scale_camera(camera, scale) for name, camera in cameras.items()}
-    notes = [unit, "pixel centres at integers -> half a pixel added to the principal points"]
+    notes = [unit, "origin at the centre of the first pixel -> half a pixel added to the principal points"]
     metadata = data.get("metadata")
     if isinstance(metadata, dict):
         facts = [
@@ -106,18 +107,18 @@ def _make_camera(where: str, table: dict[str, object]) -> Camera:
 
 
 def _guess_unit(cameras: list[Camera]) -> tuple[float, str]:
-    """Estimate the file's unit in metres from the distances between the cameras. Returns the unit and a note."""
+    """Estimate the file's unit, in metres, from the distances between cameras. Returns the unit and a note."""
     centres = np.stack([camera.centre for camera in cameras])
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)[np.triu_indices(len(centres), 1)]
     if not len(distances):
-        return 1.0, "lengths kept: the unit of a single camera is unknown"
+        return 1.0, "lengths kept: one camera is not enough to estimate the unit"
     median = float(np.median(distances))
     if median > MAX_DISTANCE_M:
         return (
             METRES_PER_MM,
-            f"unit assumed to be millimetres (median distance of the cameras {median:.0f}): millimetres -> metres",
+            f"unit assumed to be millimetres (median distance between cameras {median:.0f}): millimetres -> metres",
         )
-    return 1.0, f"unit assumed to be metres (median distance of the cameras {median:.3g}): lengths kept"
+    return 1.0, f"unit assumed to be metres (median distance between cameras {median:.3g}): lengths kept"
 
 
 def _scale_camera(camera: Camera, scale: float) -> Camera:
@@ -126,7 +127,10 @@ def _scale_camera(camera: Camera, scale: float) -> Camera:
 
 
 def _find_files(source: Path) -> list[Path]:
-    """Find calibration files: the file itself, or TOML files in a folder. The keys of the first table identify them."""
+    """Find calibration files: ``source`` itself, or TOML files in the folder ``source``.
+
+    A calibration file is recognised by the keys of its first table.
+    """
     candidates = [source / name for name in list_entries(source)] or [source]
     return [path for path in candidates if path.suffix.lower() == ".toml" and _has_cameras(read_head(path, HEAD_BYTES))]
 

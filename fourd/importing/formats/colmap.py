@@ -1,6 +1,7 @@
-"""COLMAP: a sparse model of static cameras, text or binary, beside each camera's video or images.
+"""COLMAP: a sparse model of static cameras (text or binary), beside each camera's video or images.
 
-The model's images are named CAM/FRAME.jpg or CAM.jpg. COLMAP's origin is the first pixel's corner, as in fourd.
+The model's images are named CAM/FRAME.jpg or CAM.jpg. The origin of COLMAP's pixel coordinates is the corner of the
+first pixel, as in fourd.
 """
 
 from __future__ import annotations
@@ -40,21 +41,23 @@ The rotation difference is in radians. The position difference is relative to th
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source``, its sparse/ or its sparse/0/ contains a model."""
+    """Whether ``source``, or its subfolder sparse/ or sparse/0/, contains a model."""
     return _find_model(source) is not None
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``, a folder with the model and the videos or images, in the model's unit of length.
+    """Read the cameras of ``source``, a folder with the model and the videos or images.
+
+    Lengths are in the model's unit.
 
     Raises:
-        UserError: when the model is damaged, a lens model is not OpenCV's, a camera moves or changes its intrinsics, or
-            no camera of the model has a video or images.
+        UserError: when the model is damaged, a lens model is not one of LENS_MODELS, the pose or the intrinsics of a
+            camera change, or no camera of the model has a video or images.
     """
     path = _find_model(source)
     if path is None:
         raise UserError(
-            f"{source}: expected cameras.bin and images.bin (or .txt) there or in sparse/0, got none; add them"
+            f"{source}: expected cameras.bin and images.bin (or .txt) in this folder or in sparse/0, got none; add them"
         )
     calibrations = read_cameras(path)
     cameras, notes = join_calibrations(find_frames(source), calibrations, path)
@@ -63,7 +66,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read the cameras of a model folder by name. Raises UserError like :func:`read`."""
+    """Read a model folder. Returns cameras by name. Raises UserError as :func:`read` does."""
     model = _load_model(path)
     images: dict[str, list[Any]] = defaultdict(list)
     for image in sorted((model.images[number] for number in model.reg_image_ids()), key=lambda image: image.name):
@@ -85,15 +88,15 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarray], rig_size: float) -> Camera:
-    """The camera of the first image. Raises UserError if the other images have another camera."""
+    """Make a camera from its first image. Raises UserError if another image has another pose or other intrinsics."""
     camera, pose = model.cameras[images[0].camera_id], poses[0]
     for image, other in zip(images[1:], poses[1:], strict=True):
         angle = float(np.linalg.norm(other[:, :3] - pose[:, :3])) / np.sqrt(2)
         distance = float(np.linalg.norm(other[:, :3].T @ other[:, 3] - pose[:, :3].T @ pose[:, 3]))
         if not (angle <= MAX_MOTION and distance <= MAX_MOTION * rig_size):
             raise UserError(
-                f"{where}: expected a static camera, got {images[0].name} and {image.name} "
-                f"{angle:.2g} rad and {distance:.2g} units apart; leave the moving camera out"
+                f"{where}: expected a static camera, got poses of {images[0].name} and {image.name} that differ by "
+                f"{angle:.2g} rad and {distance:.2g} units; leave the moving camera out"
             )
         intrinsics_of_image = model.cameras[image.camera_id]
         is_same_model = intrinsics_of_image.model == camera.model
@@ -124,7 +127,7 @@ def _pose(image: Any) -> np.ndarray:
 
 
 def _load_model(path: Path) -> Any:
-    # Imported here because pycolmap replaces the process's signal handlers.
+    # pycolmap is imported only here, because it replaces the process's signal handlers.
     import pycolmap
 
     if (path / "cameras.bin").is_file():
@@ -137,7 +140,7 @@ def _load_model(path: Path) -> Any:
 
 
 def _check_whole(path: Path) -> None:
-    """Raise UserError for truncated files, because pycolmap reads beyond their end or hangs."""
+    """Raise UserError for truncated files, because pycolmap reads beyond the end of such files or hangs."""
     for name in ("rigs.bin", "cameras.bin", "frames.bin", "images.bin", "points3D.bin"):
         file = path / name
         if not file.is_file():

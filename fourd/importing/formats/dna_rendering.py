@@ -1,8 +1,8 @@
 """DNA-Rendering: NAME.smc (HDF5) with encoded images, NAME_annots.smc with calibration and mattes.
 
-Later parts of the data set contain the calibration in NAME.smc. RT is camera-to-world, in metres. The
-data set's tools use OpenCV, whose origin is the centre of the first pixel. In fourd it is the corner, so half a pixel
-is added to the principal points.
+In later parts of the data set, NAME.smc contains the calibration. The matrix RT is a camera-to-world pose in metres.
+The data set's tools use OpenCV, in which the origin of pixel coordinates is the centre of the first pixel. In fourd,
+the origin is the corner of the first pixel, so half a pixel is added to the principal points.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 GROUPS = ("Camera_5mp", "Camera_12mp")
 MAX_SOFT_LINKS = 16
 HEADER_BYTES = 1 << 16
-"""Number of bytes at the start of an encoded image that contain its size."""
+"""Number of bytes at the start of an encoded image that contain the image's width and height."""
 
 
 def looks_like(source: Path) -> bool:
@@ -38,11 +38,13 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``, in metres. Their names are two-digit numbers. Images are read one at a time.
+    """Read the cameras of ``source``.
+
+    Lengths are in metres. Camera names are two-digit numbers. Images are read one at a time.
 
     Raises:
-        UserError: when there is no NAME.smc or several, it is not HDF5, refers to other files, lacks a group or a
-            value, or the numbers of mattes and images differ.
+        UserError: when there is no NAME.smc or more than one, the file is not HDF5, the file refers to other files, a
+            group or a value is missing, or the numbers of mattes and images differ.
     """
     files = _find_files(source)
     if len(files) != 1:
@@ -67,8 +69,8 @@ def read(source: Path) -> Imported:
                 masks[number] = annotated.encoded(f"{group_path}/mask")[0]
     elif not has_calibration:
         raise UserError(
-            f"{path}: expected the group Camera_Parameter there or in {path.stem}{ANNOTATIONS}, got neither; "
-            "put the annotations beside it"
+            f"{path}: expected the group Camera_Parameter in this file or in {path.stem}{ANNOTATIONS}, got neither; "
+            "put the annotations beside this file"
         )
     cameras = []
     for number, (frames, _) in sorted(pictures.items()):
@@ -80,8 +82,8 @@ def read(source: Path) -> Imported:
             )
         cameras.append(ImportedCamera(f"{number:02d}", calibrations.get(number), frames, mattes))
     notes = [
-        "metres kept; poses inverted from camera-to-world to world-to-camera",
-        "pixel centres at integers -> half a pixel added to the principal points",
+        "unit metre kept; poses inverted from camera-to-world to world-to-camera",
+        "origin at the centre of the first pixel -> half a pixel added to the principal points",
         "colours kept: Color_Calibration is not applied",
     ]
     uncalibrated = [camera.name for camera in cameras if camera.calibration is None]
@@ -90,10 +92,10 @@ def read(source: Path) -> Imported:
 
 
 class _Smc:
-    """An open HDF5 file. Error messages name the file and the group."""
+    """An open HDF5 file. The error messages of this class name the file and the group."""
 
     def __init__(self, path: Path) -> None:
-        import h5py  # Imported here, because no other format needs it.
+        import h5py  # h5py is imported here, because no other format needs it.
 
         self.path = path
         self.h5py = h5py
@@ -114,7 +116,10 @@ class _Smc:
             return self._resolve(name) is not None
 
     def numbered(self, name: str, required: bool = True) -> dict[int, str]:
-        """Paths of the members of a group by number, in ascending order. Empty if an optional group is missing."""
+        """Return the paths of a group's members by number, in ascending order.
+
+        Returns no paths if a group that is not ``required`` is missing.
+        """
         with self._report_errors(name):
             group = self._get(name)
             if group is None and not required:
@@ -129,7 +134,7 @@ class _Smc:
         return {int(member): f"{name}/{member}" for member in sorted(members, key=int)}
 
     def encoded(self, name: str) -> tuple[EncodedPictures, tuple[int, int]]:
-        """A group's images ordered by number, and (width, height) of the first."""
+        """Return a group's images ordered by number, and (width, height) of the first image."""
         paths = list(self.numbered(name).values())
         if not paths:
             raise UserError(f"{self.path}: {name}: expected images, got none; download it again")
@@ -144,13 +149,13 @@ class _Smc:
         return EncodedPictures(len(paths), suffix, partial(_read_picture, self.path, tuple(paths))), size
 
     def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """Read a dataset of finite numbers with the shape ``shape``. The shape (-1,) flattens it."""
+        """Read a dataset of finite numbers with the shape ``shape``. The shape (-1,) flattens the dataset."""
         with self._report_errors(name):
             value = self._dataset(name)[()]
         return parse_numbers(f"{self.path}: {name}", np.ravel(value) if shape == (-1,) else value, shape)
 
     def content(self, name: str, max_bytes: int | None = None) -> bytes:
-        """The bytes of an encoded image, or the first ``max_bytes`` of them."""
+        """Read the bytes of an encoded image, or only its first ``max_bytes`` bytes."""
         with self._report_errors(name):
             dataset = self._dataset(name)
             if dataset.dtype != np.uint8 or dataset.ndim != 1:
@@ -174,10 +179,10 @@ class _Smc:
         return None if path is None else self.file[path]
 
     def _resolve(self, name: str) -> str | None:
-        """Resolve the soft links in the path of an object; None if the object is missing.
+        """Resolve the soft links in the path of an object. Returns None if the object is missing.
 
-        External links are rejected before the linked file is opened. Otherwise an import would copy the content of
-        a file outside the source.
+        External links are rejected before the linked file is opened. If they were followed, an import would copy the
+        content of a file outside the source.
         """
         path, parts, soft_links = "/", name.split("/"), 0
         while parts:
@@ -219,9 +224,9 @@ def _read_picture(path: Path, datasets: tuple[str, ...], index: int) -> bytes:
 
 
 def _read_cameras(smc: _Smc, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
-    """Read the calibrations in Camera_Parameter by camera number, for the cameras in ``pictures``.
+    """Read the calibrations of the cameras in ``pictures`` from the group Camera_Parameter.
 
-    ``pictures`` also has the image sizes.
+    ``pictures`` also contains the image sizes. Returns cameras by number.
     """
     cameras = {}
     for number, group_path in smc.numbered("Camera_Parameter").items():
@@ -244,7 +249,7 @@ def _find_files(source: Path) -> list[Path]:
 
 
 def _find_annotations(path: Path) -> Path | None:
-    """Find NAME_annots.smc beside NAME.smc, or in ../annotations/, which is beside main/ in the data set."""
+    """Find NAME_annots.smc beside NAME.smc or in ../annotations/. In the data set, annotations/ is beside main/."""
     name = f"{path.stem}{ANNOTATIONS}"
     paths = [path.with_name(name), path.parent.parent / "annotations" / name]
     return next((found for found in paths if found.is_file()), None)

@@ -1,6 +1,7 @@
 """EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext, optionally masks/CAM/.
 
-Pixel coordinates are not converted: fourd's own captures have this layout, and EasyVolcap writes COLMAP's convention.
+Pixel coordinates are not converted. fourd's own captures use the same files, and EasyVolcap writes pixel coordinates in
+COLMAP's convention.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``, in the calibration's unit of length.
+    """Read the cameras of ``source``. Lengths are in the calibration's unit.
 
     Raises:
         UserError: when read_calibration raises it, no camera with frames has a calibration, or an image has no matte.
@@ -39,11 +40,14 @@ def read(source: Path) -> Imported:
     for name, calibration in calibrations.items():
         cameras_by_name[name] = _make_camera(path, name, calibration, found.get(name))
     cameras, notes = join_calibrations(frames, cameras_by_name, path, [source / folder for folder in MASK_FOLDERS])
-    return Imported(cameras, ("lengths and pixels kept as in the calibration", *notes))
+    return Imported(cameras, ("lengths and pixel coordinates kept as in the calibration", *notes))
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
-    """Make the camera. If the calibration has no size, it is read from the first image; without frames it is 1 x 1."""
+    """Make a camera from its calibration.
+
+    If the calibration has no image size, the size is read from the first image. Without frames, the size is 1 x 1.
+    """
     width, height = calibration.width, calibration.height
     if width is None or height is None:
         width, height = (1, 1) if frames is None else _size(frames)

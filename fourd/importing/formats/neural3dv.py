@@ -1,8 +1,8 @@
 """Neural 3D Video: poses_bounds.npy (LLFF) beside camNN.mp4.
 
-A row contains a 3 x 5 matrix and two depth bounds. The columns of the matrix are the camera's axes down, right
-and backwards in world coordinates, its position, and the vector (height, width, focal length). The
-principal point is the image's centre.
+Each row of the array contains a camera's 3 x 5 matrix and two depth bounds. The first three columns of the matrix are
+the camera's axes down, right and backwards in world coordinates. The fourth column is the camera's position in the
+world. The fifth column is (height, width, focal length) in pixels. The principal point is the centre of the image.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``. Row i belongs to video i, with videos sorted by name.
+    """Read the cameras of ``source``. Row i of the array belongs to video i in the order of names.
 
     Raises:
         UserError: when the file does not contain an array of N x 17 numbers, or the numbers of videos and rows differ.
@@ -40,7 +40,7 @@ def read(source: Path) -> Imported:
     if len(frames) != len(rows):
         raise UserError(
             f"{path}: expected {len(frames)} rows, one for each video ({', '.join(frames)}), got {len(rows)}; "
-            "restore the missing videos, or remove the row of each"
+            "restore the missing videos, or remove the rows without a video"
         )
     cameras = tuple(
         ImportedCamera(name, _make_camera(f"{path}: row {index}", row), found)
@@ -56,7 +56,7 @@ def read(source: Path) -> Imported:
 
 def _rows(path: Path) -> Array:
     try:
-        # With memory mapping, a header that declares too large an array raises an error before memory is allocated.
+        # With memory mapping, a header that declares a too large array raises an error before memory is allocated.
         array = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(array, np.ndarray):
             raise ValueError("an archive of arrays")

@@ -1,8 +1,9 @@
 """Qualisys Track Manager: NAME.qca.txt (XML) beside the videos.
 
-A camera's ``transform`` contains its position in the world in millimetres, and a rotation. The rows of the
-rotation are the camera's axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths
-and principal points are in 1/64 pixel of the sensor; ``fov_video`` is the part of the sensor that the video shows.
+The element ``transform`` of a camera contains a rotation, and the camera's position in the world in millimetres. The
+rows of the rotation are the camera's axes x (right), y (up) and z (backwards) in world coordinates. Focal lengths and
+principal points are in units of 1/64 sensor pixel. The element ``fov_video`` is the part of the sensor that the video
+shows.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read the cameras of a .qca.txt file by serial number, in metres. Raises UserError like :func:`read`."""
+    """Read a .qca.txt file. Returns cameras by serial number, in metres. Raises UserError as :func:`read` does."""
     try:
         root = ElementTree.fromstring(path.read_bytes())
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -73,7 +74,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 class _CameraNode:
-    """The XML element of one camera. Error messages name the camera."""
+    """The XML element of one camera. The error messages of this class name the camera."""
 
     def __init__(self, path: Path, serial: str, node: ElementTree.Element) -> None:
         self.where = f"{path}: camera '{serial}'"

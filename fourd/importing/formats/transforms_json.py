@@ -1,6 +1,7 @@
 """transforms.json of nerfstudio and instant-ngp: camera-to-world poses (x right, y up, z backwards).
 
-The first pixel's centre is (0.5, 0.5), as in fourd. Without times, every entry is a camera with one frame.
+The first pixel's centre is (0.5, 0.5), as in fourd. If the entries have no times, every entry is a camera with one
+frame.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ MAX_PIXELS = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """One image: path in the JSON, image file, matte file, camera, and time (None without times)."""
+    """One entry of the JSON: path in the JSON, image file, matte file, camera, and time (None if not given)."""
 
     path: PurePosixPath
     picture: Path
@@ -48,7 +49,7 @@ class _Entry:
 
     @property
     def key(self) -> tuple[float, ...]:
-        """Key that is equal for entries with equal pose and intrinsics."""
+        """A key that is equal for entries whose poses and intrinsics are equal."""
         camera = self.camera
         parts = [camera.rotation, camera.translation, camera.intrinsics, np.array([camera.width, camera.height])]
         parts += [] if camera.distortion is None else [camera.distortion]
@@ -61,12 +62,14 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``. With times, the entries in one folder form a camera. If entries of the same
-    folder differ in pose or intrinsics, entries with equal pose and intrinsics form a camera instead.
+    """Read the cameras of ``source``.
+
+    If the entries have times, the entries of one folder form a camera. If entries of one folder differ in pose or
+    intrinsics, the entries with equal pose and intrinsics form a camera instead.
 
     Raises:
-        UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leaves the
-            folder or has no image, or cameras do not have the same times.
+        UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leads out of
+            the folder or to no image, or cameras differ in their times.
     """
     path = _json_path(source)
     try:
@@ -80,7 +83,8 @@ def read(source: Path) -> Imported:
     timed = sum(entry.time is not None for entry in entries)
     if timed not in (0, len(entries)):
         raise UserError(
-            f"{path}: expected a time in all {len(entries)} entries or in none, got a time in {timed}; add the others"
+            f"{path}: expected a time in all {len(entries)} entries or in none, got a time in {timed}; "
+            "add the missing times"
         )
     masked = sum(entry.mask is not None for entry in entries)
     cameras = []
@@ -101,7 +105,7 @@ def read(source: Path) -> Imported:
 
 
 def _entry(path: Path, index: int, values: Mapping[str, object]) -> _Entry:
-    """Make an entry from its values, merged with the values of the whole file."""
+    """Make an entry from ``values``: the entry's own values, merged with the values of the whole file."""
     where = f"{path}: entry {index}"
     relative, picture = _find_picture(path, f"{where}: file_path", values.get("file_path"))
     mask = None
@@ -149,12 +153,12 @@ def _make_camera(where: str, values: Mapping[str, object], picture: Path) -> Cam
 
 
 def _focal(angle: float, pixels: float) -> float:
-    """Focal length in pixels from a field of view in radians; 0 if the field of view is not in (0, pi)."""
+    """Return the focal length in pixels for a field of view in radians, or 0 if the field of view is not in (0, pi)."""
     return pixels / 2 / math.tan(angle / 2) if 0 < angle < math.pi else 0.0
 
 
 def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath, Path]:
-    """Check a path from the JSON, which must not leave the JSON's folder, and find the image file at the path."""
+    """Find the image file for a path from the JSON. Raises UserError if the path leads out of the JSON's folder."""
     if not isinstance(value, str) or not value or "\0" in value:
         raise UserError(f"{where}: expected an image's path, got '{value!r}'; export it again")
     relative = PurePosixPath(value.replace("\\", "/"))
@@ -171,7 +175,8 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
     """Make a camera of each entry.
 
-    Cameras are named by file name if file names are unique, else by folder name if these are unique, else by path.
+    Cameras are named after image files if file names are unique, else after folders if folder names are unique, else
+    after paths.
     """
     stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
     folders = [entry.path.parent.name for entry in entries]
@@ -202,7 +207,7 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
         times = [entry.time for entry in group]
         if len(set(times)) != len(times) or times != [entry.time for entry in cameras[first]]:
             raise UserError(
-                f"{path}: expected static cameras with the same times, each once, got {len(set(times))} "
+                f"{path}: expected static cameras with the same times, each time once, got {len(set(times))} different "
                 f"times in {len(times)} images of '{name}' and {len(cameras[first])} images of '{first}'; "
                 "remove the entries that other cameras lack"
             )

@@ -1,7 +1,7 @@
 """Multi-view consistency: a soft visual hull for each view, computed from the evidence of all other views.
 
-A voxel's score is the smallest log-odds among the views in which it is visible. With many views it is a higher order
-statistic, such as the second smallest value, so that a few views may be wrong.
+A voxel's score is the smallest log-odds among the views in which it is visible. With many views, the score is a higher
+order statistic, such as the second smallest log-odds, so that a few views may be wrong.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from fourd.cameras import Array, Camera
 Floats = NDArray[np.float32]
 
 MAX_CELLS = 112
-"""Maximum number of voxels along the box's longest side; a cubic box then has 1.4 million voxels."""
+"""Maximum number of voxels along the longest side of the grid's box. A cubic box then has 1.4 million voxels."""
 CELLS_PER_PIXEL = 1.0
 OUTLIER_SHARE = 0.05
 """Share of the views that may be wrong about a voxel."""
 MIN_SEEING_SHARE = 0.75
 """Minimum share of the views in which a voxel must be visible."""
 REJECT_LOG_ODDS = np.float32(-2.0)
-"""Log-odds below which a view rejects a voxel; this drops most voxels before sorting."""
+"""Log-odds below which a view rejects a voxel. Rejection removes most voxels before the log-odds are sorted."""
 NO_CELL_LOG_ODDS = np.float32(-9.0)
 """Log-odds of pixels onto which no voxel projects."""
 
@@ -38,8 +38,8 @@ class VoxelGrid:
         xyz: (N, 3) voxel centres in world units.
         size: side of a voxel in world units.
         cameras: the C cameras that provide the evidence.
-        pixels: (C, N) int32 flat pixel index, row * width + column, of each centre in each camera; -1 if the centre is
-            outside the image.
+        pixels: (C, N) int32 flat pixel index, row * width + column, of each voxel centre in each camera. The index is
+            -1 if the centre is outside the image.
         width_px: (C,) width of a voxel's projection in each camera, rounded to an odd number of pixels.
     """
 
@@ -57,7 +57,8 @@ class VoxelGrid:
             lower: (3,) minimum corner of the box in world units.
             upper: (3,) maximum corner of the box in world units.
             cameras: cameras that provide the evidence.
-            count: number of voxels along the box's longest side; None matches the images' resolution.
+            count: number of voxels along the box's longest side. None chooses a number that matches the images'
+                resolution.
         """
         side = float((upper - lower).max())
         if count is None:
@@ -111,7 +112,7 @@ class VoxelGrid:
     def max_projection(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
         """Project the ``chosen`` voxels into camera ``index`` and keep the largest of their ``values`` per pixel.
 
-        Pixels onto which no voxel projects are NO_CELL_LOG_ODDS. The result has shape (h, w).
+        The result has shape (h, w). Pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
         """
         camera = self.cameras[index]
         flat = np.full(camera.width * camera.height, NO_CELL_LOG_ODDS, np.float32)
@@ -130,7 +131,7 @@ class Scores:
         grid: the voxel grid.
         alive: (n,) indices of the voxels that are not rejected.
         total: (n,) scores from all views.
-        leave_one_out: (C, n) scores from all views except camera c, in row c.
+        leave_one_out: (C, n) scores. Row c contains the scores from all views except camera c.
     """
 
     grid: VoxelGrid
@@ -152,11 +153,14 @@ class Scores:
         return Scores(grid, alive, total, leave_one_out)
 
     def prior(self, index: int) -> Floats:
-        """Log-odds (h, w) of camera ``index``'s pixels from the other views; NO_CELL_LOG_ODDS outside their hull."""
+        """Log-odds (h, w) of the pixels of camera ``index`` from the other views.
+
+        The value is NO_CELL_LOG_ODDS outside the visual hull of the other views.
+        """
         return self.grid.max_projection(self.alive, self.leave_one_out[index], index)
 
     def box(self) -> tuple[Array, Array] | None:
-        """Corners of the bounding box of all voxels with positive scores; None if there are no such voxels."""
+        """Corners of the bounding box of all voxels with positive scores, or None if no score is positive."""
         centres = self.grid.xyz[self.alive[self.total > 0]]
         if not len(centres):
             return None
@@ -167,7 +171,7 @@ class Scores:
 def dilate(picture: Floats, width: int) -> Floats:
     """Apply a maximum filter over squares of ``width`` pixels, the size of a voxel's projection.
 
-    A voxel is occupied if the subject is anywhere in its projection.
+    The filter is needed because a voxel counts as occupied if the subject is anywhere in the voxel's projection.
     """
     return picture if width <= 1 else np.asarray(cv2.dilate(picture, _square(width)), np.float32)
 

@@ -16,10 +16,10 @@ Picture = NDArray[np.uint8]
 SHADOW_DARKEST = 0.55
 SHADOW_BRIGHTEST = 1.1
 SHADOW_LOG_ODDS = np.float32(-2.5)
-"""Prior log-odds of background in shadow versus background without shadow."""
+"""Prior log-odds that a background pixel is in shadow."""
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
-"""Total weight of frames with matching colour at which the confidence of a pixel's background reaches 1."""
+"""Total weight of matching frames at which the confidence of a pixel's background colour reaches 1."""
 LOG_TWO_PI = float(np.log(2 * np.pi))
 
 
@@ -39,13 +39,13 @@ class BackgroundModel:
 
     @property
     def confidence(self) -> Floats:
-        """Confidence (h, w) in [0, 1]; it is 1 where enough frames have the same colour."""
+        """Confidence (h, w) in [0, 1]. The confidence is 1 where enough frames have the same colour."""
         return np.clip(self.frames / CONFIDENT_FRAMES, 0, 1)
 
     def log_likelihood(self, rgb: Picture) -> Floats:
         """Log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
 
-        The background may be in shadow.
+        The density includes the possibility that the background is in shadow.
         """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
@@ -80,8 +80,8 @@ class BackgroundModel:
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
     """Fit a background model to frames.
 
-    At each pixel, the frame is found with whose colour the largest total weight of frames agrees. The model is the
-    weighted mean and variance of these frames' colours.
+    At each pixel, the frame is chosen whose colour matches the frames of the largest total weight. The model is the
+    weighted mean and variance of the colours of these matching frames.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

@@ -1,6 +1,6 @@
 """Reductions over the three channels of an image.
 
-They are many times faster than NumPy's reductions over a last axis of size three.
+These functions are many times faster than NumPy's reductions over a last axis of size three.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ Picture = NDArray[np.uint8]
 BINS = 24
 SPREAD_BINS = 0.8
 UNIFORM = 0.02
-"""Weight of a uniform distribution that is mixed in so that unobserved colours have a positive density."""
+"""Weight of the uniform distribution in the mixture, so that unobserved colours have a positive density."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class ColourHistogram:
 
     @staticmethod
     def mixture(distributions: Sequence[ColourHistogram], shares: Sequence[float] | None = None) -> ColourHistogram:
-        """Mix distributions with weights ``shares`` that sum to 1; None means equal weights."""
+        """Mix distributions with weights ``shares`` that sum to 1. None means equal weights."""
         weights = np.full(len(distributions), 1 / len(distributions)) if shares is None else np.asarray(shares)
         density = sum(
             weight * np.exp(colours.log_density) for weight, colours in zip(weights, distributions, strict=True)

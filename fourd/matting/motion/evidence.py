@@ -20,12 +20,13 @@ Picture = NDArray[np.uint8]
 MAX_LOG_ODDS = np.float32(8.0)
 """Log-odds are clamped to this magnitude."""
 UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
-"""Factor on negative log-odds, which are evidence against the subject, where the background is unknown."""
+"""Factor on negative log-odds at pixels whose background is unknown. Negative log-odds are evidence against the
+subject."""
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)
-"""Score above which a voxel belongs to the other views' hull. It is below 0 because the score is nearly the lowest
-log-odds of all views, and a single view often gives slightly negative log-odds on the subject."""
+"""Score above which a voxel belongs to the other views' hull. The threshold is below 0, because a score is nearly the
+lowest log-odds of all views, and single views often give slightly negative log-odds on the subject."""
 HULL_RANGE = np.float32(4.0)
 """Difference between HULL_THRESHOLD and the score at which the hull's evidence saturates."""
 CONFIDENT_LOG_ODDS = np.float32(4.0)
@@ -54,9 +55,9 @@ class Appearance:
     still_px: float
 
     def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
-        """Log-odds (h, w) of an image (h, w, 3) from this camera alone.
+        """Log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera alone.
 
-        ``motion`` (h, w) is the length of the optical flow in pixels; None for a capture of one frame.
+        ``motion`` (h, w) is the length of the optical flow in pixels. It is None for a capture of one frame.
         """
         confidence = self.background.confidence
         surround = self.surround.log_likelihood(rgb)
@@ -98,7 +99,7 @@ class ViewEvidence:
 
     Attributes:
         log_odds: one array (h, w) per camera, smoothed within areas of similar colour.
-        off_hull: one bool array (h, w) per camera; True outside the other views' visual hull.
+        off_hull: one bool array (h, w) per camera, True at pixels outside the visual hull of the other views.
     """
 
     log_odds: tuple[Floats, ...]
@@ -113,7 +114,7 @@ def combine_views(
 ) -> ViewEvidence:
     """Combine each camera's log-odds with the visual hull of the other views.
 
-    If ``grid`` is None, for a single camera or parallel cameras, each camera is processed independently.
+    ``grid`` is None for a single camera or parallel cameras. Each camera is then processed independently.
     """
     own = [
         appearance.log_odds(rgb, motion) for appearance, rgb, motion in zip(appearances, pictures, motions, strict=True)
@@ -137,8 +138,8 @@ def combine_views(
 def _inside_hull_log_odds(own: Floats) -> np.float32:
     """Log-odds that a pixel inside the other views' visual hull shows the subject.
 
-    They are estimated from the camera's own log-odds (N,) inside the hull. The hull of many views is tight and gives
-    strong evidence. The hull of a few views is wide and gives weak evidence.
+    These log-odds are estimated from the camera's ``own`` log-odds (N,) inside the hull. The hull of many views is
+    tight and gives strong evidence. The hull of a few views is wide and gives weak evidence.
     """
     subject, other = np.count_nonzero(own > CONFIDENT_LOG_ODDS), np.count_nonzero(own < -CONFIDENT_LOG_ODDS)
     return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, MAX_INSIDE_HULL_LOG_ODDS))

@@ -22,7 +22,7 @@ Picture = NDArray[np.uint8]
 
 MAX_COLOURS = 200_000
 SURROUND_PX = 20
-"""Width in pixels of the area around the subject whose colours represent the background."""
+"""Width in pixels of the band around the subject. The colours in the band represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
 """Colour log-odds at which :func:`_background_weight` is 0.5.
@@ -34,7 +34,7 @@ MIN_BACKGROUND_WEIGHT = np.float32(0.02)
 CONFIRMED_FRAMES = 1.5
 """Minimum total weight of matching frames that confirms a pixel's colour as background.
 
-Frames count where the pixel is outside the other views' hull and its colour matches the background model.
+A frame counts if the pixel is outside the other views' hull and the pixel's colour matches the background model.
 """
 MIN_CONFIRMATION = np.float32(0.03)
 
@@ -46,7 +46,7 @@ class Learner:
     Attributes:
         sample: sampled frames of the camera.
         extent: extent of motion in the sampled frames.
-        appearance: current models; the subject colours are pooled over cameras.
+        appearance: current models of the camera. Their subject colours are pooled over all cameras.
         subject: subject colours from this camera alone.
     """
 
@@ -67,7 +67,7 @@ class Learner:
 
     @staticmethod
     def from_motion(sample: CameraSample, extent: MotionExtent, region: Flags, rng: np.random.Generator) -> Learner:
-        """Initialise the models from motion; the mask ``region`` (h, w) contains the subject in all frames."""
+        """Initialise the models from motion. The mask ``region`` (h, w) contains the subject in all frames."""
         near_subject = _dilate(region, SURROUND_PX)
         ring = near_subject & ~region
         ring_rgb = sample.rgb[:, ring if ring.any() else near_subject].reshape(-1, 3)
@@ -90,7 +90,7 @@ class Learner:
         self.appearance = replace(self.appearance, subject=colours)
 
     def update(self, alpha: Floats, off_hull: Flags, rng: np.random.Generator) -> None:
-        """Update all models.
+        """Update the camera's models of subject and background.
 
         Args:
             alpha: (T, h, w) probabilities that a pixel shows the subject.
@@ -115,8 +115,8 @@ class Learner:
     def _confirmed_background(self, weights: Floats) -> Flags:
         """Mask (h, w) of the pixels near the subject whose background colour is known.
 
-        The colour is known outside the moving region, and where the ``weights`` (T, h, w) of the frames that match
-        the background model sum to more than CONFIRMED_FRAMES.
+        The background colour is known outside the moving region. Inside the moving region, it is known where the
+        ``weights`` (T, h, w) of frames that match the background model sum to more than CONFIRMED_FRAMES.
         """
         frames = self.appearance.background.matching_weight(self.sample.rgb, weights, self.extent.noise)
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))
@@ -137,8 +137,8 @@ class Learner:
     def _set_background(self, weights: Floats, confirmation: Floats) -> None:
         """Fit the background model.
 
-        Inside the subject's region it is fitted with ``weights`` (T, h, w), and its confidence is computed from the
-        weights ``confirmation`` (T, h, w). Outside the region it is the median over time.
+        Inside the subject's region, the model is fitted with ``weights`` (T, h, w), and its confidence is computed from
+        the weights ``confirmation`` (T, h, w). Outside the region, the model's mean is the median over time.
         """
         rgb = self.sample.rgb
         rows, columns = _bounding_window(self.appearance.region)
@@ -155,16 +155,18 @@ class Learner:
 
 
 def _background_weight(odds: Floats) -> Floats:
-    """Background weight in (0, 1] from the subject's colour log-odds; low for typical subject colours."""
+    """Background weight in (0, 1] from the subject's colour log-odds. Typical subject colours have a low weight."""
     return np.maximum(probability(COLOUR_SLOPE * (COLOUR_MARGIN - odds)), MIN_BACKGROUND_WEIGHT)
 
 
 def _background_confirmation(odds: Floats) -> Floats:
-    """Background confirmation in (0, 1] from the subject's colour log-odds; high for typical background colours.
+    """Confirmation in (0, 1] of background from the subject's colour log-odds.
+
+    Typical background colours have a high confirmation.
 
     A static part of the subject keeps its colour over as many frames as the background does. A constant colour is
-    therefore no evidence for background at pixels that are always inside the other views' hull. There, only a colour
-    that is typical of the background is evidence.
+    therefore no evidence for background at pixels that are always inside the other views' hull. At such pixels, only a
+    colour that is typical of the background is evidence for background.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 

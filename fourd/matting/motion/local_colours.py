@@ -20,9 +20,9 @@ REACH_PX = 20.0
 STEP_PX = 10
 """Grid spacing in pixels: half of REACH_PX, so that interpolation artefacts are negligible."""
 GLOBAL_WEIGHT = 4.0
-"""Weight of the whole image's histogram in each local one, as a number of pixels.
+"""Weight of the whole image's histogram in each local histogram, as a number of pixels.
 
-The whole image's histogram dominates where no selected pixel is near.
+The whole image's histogram dominates at grid points that are far from all counted pixels.
 """
 
 

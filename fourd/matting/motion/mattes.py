@@ -1,4 +1,4 @@
-"""Mattes of all frames from the learned models, at a higher resolution than that of learning."""
+"""Mattes of all frames from the learned models, at a higher resolution than during learning."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 MAX_SIDE_PX = 640
-"""Maximum longest side in pixels of the images from which log-odds are computed.
+"""Maximum length in pixels of the longest side of the images from which log-odds are computed.
 
-Edge refinement adds the detail of larger images.
+For larger images, edge refinement adds the detail afterwards.
 """
 
 
@@ -33,7 +33,7 @@ class MatteMaker:
     """Makes mattes frame by frame.
 
     Attributes:
-        appearances: one per camera, at the size of ``cameras``.
+        appearances: one appearance per camera, at the image size of ``cameras``.
         cameras: cameras of the reduced images from which log-odds are computed.
         grid: voxel grid for multi-view consistency; None if the views cannot be combined.
     """
@@ -44,7 +44,10 @@ class MatteMaker:
 
     @staticmethod
     def from_subject(subject: Subject, backgrounds: Sequence[BackgroundModel], cameras: Sequence[Camera]) -> MatteMaker:
-        """Create a matte maker from a learned subject and higher-resolution backgrounds of the size of ``cameras``."""
+        """Create a matte maker from a learned subject and higher-resolution backgrounds.
+
+        The backgrounds have the image size of ``cameras``.
+        """
         appearances = tuple(
             appearance.with_background(fine) for appearance, fine in zip(subject.appearances, backgrounds, strict=True)
         )
@@ -62,8 +65,9 @@ class MatteMaker:
             small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
             if other is not None:
-                # The frames between the two are also read, in order, so that they are cached. To read them later, a
-                # video would seek backwards and decode from the previous keyframe.
+                # The frames between the two frames of the optical flow are also read, in order, so that they are
+                # cached. Reading them later would require seeking backwards in the video and decoding from the previous
+                # keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))
@@ -78,7 +82,7 @@ class MatteMaker:
 
 
 def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None:
-    """The background's colours and confidence (H, W, 4); None if the background is smaller than the image."""
+    """The background's colours and confidence (H, W, 4), or None if the background is smaller than the image."""
     background = appearance.background
     if background.frames.shape != picture.shape[:2]:
         return None
@@ -92,7 +96,7 @@ def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
 
 
 def refine_background(capture: Capture, index: int, coarse: BackgroundModel, camera: Camera) -> BackgroundModel:
-    """Recompute a camera's background at ``camera``'s size.
+    """Recompute a background model at the image size of ``camera``.
 
     The result is a weighted mean of frames. A pixel's weight is its similarity to the ``coarse`` background.
     """

@@ -15,11 +15,11 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 MIN_CHANGE = 12.0
-"""Minimum change of a pixel's value, of 255, that counts as motion even if the noise is lower."""
+"""Minimum change of a pixel's 8-bit value that counts as motion. It applies to images with little noise."""
 NOISE_FACTOR = 6.0
 MIN_MOTION_PX = 0.15
 MOVING_FACTOR = 2.5
-"""Minimum optical flow of moving pixels in multiples of the flow of static pixels."""
+"""Minimum optical flow of moving pixels, as a multiple of the flow of static pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class MotionExtent:
         threshold = max(MIN_CHANGE, NOISE_FACTOR * noise)
         still = float(np.median(sample.motion_px)) + MIN_MOTION_PX
         # A pixel's second largest change over the frames is used, because a flash that lasts one frame affects only the
-        # largest. Where the optical flow is large, such as at a swinging foot, a change in one frame is enough.
+        # largest change. Where the optical flow is large, such as at a swinging foot, a change in one frame is enough.
         largest = np.partition(change, -2, axis=0)[-2] if len(change) > 2 else change.max(axis=0)
         largest = np.maximum(largest, np.where(sample.motion_px > MOVING_FACTOR * still, change, 0).max(axis=0))
         region = (largest > threshold).astype(np.uint8)

@@ -18,11 +18,13 @@ Picture = NDArray[np.uint8]
 
 MAX_FRAMES = 24
 MAX_PIXELS = 32 << 20
-"""Maximum number of sampled pixels of all cameras and frames. Images need 100 MB, derived data 200 MB."""
+"""Maximum number of sampled pixels of all cameras and frames. The sampled images then need 100 MB, and derived data
+needs 200 MB."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4
-"""Maximum distance in frames between the two frames of an optical flow; 67 ms at 60 frames per second."""
+"""Maximum distance in frames between the two frames of an optical flow. The distance is 67 ms at 60 frames per
+second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class CameraSample:
 
 
 def sample_capture(capture: Capture, track: Track) -> list[CameraSample]:
-    """Sample evenly spaced frames of all cameras and reduce them all by the same factor."""
+    """Sample evenly spaced frames of all cameras, and reduce all images by the same factor."""
     frames = learning_frames(capture.frame_count)
     scale = _scale(capture.cameras, len(frames))
     samples = []
@@ -60,7 +62,7 @@ def sample_capture(capture: Capture, track: Track) -> list[CameraSample]:
 
 
 def flow_frame(frame: int, count: int) -> int | None:
-    """Index of the frame to which the optical flow of ``frame`` is computed; None if ``count`` is 1.
+    """Index of the frame to which the optical flow of ``frame`` is computed, or None if ``count`` is 1.
 
     ``count`` is the capture's number of frames.
     """

@@ -37,7 +37,7 @@ def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundM
 
 
 def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
-    """Load a matte maker for ``cameras``; their image sizes must be those of the saved backgrounds.
+    """Load a matte maker for ``cameras``. The image sizes of ``cameras`` must be those of the saved backgrounds.
 
     Raises:
         UserError: if the file is damaged or belongs to other cameras.

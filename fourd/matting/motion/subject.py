@@ -1,9 +1,9 @@
 """Learning of subject and background models without a network.
 
-The models are learned by expectation maximisation over a few frames of all cameras. Motion initialises them: moving
-pixels are the subject. A pixel's background is its most frequent colour in frames without motion, unless that colour
-is typical of the subject. The E-step combines the evidence of a pixel's own camera with the visual hull of the other
-cameras (:mod:`fourd.matting.motion.agreement`). A subject that is static in one view is therefore found from the
+The models are learned by expectation maximisation over a few frames of all cameras. Motion initialises the models:
+moving pixels are the subject. A pixel's background is its most frequent colour in frames without motion, unless that
+colour is typical of the subject. The E-step combines the evidence of a pixel's own camera with the visual hull of the
+other cameras (:mod:`fourd.matting.motion.agreement`). A subject that is static in one view is therefore found from the
 other views.
 """
 
@@ -32,12 +32,13 @@ Flags = NDArray[np.bool_]
 
 ITERATIONS = 4
 MIN_REGION_PIXELS = 20
-"""Minimum number of changing pixels in at least one camera; with fewer, there is no moving subject."""
+"""Minimum number of changing pixels in at least one camera. With fewer changing pixels in every camera, there is no
+moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""Weight in [0, 1] of the colours pooled from all cameras, when they are mixed into one camera's subject colours.
+"""Weight in [0, 1] of the subject colours of all cameras, mixed into the subject colours of each camera.
 
-Pooling helps where a part of the subject is static in one view.
+Mixing in the colours of other cameras helps where a part of the subject is static in one view.
 """
 
 
@@ -46,10 +47,10 @@ class Subject:
     """The learned models.
 
     Attributes:
-        appearances: one per camera, at the size of the sampled images.
+        appearances: one appearance per camera, at the size of the sampled images.
         cameras: cameras of the sampled images.
-        box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units; None if
-            the views cannot be combined.
+        box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units. None if the
+            views cannot be combined.
     """
 
     appearances: tuple[Appearance, ...]
@@ -61,7 +62,7 @@ def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: i
     """Learn the models of the subject and the backgrounds.
 
     Args:
-        samples: one per camera.
+        samples: sampled frames, one entry per camera.
         names: camera names for messages.
         seed: random seed for subsampling colours.
         track: progress callback.
@@ -113,7 +114,7 @@ def _pool_subject_colours(learners: Sequence[Learner]) -> None:
 def _motion_box(
     extents: Sequence[MotionExtent], cameras: Sequence[Camera], names: Sequence[str]
 ) -> tuple[Array, Array] | None:
-    """Bounding box of the visual hull of the moving regions; None for a single camera or parallel cameras."""
+    """Bounding box of the visual hull of the moving regions, or None for a single camera or parallel cameras."""
     focus = find_focus(list(cameras)) if len(cameras) > 1 else None
     if focus is None:
         return None
@@ -133,9 +134,9 @@ def _motion_box(
 
 
 def _subject_regions(extents: Sequence[MotionExtent], grid: VoxelGrid) -> list[Flags]:
-    """Restrict each camera's moving region to the common visual hull plus a margin.
+    """Restrict each camera's moving region to the visual hull from all cameras, plus a margin.
 
-    This excludes people who move outside the volume that all cameras observe.
+    The restriction excludes people who move outside the volume that all cameras observe.
     """
     scores = grid.scores([_region_log_odds(extent.region) for extent in extents])
     regions = []

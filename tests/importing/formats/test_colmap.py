@@ -122,7 +122,7 @@ def test_images_of_a_camera_must_agree(source: Path) -> None:
     assert len(read(source).cameras) == 3
     moved = replace(static, translation=static.translation + 0.05)
     write_text(source, [*images(), ("c0/0001.jpg", moved)])
-    assert_refused(read, source, r"camera 'c0': expected a static camera, got c0/0000.jpg and c0/0001.jpg .*")
+    assert_refused(read, source, r"camera 'c0': expected a static camera, got poses of c0/0000.jpg and c0/0001.jpg .*")
     write_text(source, [*images(), ("other/c0/0001.jpg", static)])
     assert_refused(read, source, r"camera 'c0': expected each camera once, got two folders of that name; rename one")
     write_text(source, [*images(), ("c0/0001.jpg", static)])
@@ -151,7 +151,9 @@ def test_invalid_values_are_reported(source: Path) -> None:
     (source / "points3D.txt").unlink()
     assert_refused(read, source, r"expected a COLMAP model, got '.*'; copy or reconstruct it again")
     (source / "cameras.txt").unlink()
-    assert_refused(read, source, r"expected cameras.bin and images.bin \(or .txt\) there or in sparse/0, got none; add")
+    assert_refused(
+        read, source, r"expected cameras.bin and images.bin \(or .txt\) in this folder or in sparse/0, got none"
+    )
 
 
 @pytest.mark.parametrize("name", ["cameras.bin", "images.bin", "points3D.bin"])

@@ -133,7 +133,7 @@ def test_invalid_values_are_reported(source: Path, damage: object, message: str)
 def test_missing_and_other_files_are_reported(source: Path) -> None:
     (source / "0012_11_annots.smc").rename(source / "kept")
     assert_refused(
-        read, source, r"expected the group Camera_Parameter there or in 0012_11_annots.smc, got neither; put"
+        read, source, r"expected the group Camera_Parameter in this file or in 0012_11_annots.smc, got neither"
     )
     (source / "0013_01.smc").write_text("text")
     assert_refused(read, source, r"expected one NAME.smc, got 0012_11.smc and 0013_01.smc; name the file itself")

@@ -94,7 +94,7 @@ def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> N
 def test_videos_of_other_names_are_refused(source: Path) -> None:
     for path in source.glob("*.mp4"):
         path.rename(path.with_name(f"{path.stem}9.mp4"))
-    assert_refused(read, source, r"Calib.qca.txt: expected calibrations named as the cameras \(Miqus_119, ")
+    assert_refused(read, source, r"Calib.qca.txt: expected calibrations with the names of the cameras \(Miqus_119, ")
 
 
 def test_real_calibration_agrees_with_pose2sim() -> None:

@@ -143,7 +143,7 @@ INVALID_VALUES: list[tuple[dict[str, object], str]] = [
         r"entry 1: camera_model: expected OPENCV, .*, got OPENCV_FISHEYE; undistort",
     ),
     ({"is_fisheye": True}, r"entry 1: camera_model: expected OPENCV, .*, got a fisheye; undistort"),
-    ({"time": 0.5}, r"transforms.json: expected a time in all 3 entries or in none, got a time in 1; add the others"),
+    ({"time": 0.5}, r"transforms.json: expected a time in all 3 entries or in none, got a time in 1; add the missing"),
 ]
 
 
@@ -164,10 +164,10 @@ def test_other_json_is_refused(static: Path, text: str) -> None:
 def test_missing_and_moving_frames_are_refused(tmp_path: Path) -> None:
     data = json.loads((write_moving(tmp_path, "cam{camera}/{frame:02d}.jpg") / "transforms.json").read_text())
     write(tmp_path, data["frames"][:-1])
-    assert_refused(read, tmp_path, r"got 2 times in 2 images of 'cam1' and 3 images of 'cam0'; remove the")
+    assert_refused(read, tmp_path, r"got 2 different times in 2 images of 'cam1' and 3 images of 'cam0'; remove the")
     data["frames"][1]["transform_matrix"][0][3] += 0.1
     write(tmp_path, data["frames"])
-    assert_refused(read, tmp_path, r"expected static cameras with the same times, each once")
+    assert_refused(read, tmp_path, r"expected static cameras with the same times, each time once")
 
 
 def test_damaged_files_are_reported(static: Path, rng: np.random.Generator) -> None:
