@@ -1,7 +1,7 @@
 """fourd: multi-view video of a moving scene in, a 4D point scene out.
 
-Importing this package loads neither native modules nor torch. Each subpackage loads
-its dependencies when it is imported.
+Importing this package loads neither native modules nor torch. Each subpackage loads its own dependencies when the
+subpackage is imported.
 """
 
 from importlib.metadata import PackageNotFoundError, version

@@ -1,4 +1,4 @@
-"""The camera type. It follows OpenCV's convention: x points right, y down and z forward. Intrinsics are in pixels.
+"""The camera type. Cameras follow OpenCV's convention: x points right, y down and z forward. Intrinsics are in pixels.
 
 A world point has camera coordinates ``x_camera = R_camera_world @ x_world + T_camera_world``. The centre of the pixel
 in row i and column j is at ``(j + 0.5, i + 0.5)``. All arrays are NumPy arrays of float64. This module does not import
@@ -30,7 +30,7 @@ class Camera:
 
     Raises:
         ValueError: if an array has a wrong shape, a value is not finite, or ``rotation`` is not a rotation matrix
-            (tolerance 1e-3). The error message names the field.
+            (tolerance 1e-3). The error message names the invalid field.
     """
 
     intrinsics: Array
@@ -49,7 +49,7 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
-        # The error is NaN if the matrix product overflows. The comparison "not (error <= ...)" also rejects NaN.
+        # "not (error <= ...)" also rejects an error of NaN, which occurs if the matrix product overflows.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
                 f"rotation: expected an orthonormal matrix of determinant +1, got one that differs from orthonormal by "
@@ -100,9 +100,9 @@ class Camera:
         return np.asarray((depth > 0) & inside)
 
     def rescale(self, scale: float) -> Camera:
-        """Return this camera at ``scale`` times its image size, rounded to whole pixels.
+        """Return this camera with ``scale`` times the image size, rounded to whole pixels.
 
-        The intrinsics match the rounded size exactly.
+        The scaled intrinsics match the rounded image size exactly.
         """
         return self.resize(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
@@ -140,7 +140,8 @@ def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Arra
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
     The angle is measured at ``focus``, a (3,) world point, between the rays to the centres of ``camera`` and of the
-    source camera. Selecting source views by this angle follows 4K4D (sec. 3.2). Equal angles are ordered by index.
+    source camera. Selecting source views by angle follows 4K4D (sec. 3.2). Cameras with equal angles are ordered by
+    index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])

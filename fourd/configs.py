@@ -39,15 +39,15 @@ def load_overlay(base: Config, path: Path) -> Config:
     Fields that the file does not set keep their values.
 
     Args:
-        base: a frozen dataclass instance. Fields may be bool, int, float, str, Path, Literal,
-            tuples of these, optional (``X | None``), and nested dataclasses.
+        base: a frozen dataclass instance. The types of fields may be bool, int, float, str, Path, Literal, tuples of
+            these, optional (``X | None``), and nested dataclasses.
         path: a file with a YAML mapping of field names to values. If the file is empty, ``base`` is returned.
 
     Raises:
         UserError: the file is missing, the YAML is invalid, a key is unknown or repeated, a value has the wrong type,
             or ``__post_init__`` of the dataclass raises ValueError. The error message names the file, the line and the
             key.
-        TypeError: a field has a type that is not listed for ``base``. This is a bug in the dataclass.
+        TypeError: a bug in the dataclass: a field has a type that is not listed for ``base``.
     """
     node = _parse_file(path)
     if node is None:
@@ -224,7 +224,8 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
     """Convert a node to the type ``kind``.
 
-    ``base`` is the old value. If ``base`` is a dataclass, the fields that the node does not name are kept.
+    ``base`` is the old value of the config field. If ``base`` is a dataclass, fields that the node does not name are
+    kept.
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
@@ -239,7 +240,10 @@ def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
 
 
 def _blank(kind: type, node: yaml.Node, place: _Place) -> Any:
-    """An instance of the dataclass ``kind`` with default values. It is the base if the old value is None."""
+    """An instance of the dataclass ``kind`` with default values.
+
+    The default values are the base if the old value is None.
+    """
     try:
         return kind()
     except TypeError as error:
@@ -313,7 +317,7 @@ def _float(text: str) -> float:
 
 
 def _plain_tag(node: yaml.Node) -> str | None:
-    """The implicit tag of an unquoted scalar; None for quoted scalars, collections and explicit tags."""
+    """The implicit tag of an unquoted scalar, or None for quoted scalars, collections and explicit tags."""
     if isinstance(node, yaml.ScalarNode) and node.style is None and node.tag in _PLAIN_TAGS:
         return node.tag
     return None

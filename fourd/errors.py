@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class UserError(Exception):
-    """Invalid input. The CLI prints the one-line message and exits with code 2.
+    """Invalid input. The CLI prints the one-line error message and exits with code 2.
 
-    The message names the file or argument, what was expected, what was found, and the fix.
+    The error message names the file or argument, the expected value, the value found, and the fix.
     """

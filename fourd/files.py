@@ -15,12 +15,12 @@ UNFINISHED = ".unfinished-"
 
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside ``target``. On success, sync the file to disk and rename it to ``target``.
+    """Yield a temporary path beside ``target``. On success, sync the temporary file to disk and rename it.
 
-    This context manager is for writers that take a path. If the ``with`` block raises an exception, the temporary file
-    is removed and ``target`` is unchanged. A killed process leaves the temporary file behind; :func:`remove_unfinished`
-    removes it. The temporary name keeps the suffix of ``target``, because some writers choose the file format by the
-    suffix.
+    The context manager is meant for file writers that take a path. If the ``with`` block raises an exception, the
+    temporary file is removed and ``target`` is unchanged. A killed process leaves the temporary file behind;
+    :func:`remove_unfinished` removes it. The temporary file keeps the suffix of ``target``, because some writers choose
+    the file format by the suffix.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -39,7 +39,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, name) or error.errno is None:
             raise
-        # The error names the target, because the user does not know the temporary name.
+        # The error message names the target file, because the user does not know the temporary file.
         raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
         temporary.unlink(missing_ok=True)

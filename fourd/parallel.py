@@ -41,8 +41,8 @@ def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], worke
     """Yield the results of ``work`` for all jobs, each as soon as it is ready.
 
     With one worker or one job, ``work`` runs in this process, without a pool. The pool's processes are terminated when
-    the caller stops the iteration or a job fails. They also exit when this process is killed. Because a job can be
-    terminated at any time, jobs must write files atomically.
+    the caller stops the iteration or a job fails. The pool's processes also exit when their parent process is killed.
+    Because a job can be terminated at any time, jobs must write files atomically.
     """
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
@@ -99,7 +99,10 @@ def _run_job(work: Callable[[Job], Iterable[object]], job: Job) -> None:
 
 @contextmanager
 def _block_interrupts() -> Iterator[None]:
-    """Defer Ctrl-C until the end of the block. Processes that start in the block inherit the blocked signal."""
+    """Defer Ctrl-C until the end of the ``with`` block.
+
+    Processes that start in the block inherit the blocked signal.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

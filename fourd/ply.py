@@ -1,4 +1,4 @@
-"""Coloured points in PLY files. All three PLY formats can be read. Written files are binary little endian."""
+"""Coloured points in PLY files. ASCII and both binary formats can be read. Binary little endian is written."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
 def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours may be uchar, or float in [0, 1]. Points without colours become mid grey. Other properties and the elements
-    after the vertices are skipped.
+    Colours may be uchar, or float in [0, 1]. Points without colours become mid grey. Other properties of vertices, and
+    elements after the vertices, are skipped.
 
     Raises:
         UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or

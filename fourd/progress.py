@@ -34,7 +34,7 @@ class Track(Protocol):
 
 
 def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
-    """Return the items without progress reports."""
+    """Return ``items`` unchanged, without progress reports."""
     return items
 
 
@@ -49,7 +49,7 @@ def console_log(console: Console) -> Log:
 
 @dataclass(frozen=True)
 class Tracker:
-    """Progress with an estimate of the remaining time: a bar if the console is a terminal, else lines."""
+    """Reports progress and the estimated remaining time: as a bar if the console is a terminal, otherwise as lines."""
 
     console: Console
 
@@ -94,13 +94,13 @@ class Tracker:
 class EndEstimate:
     """Estimates the end of a phase from the rate of the last items.
 
-    The rate is measured over the last minute, or over the last 20 items if these took longer than a minute. This window
-    is long enough that the estimate stays stable when several processes finish items at the same time. The window is
+    The rate is measured over the last minute, or over the last 20 items if these took longer than a minute. The time
+    window is long enough for a stable estimate when several processes finish items at the same time. The time window is
     short enough that the estimate follows changes of the machine's load.
     """
 
     def __init__(self, start: float, count: int) -> None:
-        """Start a phase of ``count`` items. ``start`` is the time of the start, in seconds of any clock."""
+        """Start a phase of ``count`` items. ``start`` is the current time in seconds, on any clock."""
         self._count = count
         self._marks = deque([(start, 0)])
 

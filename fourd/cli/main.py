@@ -72,8 +72,8 @@ Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be
 SPIN_COUNT = "20000"
 """Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
 
-With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With this value a training
-step is 6 to 12% faster.
+With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With the value SPIN_COUNT, a
+training step is 6 to 12% faster.
 """
 
 
@@ -141,7 +141,7 @@ def _run(command: str, words: list[str]) -> int:
 def _wrap(text: str) -> str:
     """Wrap a description to the width of the terminal.
 
-    Each line starts with a space, because tyro would join the lines otherwise.
+    Every wrapped line starts with a space, because tyro would join the lines otherwise.
     """
     import shutil
     import textwrap

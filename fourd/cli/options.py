@@ -13,11 +13,14 @@ from fourd.parallel import core_count
 
 FRAMES_HELP = "Every S-th frame from A to B, B excluded. A and B are indices of frames in the capture, from 0."
 VIEWS_HELP = "Names of cameras, separated by commas."
-LPIPS_DEFAULT = "VGG-16 from torch.hub's cache, LPIPS from the installed lpips or torchmetrics"
+LPIPS_DEFAULT = "VGG-16 from torch.hub's cache, LPIPS from the installed package lpips or torchmetrics"
 
 
 def describe(*sentences: str) -> Any:
-    """Make a help text from several sentences. If the text were a docstring, tyro would keep its line breaks."""
+    """Make a help text from several sentences.
+
+    tyro would keep the source's line breaks if the help text were a docstring.
+    """
     return tyro.conf.arg(help=" ".join(sentences))
 
 
@@ -77,7 +80,7 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
 
 
 def worker_count(workers: int | None) -> int:
-    """The number of processes to use: ``workers``, or one per available core."""
+    """Return the number of processes to use: ``workers``, or the number of available cores if it is None."""
     if workers is None:
         return core_count()
     if workers < 1:

@@ -46,7 +46,7 @@ def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """Flags and --set override the config file, which overrides the defaults."""
+    """Flags and --set override the config file. The config file overrides the defaults."""
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
     """object: only the foreground of the mattes, on black. full: the foreground and a static background."""
@@ -87,8 +87,8 @@ class TrainingOptions:
         """Return the default config, overridden first by the config file and then by --set and the flags.
 
         Args:
-            max_seconds: time budget in seconds. It is used if the options and the config file set no budget. If
-                ``max_seconds`` is None, a missing budget raises UserError.
+            max_seconds: time budget in seconds. The value of ``max_seconds`` is used if options and config file set no
+                budget. If ``max_seconds`` is None, a missing budget raises UserError.
         """
         config = self.overlay(TrainConfig())
         if config.max_steps is None and config.max_seconds is None:
@@ -117,7 +117,7 @@ class TrainingOptions:
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
-    """The config fields that option ``name`` sets, and their values. All are in the dataclass that contains ``key``."""
+    """The fields that option ``name`` sets in the dataclass that contains ``key``, with their values."""
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):

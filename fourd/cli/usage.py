@@ -24,7 +24,7 @@ HELP = "Argument helptext:"
 def one_line_of_usage() -> Iterator[None]:
     """Catch tyro's exit after a usage error and raise a one-line UserError instead.
 
-    The exit of --help with code 0 is not changed.
+    An exit with code 0, as after --help, is not caught.
     """
     printed = io.StringIO()
     try:
@@ -47,7 +47,7 @@ def condense(box: str) -> str:
             sections[-1].append(text)
     filled = [section for section in sections if section] or [["the options cannot be parsed"]]
     if len(filled) > 1 and len(filled[0]) == 1 and not filled[0][0].endswith(".") and ":" not in filled[0][0]:
-        del filled[0]  # on terminals without box-drawing characters, tyro prints the title above the box
+        del filled[0]  # on terminals without box-drawing characters, tyro prints the box's title above it
     if filled[0][0].startswith(MISSING):
         return f"expected {' and '.join(_missing(filled[0][1:]))}, got none; see --help"
     message = " ".join(filled[0]).split(" Got errors:")[0].rstrip(".")

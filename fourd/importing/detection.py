@@ -29,9 +29,9 @@ class Format:
     Attributes:
         name: the format's name on the command line.
         summary: what a source contains, for help texts.
-        looks_like: function that tests whether a path has this format. It reads only file names and the first bytes of
-            files.
-        read: function that reads the cameras of a source. It raises UserError for an invalid source.
+        looks_like: function that tests whether a path has this format, by reading only file names and the first bytes
+            of files.
+        read: function that reads the cameras of a source, and raises UserError for an invalid source.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Format:
 
 
 FORMATS = (
-    Format("qualisys", "NAME.qca.txt and a video of each camera", qualisys.looks_like, qualisys.read),
+    Format("qualisys", "NAME.qca.txt and one video per camera", qualisys.looks_like, qualisys.read),
     Format("anipose", "a calibration TOML (also Pose2Sim's) and videos", anipose.looks_like, anipose.read),
     Format("neural3dv", "poses_bounds.npy and camNN.mp4", neural3dv.looks_like, neural3dv.read),
     Format("actorshq", "calibration.csv, rgbs/ and masks/", actorshq.looks_like, actorshq.read),
@@ -55,7 +55,7 @@ FORMATS = (
 
 
 def pick_format(name: str | None, source: Path) -> Format:
-    """Find the format called ``name``; if ``name`` is None, find the first format that the source matches.
+    """Find the format called ``name``, or the first format that the source matches if ``name`` is None.
 
     Raises:
         UserError: when the source is missing, the name is unknown, or no format fits.

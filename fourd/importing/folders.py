@@ -26,7 +26,7 @@ Anipose."""
 
 
 def list_entries(folder: Path) -> list[str]:
-    """Return the sorted names in ``folder``. The list is empty if the folder cannot be read."""
+    """Return the sorted names in ``folder``. The list of names is empty if the folder cannot be read."""
     try:
         return sorted(os.listdir(folder))
     except (OSError, ValueError):
@@ -34,7 +34,7 @@ def list_entries(folder: Path) -> list[str]:
 
 
 def read_head(path: Path, count: int) -> bytes:
-    """Read up to ``count`` bytes from the start of a file. Returns no bytes if the file cannot be read."""
+    """Read up to ``count`` bytes from the start of a file. Returns empty bytes if the file cannot be read."""
     try:
         with open(path, "rb") as file:
             return file.read(count)
@@ -53,7 +53,7 @@ def read_file(path: Path) -> bytes:
 def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[str, Frames]:
     """Find the frames of each camera: a video or a folder of images.
 
-    Only the first of ``folders`` that contains frames is used. Returns frames by camera name.
+    Only the first of ``folders`` that contains any frames is used. Returns the frames by camera name.
 
     Raises:
         UserError: when two cameras have the same name, or no folder has frames.
@@ -102,13 +102,13 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
             if number not in by_number:
                 raise UserError(
                     f"{folder}: expected a matte for each image, got none for {path.name}; "
-                    "restore it, or move the mattes away"
+                    "restore the matte, or move all mattes away"
                 )
         return PictureFiles(tuple(by_number[number] for number in wanted))
     if len(found.paths) != len(frames.paths):
         raise UserError(
             f"{folder}: expected a matte for each of {len(frames.paths)} images, got {len(found.paths)}; "
-            "restore them, or move the mattes away"
+            "restore the missing mattes, or move all mattes away"
         )
     return found
 
@@ -116,8 +116,8 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
     """Match the names of the cameras that have frames to the names in the calibration.
 
-    Equal names match. If no names are equal, names with equal last numbers match, provided that the last numbers are
-    unique. Returns the calibration's name for each camera in ``found`` that has a calibration.
+    Two equal names match. If no names are equal, names with equal last numbers match, provided that the last numbers
+    are unique. Returns the calibration's name for each camera in ``found`` that has a calibration.
 
     Raises:
         UserError: when no camera has a calibration.
@@ -147,11 +147,11 @@ def join_calibrations(
         frames: frames by camera name.
         calibrations: cameras by their names in the file ``path``.
         path: the calibration file, for error messages.
-        mattes: folders that may contain a folder of mattes for each camera. The first folder that contains mattes is
-            used.
+        mattes: folders that may contain a folder of mattes for each camera. For each camera, the first folder with
+            mattes is used.
 
     Raises:
-        UserError: when match_names or find_mattes raises it.
+        UserError: when :func:`match_names` or :func:`find_mattes` raises UserError.
     """
     pairs = match_names(list(calibrations), frames, path)
     cameras = []
@@ -173,7 +173,9 @@ def join_calibrations(
 
 
 def parse_numbers(where: str, value: object, shape: tuple[int, ...]) -> Array:
-    """Convert a parsed value to an array of finite numbers with the shape ``shape``. A size of -1 means any length.
+    """Convert a parsed value to an array of finite numbers with the shape ``shape``.
+
+    A size of -1 in ``shape`` means any length.
 
     Raises:
         UserError: when the value has another shape or type. The error message starts with ``where``.
@@ -204,7 +206,9 @@ def make_camera(
     For invalid values, raises UserError with a message that starts with ``where``.
     """
     if not np.allclose(intrinsics[2], (0, 0, 1)):
-        raise UserError(f"{where}: expected a last row of 0 0 1, got {intrinsics[2].tolist()}; calibrate again")
+        raise UserError(
+            f"{where}: expected intrinsics with last row 0 0 1, got last row {intrinsics[2].tolist()}; calibrate again"
+        )
     try:
         return Camera(intrinsics, rotation, translation, round(size[0]), round(size[1]), distortion)
     except ValueError as error:

@@ -46,11 +46,12 @@ class ImportedCamera:
     """One camera of a source.
 
     Attributes:
-        name: name that is unique in the source. It consists of letters, digits, ``_``, ``-`` and ``.``.
-        calibration: pose, intrinsics and distortion with OpenCV axes, in metres if the source is metric. Its width and
-            height are the image size at calibration. None if the source has no calibration.
+        name: name that is unique in the source and consists of letters, digits, ``_``, ``-`` and ``.``.
+        calibration: pose, intrinsics and distortion with OpenCV axes, in metres if the source is metric. The width and
+            height of ``calibration`` are the image size at calibration. ``calibration`` is None if the source has no
+            calibration.
         frames: the images.
-        masks: mattes, 255 = object, one per frame; None if the source has no mattes.
+        masks: mattes, 255 = object, one per frame, or None if the source has no mattes.
     """
 
     name: str
@@ -61,7 +62,7 @@ class ImportedCamera:
 
 @dataclass(frozen=True)
 class Imported:
-    """The content of a source. Its images are not decoded.
+    """The content of a source, without decoded images.
 
     Attributes:
         cameras: at least one camera, in the order of the source.
@@ -73,5 +74,5 @@ class Imported:
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:
-    """Paths of the videos by camera name. Cameras without a video are not included."""
+    """Paths of the videos by camera name. The result does not include cameras without a video."""
     return {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}

@@ -71,7 +71,7 @@ class ImportOptions:
 def import_source(
     source_format: Format, source: Path, out: Path, options: ImportOptions, *, log: Log, warn: Log, track: Track
 ) -> None:
-    """Write ``source`` as a capture into the folder ``out``. Repeating the call completes an interrupted import.
+    """Write ``source`` as a capture into the folder ``out``. Repeating an interrupted call completes the import.
 
     Args:
         source_format: format of the source.
@@ -83,7 +83,7 @@ def import_source(
         track: wraps loops to report progress.
 
     Raises:
-        UserError: when the source or an option is invalid. The calibration is written after all other files.
+        UserError: when the source or an option is invalid. The calibration files are written after all other files.
     """
     refuse_symlinks(out, out / DERIVED)
     before = read_record(out)
@@ -99,7 +99,7 @@ def import_source(
         remove_unfinished(out, deep=True)
         indices = cached_indices(video_files(imported.cameras), out, track)
         _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
-        log("already done with these options; nothing to change")
+        log("the import is already done with these options; nothing to change")
         for line in before.warnings:
             warn(line)
         return

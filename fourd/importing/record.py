@@ -1,4 +1,4 @@
-"""The record .fourd/import.json of an import's source and options. It prevents overwriting another capture."""
+"""The record .fourd/import.json of an import's source and options. The record prevents overwriting another capture."""
 
 from __future__ import annotations
 

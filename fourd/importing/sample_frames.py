@@ -35,7 +35,7 @@ class EncodedFrames:
 
 
 class SynchronizedFrames:
-    """Time-aligned frames of all cameras of a source. As a context manager, it closes the videos at exit.
+    """Time-aligned frames of all cameras of a source. Leaving this context manager closes the videos.
 
     Attributes:
         names: the cameras' names.

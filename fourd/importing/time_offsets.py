@@ -29,7 +29,7 @@ PLOT = DERIVED / "sync.png"
 def find_offsets(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
 ) -> Offsets:
-    """Estimate the delay of each camera relative to the first camera, and plot it to ``out``/.fourd/sync.png.
+    """Estimate the delay of each camera relative to the first camera, and plot the delays to ``out``/.fourd/sync.png.
 
     The maximum offset is a third of the number of frames that all cameras have, and at most 300 frames.
 

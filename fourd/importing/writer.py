@@ -1,4 +1,4 @@
-"""Writes a source as a capture. Files are linked by default, or copied on request."""
+"""Writes a source as a capture. The source's files are linked by default, or copied on request."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ImportSettings:
 def write_capture(
     imported: Imported, indices: Mapping[str, VideoIndex], out: Path, settings: ImportSettings, track: Track
 ) -> list[str]:
-    """Write ``imported`` into the folder ``out``. Repeating the call completes an interrupted call.
+    """Write ``imported`` into the folder ``out``. Repeating an interrupted call completes the capture.
 
     The calibration files contain only the cameras that have a calibration.
 
@@ -76,7 +76,9 @@ def write_capture(
     videos = _align_videos(imported.cameras, indices, settings.offsets)
     notes = _check_rates(videos)
     if videos and len(videos) < len(imported.cameras):
-        raise UserError(f"{out}: expected videos of all cameras or of none, got both; import the images alone")
+        raise UserError(
+            f"{out}: expected videos or images of all cameras, got videos of some; import the cameras with images alone"
+        )
     if videos and settings.unpack:
         count = common_frames(videos)
         for name, video in videos.items():

@@ -80,14 +80,14 @@ def find_screen(pictures: Sequence[Picture]) -> ScreenColour:
     is_screen = coloured & (np.abs((hue - dominant + 180) % 360 - 180) < HUE_TOLERANCE_DEG)
     share = float(is_screen.mean())
     if share < MIN_BORDER_SHARE:
-        raise _screen_error(f"borders in which at most {100 * share:.0f} % of the pixels have the same hue")
+        raise _screen_error(f"images with the same hue in at most {100 * share:.0f} % of their border pixels")
     rgb = np.median(border[is_screen], axis=0)
     screen = ScreenColour((float(rgb[0]), float(rgb[1]), float(rgb[2])))
     if _chroma_of(screen) < MIN_CHROMA:
         raise _screen_error(f"{_format_rgb(screen)}, which is nearly grey")
     spread = float(np.quantile(screen_distance(border[is_screen], screen), 0.99))
     if spread > MAX_SPREAD:
-        raise _screen_error(f"borders with a wide range of shades around {_format_rgb(screen)}")
+        raise _screen_error(f"images whose border pixels have very different shades of {_format_rgb(screen)}")
     return ScreenColour(screen.rgb, spread)
 
 

@@ -50,14 +50,14 @@ def write_contact_sheet(
     """Write a PNG with one row per camera and one column per frame.
 
     Each tile shows an image above its cut-out. All tiles of a row are cropped to the bounding box of the row's mattes
-    plus a margin. If all mattes of a row are empty, its tiles show full images. Cut-outs are composited over the colour
-    that differs most from the subject. Captions show camera names and the capture's frame numbers. Only the sheet and
-    one image are in memory at a time.
+    plus a margin. If all mattes of a row are empty, the tiles of the row show full images. Cut-outs are composited over
+    the colour that differs most from the subject. Captions show camera names and the capture's frame numbers. Only the
+    contact sheet and one image are in memory at a time.
 
     Args:
         capture: capture with mattes.
         path: PNG file to write atomically. The suffix of the path is ignored.
-        cameras: indices into ``capture.names``; None selects at most 8 evenly spaced cameras.
+        cameras: indices into ``capture.names``, or None for at most 8 evenly spaced cameras.
         columns: number of evenly spaced frames, at least 1. If the capture has fewer frames, all frames are shown.
         track: progress callback.
 
@@ -102,7 +102,7 @@ def _caption(text: str, width: int) -> Picture:
 
 
 def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
-    """Bounding box of a camera's mattes plus a margin, as slices; the full image if all mattes are empty."""
+    """Bounding box of a camera's mattes plus a margin, as slices, or the full image if all mattes are empty."""
     view = capture.cameras[camera]
     filled = np.zeros((view.height, view.width), bool)
     for frame in frames:
@@ -118,7 +118,7 @@ def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
 def _flat_colour(capture: Capture, cameras: Sequence[int], frames: Sequence[int]) -> Picture:
     """Choose the colour (3,) uint8 of FLAT_COLOURS that differs most from the subject.
 
-    The colour with the largest 10% quantile of RGB distances to the subject's pixels is chosen.
+    The chosen colour has the largest 10% quantile of RGB distances to the subject's pixels.
     """
     frame = frames[len(frames) // 2]
     colours = []
@@ -147,7 +147,10 @@ def _pad(picture: Picture, width: int) -> Picture:
 
 
 def _stack(pictures: Sequence[Picture], axis: int) -> Picture:
-    """Concatenate images along ``axis``, with gaps between them. Sizes along the other axis must be equal."""
+    """Concatenate images along ``axis``, with gaps between the images.
+
+    The images' sizes along the other axis must be equal.
+    """
     parts = []
     for picture in pictures:
         shape = list(picture.shape)

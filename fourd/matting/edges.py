@@ -30,13 +30,13 @@ def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = Non
     """Compute a full-resolution matte (H, W) uint8, 255 = subject.
 
     The log-odds are upsampled with an edge-preserving filter guided by the image (fast global smoother, Min et al.
-    2014). A guided filter (He et al. 2013) aligns the soft edge with the image. The alpha of edge pixels is then
+    2014). A guided filter (He et al. 2013) aligns the soft edge with the image. Finally, the alpha of edge pixels is
     estimated from the colours on both sides of the edge.
 
     Args:
         log_odds: (h, w) log-odds at any resolution; positive values are the subject.
         rgb: (H, W, 3) uint8 image.
-        background: (H, W, 4) background colours, 0 to 255, and their confidence in [0, 1]; None if unknown.
+        background: (H, W, 4) background colours, 0 to 255, and their confidence in [0, 1], or None if unknown.
     """
     height, width = rgb.shape[:2]
     result = np.zeros((height, width), np.uint8)
@@ -60,8 +60,8 @@ def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = Non
 def soften_edge(subject: Picture, rgb: Picture, radius: int) -> Floats:
     """Compute soft alpha (H, W) in [0, 1] from a binary mask (H, W) uint8, 1 = subject.
 
-    A guided filter (He et al. 2013) aligns the edge with the image. Only pixels within ``radius`` of the mask's edge
-    change.
+    A guided filter (He et al. 2013) aligns the mask's edge with the image. Only pixels within ``radius`` of the mask's
+    edge change.
     """
     soft = cv2.ximgproc.guidedFilter(rgb, subject.astype(np.float32), 2 * radius, EDGE_VARIANCE)
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
@@ -76,8 +76,8 @@ def estimate_edge_alpha(
     """Estimate alpha (H, W) in [0, 1]: an edge pixel is a mixture of the subject's and the background's colour.
 
     The subject's colour is a local mean inside the subject. The background's colour is a local mean outside the
-    subject, or the colour in ``background`` (H, W, 4) where its confidence is high. Where the contrast of the two
-    colours is too low, ``alpha`` is kept.
+    subject, or the colour in ``background`` (H, W, 4) where the confidence is high. Where the contrast of subject and
+    background is too low, ``alpha`` is kept.
     """
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     inside = np.asarray(cv2.erode(subject, disc), np.float32)
@@ -118,7 +118,7 @@ def _remove_small_components(picture: Picture, min_area: float) -> Picture:
 
 
 def _subject_window(log_odds: Floats, height: int, width: int) -> tuple[slice, slice] | None:
-    """Bounding box of the subject plus a margin, in full-resolution pixels; None if no pixel is the subject."""
+    """Bounding box of the subject plus a margin, in full-resolution pixels, or None if no pixel is the subject."""
     left, top, box_width, box_height = cv2.boundingRect((log_odds > 0).astype(np.uint8))
     if box_width == 0:
         return None

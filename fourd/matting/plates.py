@@ -1,9 +1,9 @@
 """Clean plates: each camera's background without the subject.
 
-A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. The computation
-differs from 4K4D in three ways. The mean is a running mean, which needs constant memory. Each frame is matched to the
-first frame's exposure. A second pass excludes pixels that differ too much from the mean of the first pass, because a
-matte missed the subject at such pixels.
+A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. The computation of
+plates differs from 4K4D in three ways. The mean is a running mean, which needs constant memory. The exposure of each
+frame is matched to the first frame. A second pass excludes pixels that differ too much from the mean of the first pass,
+because a matte missed the subject at such pixels.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
         key: hash of the inputs of the mattes.
         workers: number of processes; each job is one camera.
         track: progress callback.
-        folder: output folder; None means ``.fourd/plates`` in the capture's folder.
+        folder: output folder, or None for ``.fourd/plates`` in the capture's folder.
 
     Returns:
         The number of plates that this call wrote.
@@ -124,7 +124,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
 def _camera_key(capture: Capture, name: str, key: str) -> str:
     """Hash of ``key`` and of the matte files from which the camera's plate is computed.
 
-    The files' contents are hashed, because users may edit mattes.
+    The contents of matte files are hashed, because users may edit mattes.
     """
     digest = hashlib.sha256(key.encode())
     for frame in sample_indices(capture.frame_count, MAX_FRAMES):

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]
 
 REDUCED_SIDE = 512
-"""Longest side, in pixels, of the image in the network's coarse stage. It applies if no ratio is given."""
+"""Longest side, in pixels, of the image in the network's coarse stage if no ratio is given."""
 SCRIPTED = (".torchscript", ".pt")
 STATES = 4
 PROBE_SIDE = 64
@@ -49,8 +49,8 @@ class RVM:
 
         Args:
             pictures: images (H, W, 3) uint8, all of one size.
-            ratio: scale of the coarse stage in (0, 1]. None reduces the longest side to 512 pixels. A larger ratio is
-                more accurate for a full person in a large image.
+            ratio: scale of the coarse stage in (0, 1], or None to reduce the longest side to 512 pixels. A larger ratio
+                gives more accurate mattes of a full person in a large image.
 
         Raises:
             UserError: if the ratio is out of range, the images' sizes differ, or the network does not have the
@@ -116,12 +116,12 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
     """Load the network from a local file and run it on a small image as a test.
 
     Loading a TorchScript file (.torchscript, .pt) executes code from it, so load only trusted files. Checkpoints (.pth)
-    are refused, because they contain weights only. fourd does not include the network's source code, because its
+    are refused, because they contain weights only. fourd does not include the network's source code, because the code's
     licence is incompatible.
 
     Args:
         path: TorchScript file.
-        device: "cpu" or "cuda"; None selects the GPU if there is one.
+        device: "cpu" or "cuda", or None to select the GPU if there is one.
 
     Raises:
         UserError: if the file is missing or damaged, contains another network, or the device is not available.
@@ -138,7 +138,7 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
             f"contains weights without the network; download {RELEASE}"
         )
     if device == "cuda" and not torch.cuda.is_available():
-        raise UserError("--device: expected a GPU that torch supports, found no such GPU; use --device cpu")
+        raise UserError("--device: expected a GPU that torch supports, got none; use --device cpu")
     device = device or ("cuda" if torch.cuda.is_available() else "cpu")
     network = _script(path, device).to(device).eval()
     # A frozen TorchScript network stores its weights as constants, so parameters() is empty.
@@ -151,7 +151,7 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
 
 
 def automatic_ratio(height: int, width: int) -> float:
-    """Scale that reduces an image's longest side to 512 pixels. The scale is 1 for smaller images."""
+    """Scale that reduces an image's longest side to 512 pixels, or 1 for smaller images."""
     return min(1.0, REDUCED_SIDE / max(height, width))
 
 
@@ -167,6 +167,6 @@ def _script(path: Path, device: str) -> torch.nn.Module:
 
 
 def _reason(error: Exception) -> str:
-    """The last line of an exception's message. For TorchScript errors, this line is the cause without the traceback."""
+    """The last line of an exception's message. For TorchScript errors, it is the cause without the traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return re.sub(r"\s+", " ", lines[-1] if lines else type(error).__name__)[:160]

@@ -1,6 +1,6 @@
 """Mattes of a whole capture.
 
-The matting models are learned once, then frames are processed in parallel. An interrupted run can be resumed.
+The matting models are learned once, then frames are processed in parallel. Interrupted matting can be resumed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MatteSettings:
     Attributes:
         method: "motion" needs no network. "chroma" needs a screen of one colour. "rvm" needs a network file.
         seed: random seed for subsampling colours.
-        screen: screen colour "R,G,B", each 0 to 255. None estimates the colour for each camera.
+        screen: screen colour "R,G,B", each 0 to 255, or None to estimate the colour for each camera.
         rvm: TorchScript file of the Robust Video Matting network.
     """
 
@@ -114,7 +114,7 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def _prepare_folder(folder: Path, key: str) -> None:
-    """Delete results that were computed with another key, and unfinished files of killed processes."""
+    """Delete mattes that were computed with another key, and unfinished files of killed processes."""
     state = folder.parent / STATE
     try:
         known = json.loads(state.read_text(encoding="utf-8")).get("key")

@@ -160,9 +160,9 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
 ) -> None:
     """Catches a flag that is silently ignored."""
     line = error_line(capsys, "eval", trained.folder, "--refine-test-colours")
-    assert "--refine-test-colours: expected --refine-test too, got it alone; add --refine-test" in line
+    assert "--refine-test-colours: expected --refine-test too, got no --refine-test; add it" in line
     line = error_line(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
-    assert "--refine-test-colours: expected the run's own rendering, got --scene; leave one of them out" in line
+    assert "--refine-test-colours: expected no --scene, got both options; leave one of them out" in line
 
 
 def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,7 +34,7 @@ class Arguments:
     agreement: Annotated[
         float,
         describe(
-            "Minimum share in (0, 1] of mattes that must contain a point. Only views that see the point count.",
+            "Minimum share in (0, 1] of mattes that must contain a point. Views that do not see the point are ignored.",
             "Choose a lower share if mattes have holes.",
         ),
     ] = 0.95

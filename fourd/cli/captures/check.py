@@ -33,7 +33,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Check the capture and print the report. Raises UserError that names the first problem."""
+    """Check the capture and print the report. Raises UserError for the first problem."""
     console = Console()
     report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Console(stderr=True)).track)
     agreement = None

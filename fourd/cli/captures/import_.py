@@ -67,8 +67,8 @@ class Arguments:
     centres: Annotated[
         PrincipalPointMode,
         describe(
-            "Check of the principal points. auto: warn if a rotated calibration seems to have mirrored them. as-given:",
-            "no check. mirrored: fix principal points that a rotated calibration mirrored.",
+            "Check of the principal points. auto: warn if a rotated calibration seems to have mirrored them.",
+            "as-given: do not check. mirrored: fix principal points that a rotated calibration mirrored.",
         ),
     ] = "auto"
     calibrate: bool = False

@@ -25,8 +25,8 @@ class MatteOptions:
     method: Annotated[
         Literal["motion", "chroma", "rvm"],
         describe(
-            "motion: motion and multi-view consistency, without a pretrained network. chroma: chroma key (green",
-            "screen). rvm: Robust Video Matting, a pretrained network that needs --rvm.",
+            "motion: motion and multi-view consistency, without a pretrained network.",
+            "chroma: chroma key (green screen). rvm: Robust Video Matting, a pretrained network that needs --rvm.",
         ),
     ] = "motion"
     screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None

@@ -15,7 +15,7 @@ from fourd.synth import SynthSettings, is_finished, make_synthetic
 
 @dataclass(frozen=True)
 class Arguments:
-    """The same options give byte-identical captures."""
+    """Two runs with the same options write byte-identical captures."""
 
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Capture folder to write. It must be new, empty, or a synthetic capture, which is replaced."""

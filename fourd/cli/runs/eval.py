@@ -114,9 +114,9 @@ def _fit_cameras(
     Returns the fitted cameras by camera index, or no cameras without --refine-test.
     """
     if arguments.refine_test_colours and not arguments.refine_test:
-        raise UserError("--refine-test-colours: expected --refine-test too, got it alone; add --refine-test")
+        raise UserError("--refine-test-colours: expected --refine-test too, got no --refine-test; add it")
     if arguments.refine_test_colours and arguments.scene is not None:
-        raise UserError("--refine-test-colours: expected the run's own rendering, got --scene; leave one of them out")
+        raise UserError("--refine-test-colours: expected no --scene, got both options; leave one of them out")
     if not arguments.refine_test:
         return {}
     layers = trained.run.config.train.layers
@@ -129,7 +129,7 @@ def _fit_cameras(
 def _display_colours(
     trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
 ) -> NDArray[np.float32]:
-    """Apply the colour correction of camera ``index``, if there is one, to a rendered image. Returns (H, W, 3)."""
+    """Apply the colour correction of camera ``index`` to a rendered image, if the camera has one. Returns (H, W, 3)."""
     if index in fitted and fitted[index].colours is not None:
         return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
@@ -137,7 +137,7 @@ def _display_colours(
 
 
 def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-    """Convert an image (H, W, 3) to [0, 1]. With a matte (H, W), black replaces the background."""
+    """Convert an image (H, W, 3) to [0, 1]. If a matte (H, W) is given, the background becomes black."""
     share = 1.0 if matte is None else matte[..., None] / 255
     return (picture * (share / 255)).astype(np.float32)
 
@@ -145,9 +145,9 @@ def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArr
 def _backgrounds(
     trained: TrainedRun, indices: list[int], folder: Path, fitted: dict[int, FittedView]
 ) -> dict[str, float]:
-    """PSNR in dB of the rendered background against the images in ``folder``, by camera name."""
+    """Compare the rendered background with the images in ``folder``. Returns the PSNR in dB by camera name."""
     if trained.renderer.background is None:
-        raise UserError("--plates: expected a run with --scene full, got one with --scene object; leave --plates out")
+        raise UserError("--plates: expected a run with --scene full, got a run with --scene object; leave --plates out")
     layers = trained.run.config.train.layers
     scores = {}
     for index in indices:

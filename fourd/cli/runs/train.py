@@ -58,7 +58,7 @@ def run(arguments: Arguments) -> None:
 
 
 def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfig:
-    """The run's config with the budget from the options. Without a budget option, the run's budget is kept."""
+    """Return the run's config with the budget from the options, or with its own budget without a budget option."""
     overlaid = options.overlay(config)
     if options.max_steps is not None or options.max_seconds is not None:
         overlaid = replace(overlaid, max_steps=options.max_steps, max_seconds=options.max_seconds)

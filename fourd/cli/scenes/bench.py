@@ -22,17 +22,17 @@ from fourd.files import write_text_atomically
 
 @dataclass(frozen=True)
 class Arguments:
-    """Times are in milliseconds and in units. One unit is the time that torch needs to multiply two 2048 x 2048 float32
-    matrices, measured before every run. When other programs use the machine, times in units vary less than times in
-    milliseconds. CUDA kernels are timed if they are built and a device exists. The environment variables FOURD_THREADS
-    and FOURD_SIMD set the number of threads and the instruction set of the CPU kernels."""
+    """Times are printed in milliseconds and in units. One unit is the time that torch needs to multiply two 2048 x 2048
+    float32 matrices, measured before every run. When other programs use the machine, times in units vary less than
+    times in milliseconds. CUDA kernels are timed if they are built and a device exists. The environment variables
+    FOURD_THREADS and FOURD_SIMD set the number of threads and the instruction set of the CPU kernels."""
 
     json: Annotated[Path | None, option("FILE", "none")] = None
     """Write all measurements to this file as JSON."""
     markdown: Annotated[Path | None, option("FILE", "none")] = None
     """Write the table to this file as Markdown."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Finish in less than a minute: fewer repetitions, no whole training steps, no other implementations."""
+    """Run in less than a minute: fewer repetitions, no whole training steps, no timing of other implementations."""
 
 
 def run(arguments: Arguments) -> None:

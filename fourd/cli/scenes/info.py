@@ -30,7 +30,7 @@ _MOST_HEADER = 100 << 20
 
 @dataclass(frozen=True)
 class Arguments:
-    """The type is detected from the content. No file is changed."""
+    """The type of the file or folder is detected from its content. No file is changed."""
 
     path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE|DIR")]]
     """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder."""
@@ -134,7 +134,10 @@ def _points(path: Path) -> Rows:
 
 
 def _checkpoint(path: Path) -> Rows:
-    """Describe a checkpoint. Only the header is read, because tensors may be large and torch is slow to import."""
+    """Describe a checkpoint by its header.
+
+    The tensors are not read, because they may be large and torch is slow to import.
+    """
     damaged = UserError(f"{path}: expected a whole safetensors file, got a damaged one; name another checkpoint")
     size = path.stat().st_size
     with path.open("rb") as stream:

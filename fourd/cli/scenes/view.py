@@ -25,11 +25,11 @@ class Arguments:
         Literal["auto"] | RendererName,
         describe(
             "sorted: one pass over points sorted by depth, for GPUs. peel: depth peeling, exact and slow.",
-            "dual: dual depth peeling, exact and slow. cpu: exact, needs no GPU.",
+            "dual: dual depth peeling, exact and slow. cpu: exact, without a GPU.",
             "auto: sorted on a GPU, otherwise cpu. The choice and its reason are printed.",
         ),
     ] = "auto"
-    size: Annotated[tuple[int, int] | None, option("W H", "1280 720, or the camera's for --screenshot")] = None
+    size: Annotated[tuple[int, int] | None, option("W H", "1280 720; the camera's size for --screenshot")] = None
     """Width and height of the window, the video or the image in pixels."""
     layers: Annotated[int | None, option("INT", "the scene's")] = None
     """Number of points composited per pixel (K), 1 to 64. Ignored by --renderer sorted, which composites all points."""

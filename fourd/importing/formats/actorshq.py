@@ -58,7 +58,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
         raise UserError(f"{path}: expected ActorsHQ's CSV, got '{error}'; copy it again") from error
     missing = [column for column in COLUMNS if not rows or column not in rows[0]]
     if missing:
-        raise UserError(f"{path}: expected rows with {','.join(COLUMNS)}, got none of {missing[0]}; copy it again")
+        raise UserError(f"{path}: expected rows with {','.join(COLUMNS)}, got no {missing[0]}; copy the file again")
     cameras: dict[str, Camera] = {}
     for line, row in enumerate(rows, start=2):
         name = row["name"]

@@ -75,7 +75,7 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
             raise UserError(f"{where}: expected {', '.join(KEYS)}, got no {missing[0]}; calibrate again")
         name = table["name"]
         if not isinstance(name, str) or not name or name in cameras:
-            raise UserError(f"{where}: expected a unique camera name, got '{name}'; rename one")
+            raise UserError(f"{where}: expected a unique camera name, got '{name}'; rename one camera")
         if table.get("fisheye", False):
             raise UserError(f"{where}: expected a lens without fisheye, got fisheye = true; undistort the videos first")
         cameras[name] = _make_camera(where, table)

@@ -48,7 +48,7 @@ def looks_like(source: Path) -> bool:
 def read(source: Path) -> Imported:
     """Read the cameras of ``source``, a folder with the model and the videos or images.
 
-    Lengths are in the model's unit.
+    Lengths are in the unit of the COLMAP model.
 
     Raises:
         UserError: when the model is damaged, a lens model is not one of LENS_MODELS, the pose or the intrinsics of a
@@ -82,7 +82,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
         name = PurePosixPath(folder).name
         where = f"{path}: camera '{name}'"
         if name in cameras:
-            raise UserError(f"{where}: expected each camera once, got two folders of that name; rename one")
+            raise UserError(f"{where}: expected each camera once, got two folders with this name; rename one")
         cameras[name] = _make_camera(where, model, of_camera, poses[folder], size)
     return cameras
 
@@ -102,8 +102,8 @@ def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarr
         is_same_model = intrinsics_of_image.model == camera.model
         if not is_same_model or not np.allclose(intrinsics_of_image.params, camera.params, rtol=1e-3, atol=1e-3):
             raise UserError(
-                f"{where}: expected the same intrinsics for all images, got different ones for {images[0].name} and "
-                f"{image.name}; reconstruct with one camera per folder"
+                f"{where}: expected the same intrinsics for all images, got different intrinsics for "
+                f"{images[0].name} and {image.name}; reconstruct with one camera per folder"
             )
     kind = camera.model.name
     if kind not in LENS_MODELS:

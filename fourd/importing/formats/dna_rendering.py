@@ -149,7 +149,7 @@ class _Smc:
         return EncodedPictures(len(paths), suffix, partial(_read_picture, self.path, tuple(paths))), size
 
     def array(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
-        """Read a dataset of finite numbers with the shape ``shape``. The shape (-1,) flattens the dataset."""
+        """Read a dataset of finite numbers with the shape ``shape``. With the shape (-1,), the dataset is flattened."""
         with self._report_errors(name):
             value = self._dataset(name)[()]
         return parse_numbers(f"{self.path}: {name}", np.ravel(value) if shape == (-1,) else value, shape)
@@ -181,8 +181,8 @@ class _Smc:
     def _resolve(self, name: str) -> str | None:
         """Resolve the soft links in the path of an object. Returns None if the object is missing.
 
-        External links are rejected before the linked file is opened. If they were followed, an import would copy the
-        content of a file outside the source.
+        External links are rejected before the linked file is opened. An import that followed external links would copy
+        the content of files outside the source.
         """
         path, parts, soft_links = "/", name.split("/"), 0
         while parts:

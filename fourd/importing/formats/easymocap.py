@@ -30,7 +30,8 @@ def read(source: Path) -> Imported:
     """Read the cameras of ``source``. Lengths are in the calibration's unit.
 
     Raises:
-        UserError: when read_calibration raises it, no camera with frames has a calibration, or an image has no matte.
+        UserError: when the calibration files are invalid, no camera with frames has a calibration, or an image has no
+            matte.
     """
     path = source / INTRINSICS_NAME
     calibrations = read_calibration(source)
@@ -46,7 +47,8 @@ def read(source: Path) -> Imported:
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
     """Make a camera from its calibration.
 
-    If the calibration has no image size, the size is read from the first image. Without frames, the size is 1 x 1.
+    If the calibration has no image size, the size is read from the first image. If the camera has no frames, the image
+    size is 1 x 1.
     """
     width, height = calibration.width, calibration.height
     if width is None or height is None:

@@ -1,8 +1,9 @@
 """Neural 3D Video: poses_bounds.npy (LLFF) beside camNN.mp4.
 
 Each row of the array contains a camera's 3 x 5 matrix and two depth bounds. The first three columns of the matrix are
-the camera's axes down, right and backwards in world coordinates. The fourth column is the camera's position in the
-world. The fifth column is (height, width, focal length) in pixels. The principal point is the centre of the image.
+the camera's axes down, right and backwards in world coordinates. The fourth column of the matrix is the camera's
+position in the world. The fifth column of the matrix is (height, width, focal length) in pixels. The principal point is
+the centre of the image.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``. Row i of the array belongs to video i in the order of names.
+    """Read the cameras of ``source``. Row i of the array belongs to video i, in the order of the videos' names.
 
     Raises:
         UserError: when the file does not contain an array of N x 17 numbers, or the numbers of videos and rows differ.
@@ -47,7 +48,7 @@ def read(source: Path) -> Imported:
         for index, (row, (name, found)) in enumerate(zip(rows, frames.items(), strict=True))
     )
     notes = (
-        "lengths kept; their unit is unknown",
+        "lengths kept; the unit of length is unknown",
         "camera axes down, right, backwards -> right, down, forward (OpenCV)",
         "rows belong to the videos in the order of their names; near and far bounds are ignored",
     )

@@ -39,7 +39,7 @@ MAX_PIXELS = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    """One entry of the JSON: path in the JSON, image file, matte file, camera, and time (None if not given)."""
+    """One entry of the JSON: path in the JSON, image file, matte file, camera, and time (or None without a time)."""
 
     path: PurePosixPath
     picture: Path
@@ -64,8 +64,8 @@ def looks_like(source: Path) -> bool:
 def read(source: Path) -> Imported:
     """Read the cameras of ``source``.
 
-    If the entries have times, the entries of one folder form a camera. If entries of one folder differ in pose or
-    intrinsics, the entries with equal pose and intrinsics form a camera instead.
+    If the entries have times, the entries of one folder form a camera. If the entries of any folder differ in pose or
+    intrinsics, entries with equal pose and intrinsics form a camera instead.
 
     Raises:
         UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leads out of
@@ -94,13 +94,13 @@ def read(source: Path) -> Imported:
         frames = PictureFiles(tuple(entry.picture for entry in group))
         cameras.append(ImportedCamera(name, group[0].camera, frames, mattes))
     notes = [
-        "lengths kept; their unit is unknown",
+        "lengths kept; the unit of length is unknown",
         "camera axes y up, z backwards -> y down, z forward (OpenCV)",
     ]
     ignored = [key for key in IGNORED if key in data]
     notes += [f"ignored: {', '.join(ignored)}"] if ignored else []
     if 0 < masked < len(entries):
-        notes.append(f"mattes not imported: only {masked} of {len(entries)} entries have one")
+        notes.append(f"mattes not imported: only {masked} of {len(entries)} entries have a matte")
     return Imported(tuple(cameras), tuple(notes))
 
 
@@ -175,8 +175,8 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
     """Make a camera of each entry.
 
-    Cameras are named after image files if file names are unique, else after folders if folder names are unique, else
-    after paths.
+    The camera names are the image file names if these are unique, otherwise the folder names if these are unique,
+    otherwise the image paths.
     """
     stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
     folders = [entry.path.parent.name for entry in entries]

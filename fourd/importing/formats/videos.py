@@ -21,7 +21,7 @@ def read(source: Path) -> Imported:
     """Read the cameras of ``source``, without calibration.
 
     Raises:
-        UserError: when there are no cameras, or two cameras have the same name.
+        UserError: when ``source`` contains no cameras, or two cameras have the same name.
     """
     cameras = tuple(ImportedCamera(name, None, frames) for name, frames in find_frames(source).items())
     return Imported(cameras, ("no calibration found: cameras are calibrated from their images",))

@@ -38,8 +38,8 @@ class VoxelGrid:
         xyz: (N, 3) voxel centres in world units.
         size: side of a voxel in world units.
         cameras: the C cameras that provide the evidence.
-        pixels: (C, N) int32 flat pixel index, row * width + column, of each voxel centre in each camera. The index is
-            -1 if the centre is outside the image.
+        pixels: (C, N) int32 flat pixel index, row * width + column, of each voxel centre in each camera. The pixel
+            index is -1 if the voxel centre is outside the image.
         width_px: (C,) width of a voxel's projection in each camera, rounded to an odd number of pixels.
     """
 
@@ -57,8 +57,7 @@ class VoxelGrid:
             lower: (3,) minimum corner of the box in world units.
             upper: (3,) maximum corner of the box in world units.
             cameras: cameras that provide the evidence.
-            count: number of voxels along the box's longest side. None chooses a number that matches the images'
-                resolution.
+            count: number of voxels along the box's longest side, or None to match the images' resolution.
         """
         side = float((upper - lower).max())
         if count is None:
@@ -112,7 +111,7 @@ class VoxelGrid:
     def max_projection(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
         """Project the ``chosen`` voxels into camera ``index`` and keep the largest of their ``values`` per pixel.
 
-        The result has shape (h, w). Pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
+        Returns an array (h, w). Pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
         """
         camera = self.cameras[index]
         flat = np.full(camera.width * camera.height, NO_CELL_LOG_ODDS, np.float32)
@@ -131,7 +130,7 @@ class Scores:
         grid: the voxel grid.
         alive: (n,) indices of the voxels that are not rejected.
         total: (n,) scores from all views.
-        leave_one_out: (C, n) scores. Row c contains the scores from all views except camera c.
+        leave_one_out: (C, n) scores, where row c is from all views except camera c.
     """
 
     grid: VoxelGrid
@@ -143,7 +142,7 @@ class Scores:
     def from_evidence(grid: VoxelGrid, alive: NDArray[np.intp], values: Floats, outliers: int) -> Scores:
         """Compute scores as order statistics of the log-odds ``values`` (C, n) over the C views.
 
-        The scores stay valid if up to ``outliers`` views are wrong.
+        The scores of voxels stay valid if up to ``outliers`` views are wrong.
         """
         if len(values) == 1:
             return Scores(grid, alive, values[0], np.full_like(values, -NO_CELL_LOG_ODDS))
@@ -155,7 +154,7 @@ class Scores:
     def prior(self, index: int) -> Floats:
         """Log-odds (h, w) of the pixels of camera ``index`` from the other views.
 
-        The value is NO_CELL_LOG_ODDS outside the visual hull of the other views.
+        Pixels outside the visual hull of the other views have the value NO_CELL_LOG_ODDS.
         """
         return self.grid.max_projection(self.alive, self.leave_one_out[index], index)
 
@@ -171,7 +170,7 @@ class Scores:
 def dilate(picture: Floats, width: int) -> Floats:
     """Apply a maximum filter over squares of ``width`` pixels, the size of a voxel's projection.
 
-    The filter is needed because a voxel counts as occupied if the subject is anywhere in the voxel's projection.
+    The maximum is used because a voxel counts as occupied if the subject is anywhere in the voxel's projection.
     """
     return picture if width <= 1 else np.asarray(cv2.dilate(picture, _square(width)), np.float32)
 

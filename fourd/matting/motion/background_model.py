@@ -45,7 +45,7 @@ class BackgroundModel:
     def log_likelihood(self, rgb: Picture) -> Floats:
         """Log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
 
-        The density includes the possibility that the background is in shadow.
+        The log density includes the possibility that the background is in shadow.
         """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
@@ -58,11 +58,11 @@ class BackgroundModel:
         return np.maximum(np.maximum(plain, shaded) + scale, MIN_LOG_LIKELIHOOD)
 
     def similarity(self, rgb: Picture) -> Floats:
-        """Similarity (h, w) in [0, 1] between colours (h, w, 3) and the mean."""
+        """Similarity (h, w) in [0, 1] between colours (h, w, 3) and the background's mean."""
         return np.exp(-0.5 * channel_sum(np.square(rgb - self.mean) / (2 * self.variance)))
 
     def matching_weight(self, rgb: Picture, weights: Floats, noise: float) -> Floats:
-        """Sum (h, w) of the ``weights`` (T, h, w) of the frames (T, h, w, 3) whose colour matches the mean."""
+        """For each pixel, sum the ``weights`` (T, h, w) of the frames (T, h, w, 3) whose colour matches the mean."""
         total = np.zeros(rgb.shape[1:3], np.float32)
         for value, weight in zip(rgb, weights, strict=True):
             total += weight * _match(value.astype(np.float32) - self.mean, noise)
@@ -80,8 +80,8 @@ class BackgroundModel:
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
     """Fit a background model to frames.
 
-    At each pixel, the frame is chosen whose colour matches the frames of the largest total weight. The model is the
-    weighted mean and variance of the colours of these matching frames.
+    At each pixel, one frame is chosen: the frame whose matching frames have the largest total weight. The model is the
+    weighted mean and variance of the colours of the matching frames.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

@@ -57,7 +57,7 @@ class Appearance:
     def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
         """Log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera alone.
 
-        ``motion`` (h, w) is the length of the optical flow in pixels. It is None for a capture of one frame.
+        ``motion`` (h, w) is the length of the optical flow in pixels, or None for a capture of one frame.
         """
         confidence = self.background.confidence
         surround = self.surround.log_likelihood(rgb)
@@ -82,7 +82,7 @@ class Appearance:
     def match_exposure(self, rgb: Picture) -> Picture:
         """Scale each channel of an image to the exposure of the background model.
 
-        The gains are estimated from pixels outside the subject's region.
+        The gains of the channels are estimated from pixels outside the subject's region.
         """
         still = ~self.region & (channel_min(self.background.mean) > 16) & (channel_max(rgb) < 250)
         if np.count_nonzero(still) < 100:
@@ -114,7 +114,7 @@ def combine_views(
 ) -> ViewEvidence:
     """Combine each camera's log-odds with the visual hull of the other views.
 
-    ``grid`` is None for a single camera or parallel cameras. Each camera is then processed independently.
+    ``grid`` is None for a single camera or parallel cameras. Without a grid, each camera is processed independently.
     """
     own = [
         appearance.log_odds(rgb, motion) for appearance, rgb, motion in zip(appearances, pictures, motions, strict=True)
@@ -138,8 +138,8 @@ def combine_views(
 def _inside_hull_log_odds(own: Floats) -> np.float32:
     """Log-odds that a pixel inside the other views' visual hull shows the subject.
 
-    These log-odds are estimated from the camera's ``own`` log-odds (N,) inside the hull. The hull of many views is
-    tight and gives strong evidence. The hull of a few views is wide and gives weak evidence.
+    The result is estimated from the camera's ``own`` log-odds (N,) inside the hull. The hull of many views is tight and
+    gives strong evidence. The hull of a few views is wide and gives weak evidence.
     """
     subject, other = np.count_nonzero(own > CONFIDENT_LOG_ODDS), np.count_nonzero(own < -CONFIDENT_LOG_ODDS)
     return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, MAX_INSIDE_HULL_LOG_ODDS))

@@ -46,7 +46,7 @@ class Learner:
     Attributes:
         sample: sampled frames of the camera.
         extent: extent of motion in the sampled frames.
-        appearance: current models of the camera. Their subject colours are pooled over all cameras.
+        appearance: current models of the camera, with subject colours that are pooled over all cameras.
         subject: subject colours from this camera alone.
     """
 
@@ -115,8 +115,9 @@ class Learner:
     def _confirmed_background(self, weights: Floats) -> Flags:
         """Mask (h, w) of the pixels near the subject whose background colour is known.
 
-        The background colour is known outside the moving region. Inside the moving region, it is known where the
-        ``weights`` (T, h, w) of frames that match the background model sum to more than CONFIRMED_FRAMES.
+        The background colour is known outside the moving region. Inside the moving region, the background colour is
+        known where the ``weights`` (T, h, w) of frames that match the background model sum to more than
+        CONFIRMED_FRAMES.
         """
         frames = self.appearance.background.matching_weight(self.sample.rgb, weights, self.extent.noise)
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))
@@ -137,8 +138,9 @@ class Learner:
     def _set_background(self, weights: Floats, confirmation: Floats) -> None:
         """Fit the background model.
 
-        Inside the subject's region, the model is fitted with ``weights`` (T, h, w), and its confidence is computed from
-        the weights ``confirmation`` (T, h, w). Outside the region, the model's mean is the median over time.
+        Inside the subject's region, the background model is fitted with ``weights`` (T, h, w). The model's confidence
+        is computed from the weights ``confirmation`` (T, h, w). Outside the subject's region, the model's mean is the
+        median over time.
         """
         rgb = self.sample.rgb
         rows, columns = _bounding_window(self.appearance.region)
@@ -155,7 +157,10 @@ class Learner:
 
 
 def _background_weight(odds: Floats) -> Floats:
-    """Background weight in (0, 1] from the subject's colour log-odds. Typical subject colours have a low weight."""
+    """Background weight in (0, 1] from the subject's colour log-odds.
+
+    Typical subject colours have a low background weight.
+    """
     return np.maximum(probability(COLOUR_SLOPE * (COLOUR_MARGIN - odds)), MIN_BACKGROUND_WEIGHT)
 
 
@@ -165,8 +170,8 @@ def _background_confirmation(odds: Floats) -> Floats:
     Typical background colours have a high confirmation.
 
     A static part of the subject keeps its colour over as many frames as the background does. A constant colour is
-    therefore no evidence for background at pixels that are always inside the other views' hull. At such pixels, only a
-    colour that is typical of the background is evidence for background.
+    therefore no evidence for background at pixels that are always inside the other views' hull. Only a colour that is
+    typical of the background is evidence for background inside the hull.
     """
     return np.maximum(probability(COLOUR_SLOPE * (-COLOUR_MARGIN - odds)), MIN_CONFIRMATION)
 

@@ -35,7 +35,7 @@ class MatteMaker:
     Attributes:
         appearances: one appearance per camera, at the image size of ``cameras``.
         cameras: cameras of the reduced images from which log-odds are computed.
-        grid: voxel grid for multi-view consistency; None if the views cannot be combined.
+        grid: voxel grid for multi-view consistency, or None if the views cannot be combined.
     """
 
     appearances: tuple[Appearance, ...]
@@ -66,8 +66,8 @@ class MatteMaker:
             motions.append(None)
             if other is not None:
                 # The frames between the two frames of the optical flow are also read, in order, so that they are
-                # cached. Reading them later would require seeking backwards in the video and decoding from the previous
-                # keyframe.
+                # cached. Reading these frames later would require seeking backwards in the video and decoding from the
+                # previous keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))
@@ -98,7 +98,8 @@ def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
 def refine_background(capture: Capture, index: int, coarse: BackgroundModel, camera: Camera) -> BackgroundModel:
     """Recompute a background model at the image size of ``camera``.
 
-    The result is a weighted mean of frames. A pixel's weight is its similarity to the ``coarse`` background.
+    The mean of the new model is a weighted mean of frames. A pixel's weight is its similarity to the ``coarse``
+    background.
     """
     height, width = coarse.frames.shape
     large = coarse.resize(camera.width, camera.height)

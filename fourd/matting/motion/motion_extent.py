@@ -15,7 +15,7 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 MIN_CHANGE = 12.0
-"""Minimum change of a pixel's 8-bit value that counts as motion. It applies to images with little noise."""
+"""Minimum change of a pixel's 8-bit value that counts as motion, even in images with little noise."""
 NOISE_FACTOR = 6.0
 MIN_MOTION_PX = 0.15
 MOVING_FACTOR = 2.5

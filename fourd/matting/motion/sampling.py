@@ -18,13 +18,12 @@ Picture = NDArray[np.uint8]
 
 MAX_FRAMES = 24
 MAX_PIXELS = 32 << 20
-"""Maximum number of sampled pixels of all cameras and frames. The sampled images then need 100 MB, and derived data
-needs 200 MB."""
+"""Maximum number of sampled pixels of all cameras and frames. With this limit, sampled images need 100 MB, and derived
+data needs 200 MB."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4
-"""Maximum distance in frames between the two frames of an optical flow. The distance is 67 ms at 60 frames per
-second."""
+"""Maximum distance, in frames, between the two frames of an optical flow, which is 67 ms at 60 frames per second."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""File format of learned models. Files contain plain arrays only, so that loading a file executes no code."""
+"""File format of learned models. Model files contain plain arrays only, so that loading a model executes no code."""
 
 from __future__ import annotations
 

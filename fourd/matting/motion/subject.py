@@ -3,7 +3,7 @@
 The models are learned by expectation maximisation over a few frames of all cameras. Motion initialises the models:
 moving pixels are the subject. A pixel's background is its most frequent colour in frames without motion, unless that
 colour is typical of the subject. The E-step combines the evidence of a pixel's own camera with the visual hull of the
-other cameras (:mod:`fourd.matting.motion.agreement`). A subject that is static in one view is therefore found from the
+other cameras (:mod:`fourd.matting.motion.agreement`). A subject that is static in one view is therefore found with the
 other views.
 """
 
@@ -36,7 +36,7 @@ MIN_REGION_PIXELS = 20
 moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""Weight in [0, 1] of the subject colours of all cameras, mixed into the subject colours of each camera.
+"""Weight in [0, 1] of the subject colours of all cameras in the subject colours of each camera.
 
 Mixing in the colours of other cameras helps where a part of the subject is static in one view.
 """
@@ -49,8 +49,8 @@ class Subject:
     Attributes:
         appearances: one appearance per camera, at the size of the sampled images.
         cameras: cameras of the sampled images.
-        box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units. None if the
-            views cannot be combined.
+        box: minimum and maximum corner (3,) of the subject's bounding box over all frames, in world units, or None if
+            the views cannot be combined.
     """
 
     appearances: tuple[Appearance, ...]

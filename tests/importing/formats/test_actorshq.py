@@ -52,7 +52,7 @@ def test_cameras_project_as_the_originals(source: Path, rng: np.random.Generator
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("rz,tx", "rz,qx", r"calibration.csv: expected rows with name,w,.*, got none of tx; copy it again"),
+        ("rz,tx", "rz,qx", r"calibration.csv: expected rows with name,w,.*, got no tx; copy the file again"),
         ("Cam002", "Cam001", r"calibration.csv: line 3: expected a unique camera name, got 'Cam001'"),
         ("Cam001,24,16", "Cam001,24,no", r"camera 'Cam001': h: expected 1 numbers, got something else"),
         ("Cam001,24,16", "Cam001,24,nan", r"camera 'Cam001': h: expected finite numbers, got \[nan\]"),

@@ -99,7 +99,11 @@ def test_two_calibrations_are_refused(source: Path) -> None:
         ("translation = [", "translation = [nan, ", r"\[cam_0\]: translation: expected 3 numbers, got 4"),
         ("matrix = [[26.0", "matrix = [[nan", r"\[cam_0\]: matrix: expected finite numbers, got \[nan"),
         ("matrix = [[26.0", "matrix = [[-26.0", r"\[cam_0\]: intrinsics: expected positive focal lengths"),
-        ("[0.0, 0.0, 1.0]]", "[0.0, 0.0, 2.0]]", r"\[cam_0\]: expected a last row of 0 0 1, got \[0.0, 0.0, 2.0\]"),
+        (
+            "[0.0, 0.0, 1.0]]",
+            "[0.0, 0.0, 2.0]]",
+            r"\[cam_0\]: expected intrinsics with last row 0 0 1, got last row \[0.0, 0.0, 2.0\]",
+        ),
         ("distortions = [-0.25,", "distortions = [0, 0,", r"\[cam_0\]: distortion: expected 4, 5, 8, 12 or 14"),
         (
             "distortions = [-0.25,",

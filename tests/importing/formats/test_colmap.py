@@ -124,7 +124,7 @@ def test_images_of_a_camera_must_agree(source: Path) -> None:
     write_text(source, [*images(), ("c0/0001.jpg", moved)])
     assert_refused(read, source, r"camera 'c0': expected a static camera, got poses of c0/0000.jpg and c0/0001.jpg .*")
     write_text(source, [*images(), ("other/c0/0001.jpg", static)])
-    assert_refused(read, source, r"camera 'c0': expected each camera once, got two folders of that name; rename one")
+    assert_refused(read, source, r"camera 'c0': expected each camera once, got two folders with this name; rename one")
     write_text(source, [*images(), ("c0/0001.jpg", static)])
     edit(source / "images.txt", "1 c0/0001.jpg", "2 c0/0001.jpg")
     with (source / "cameras.txt").open("a") as file:
@@ -132,7 +132,7 @@ def test_images_of_a_camera_must_agree(source: Path) -> None:
     assert_refused(
         read,
         source,
-        r"camera 'c0': expected the same intrinsics for all images, got different ones for c0/0000.jpg and c0/",
+        r"camera 'c0': expected the same intrinsics for all images, got different intrinsics for c0/0000.jpg and c0/",
     )
 
 

@@ -100,7 +100,7 @@ def test_missing_parts_are_noted(source: Path) -> None:
 
 def test_invalid_values_are_reported(source: Path) -> None:
     (source / "masks" / "02" / "000002.png").unlink()
-    assert_refused(read, source, r"masks/02: expected a matte for each image, got none for 2.jpg; restore it")
+    assert_refused(read, source, r"masks/02: expected a matte for each image, got none for 2.jpg; restore the matte")
     edit(source / "intri.yml", '"02"', '"01"')
     assert_refused(read, source, r"intri.yml: names: expected each camera once")
     edit(source / "intri.yml", "%YAML:1.0", "[")
