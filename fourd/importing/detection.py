@@ -49,7 +49,7 @@ FORMATS = (
     Format("transforms", "transforms.json and images", transforms_json.looks_like, transforms_json.read),
     Format("colmap", "a sparse model and each camera's video or images", colmap.looks_like, colmap.read),
     Format("easymocap", "intri.yml, extri.yml, images/CAM/ or videos/", easymocap.looks_like, easymocap.read),
-    Format("videos", "videos or folders of images, no calibration", videos.looks_like, videos.read),
+    Format("videos", "videos or folders of images, without a calibration", videos.looks_like, videos.read),
 )
 """All formats in the order of detection: the most specific formats first."""
 
@@ -58,7 +58,7 @@ def pick_format(name: str | None, source: Path) -> Format:
     """Find the format called ``name``, or the first format that the source matches if ``name`` is None.
 
     Raises:
-        UserError: when the source is missing, the name is unknown, or no format fits.
+        UserError: when the source is missing, the name is unknown, or the source matches no format.
     """
     if not source.exists():
         raise UserError(f"{source}: expected files to import, but it does not exist; check the path")
@@ -71,6 +71,6 @@ def pick_format(name: str | None, source: Path) -> Format:
     if found is None:
         raise UserError(
             f"{source}: expected {', or '.join(f'{each.summary} ({each.name})' for each in FORMATS)}, "
-            "got none of these; name the folder that contains them"
+            "got none of these; name the folder that contains such files"
         )
     return found

@@ -168,7 +168,7 @@ def join_calibrations(
         notes.append(f"without calibration: {', '.join(uncalibrated)}")
     unmasked = [camera.name for camera in cameras if camera.masks is None]
     if 0 < len(unmasked) < len(cameras):
-        notes.append(f"without mattes, unlike other cameras: {', '.join(unmasked)}")
+        notes.append(f"some cameras have no mattes: {', '.join(unmasked)}")
     return tuple(cameras), notes
 
 

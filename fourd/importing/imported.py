@@ -11,7 +11,7 @@ from fourd.cameras import Camera
 
 @dataclass(frozen=True)
 class PictureFiles:
-    """One JPEG or PNG file per frame, in order."""
+    """One JPEG or PNG file per frame, in frame order."""
 
     paths: tuple[Path, ...]
 
@@ -25,7 +25,7 @@ class VideoFile:
 
 @dataclass(frozen=True)
 class EncodedPictures:
-    """Encoded images inside another file.
+    """Encoded images that are stored inside one larger file, such as HDF5.
 
     Attributes:
         count: number of frames.

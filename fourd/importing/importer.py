@@ -34,7 +34,7 @@ from fourd.progress import Log, Track
 Indices = Mapping[str, VideoIndex]
 
 MAX_SAMPLE_FRAMES = 3
-"""Number of frames whose images are matched to check the calibration of at most FEW_CAMERAS cameras."""
+"""Number of frames whose images are matched to check a calibration, if there are at most FEW_CAMERAS cameras."""
 FEW_CAMERAS = 5
 """Number of cameras above which only one frame is matched. The images of one frame then have enough matches, and
 matching three frames would take minutes."""

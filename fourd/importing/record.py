@@ -79,11 +79,11 @@ def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping
     """Raise UserError when the folder's frames were unpacked from other videos or with other offsets."""
     if before.unpacked and before.files != files:
         raise UserError(
-            f"{out}: expected the videos whose frames were unpacked there, got other videos; import into another folder"
+            f"{out}: expected the videos that were unpacked into it, got other videos; import into another folder"
         )
     if before.unpacked and before.offsets != dict(offsets):
         raise UserError(
-            f"{out}: expected the offsets of the frames unpacked there ({_format(before.offsets)}), got "
+            f"{out}: expected the offsets of the frames in this folder ({_format(before.offsets)}), got "
             f"{_format(offsets)}; import into another folder"
         )
 

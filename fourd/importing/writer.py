@@ -97,7 +97,7 @@ def write_capture(
 
 
 def check_import(imported: Imported, settings: ImportSettings) -> None:
-    """Raise UserError unless camera names are valid file names and offsets name cameras with videos."""
+    """Raise UserError if a camera name is not a valid file name, or an offset belongs to a camera without a video."""
     _check_names(imported.cameras)
     frames = {camera.name: camera.frames for camera in imported.cameras}
     for name in settings.offsets:
@@ -143,7 +143,7 @@ def _check_rates(videos: Mapping[str, Video]) -> list[str]:
         if abs(video.index.fps / reference.index.fps - 1) * video.index.frames > 0.5:
             raise UserError(
                 f"{video.path}: expected {float(reference.index.fps):g} frames per second, like {first}, "
-                f"got {float(video.index.fps):g}; convert it to that rate, or leave it out"
+                f"got {float(video.index.fps):g}; convert this video to that rate, or leave it out"
             )
     notes = [f"{len(videos)} videos at {float(reference.index.fps):g} frames per second"]
     count = common_frames(videos)

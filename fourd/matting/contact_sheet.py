@@ -32,7 +32,7 @@ faint matte errors."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120
-"""Minimum width of the sheet, so that captions fit."""
+"""Minimum width of the sheet in pixels, so that captions fit."""
 SHEET_COLOUR = (32, 32, 32)
 CAPTION_COLOUR = (235, 235, 235)
 FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))

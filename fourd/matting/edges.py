@@ -20,7 +20,7 @@ MIN_REGION_SHARE = 1 / 300
 smaller holes are filled."""
 MARGIN_PX = 16
 MIN_CONTRAST = 30.0
-"""Minimum RGB distance between subject and background for estimating alpha from colours, in 8-bit values."""
+"""Minimum RGB distance, in 8-bit values, between subject and background at which alpha is estimated from colours."""
 MIN_NEARBY = 0.01
 MIN_CONFIDENCE = 0.9
 """Minimum confidence of a background colour that is used to estimate alpha."""
@@ -98,7 +98,7 @@ def estimate_edge_alpha(
 
 
 def _local_mean(value: Floats, mask: Floats, radius: int) -> tuple[Floats, Floats]:
-    """Gaussian-weighted mean colour (H, W, 3) of nearby pixels in ``mask`` (H, W), and their total weight (H, W)."""
+    """Gaussian-weighted mean colour (H, W, 3) of nearby pixels in ``mask`` (H, W), and the sum of weights (H, W)."""
     near = np.asarray(cv2.GaussianBlur(mask, (0, 0), 1.5 * radius), np.float32)
     total = np.asarray(cv2.GaussianBlur(value * mask[..., None], (0, 0), 1.5 * radius), np.float32)
     return (total / np.maximum(near, 1e-6)[..., None]).astype(np.float32), near

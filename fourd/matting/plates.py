@@ -81,7 +81,7 @@ class _RunningStatistics:
 
     @property
     def std(self) -> Floats:
-        """(H, W) standard deviation of each pixel over frames, pooled over the colour channels."""
+        """Standard deviation (H, W) of each pixel's colour over the frames, pooled over the colour channels."""
         return np.sqrt(self.squares.mean(axis=-1) / np.maximum(self.weight, 1e-6))
 
 

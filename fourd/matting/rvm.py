@@ -45,7 +45,7 @@ class RVM:
     def mattes(self, pictures: Iterable[Picture], ratio: float | None = None) -> Iterator[Picture]:
         """Yield the mattes (H, W) uint8, 255 = person, of one camera's consecutive images.
 
-        The recurrent state is passed from image to image and is reset at each call.
+        The network's recurrent state is passed from image to image and is reset at each call.
 
         Args:
             pictures: images (H, W, 3) uint8, all of one size.
@@ -79,8 +79,8 @@ class RVM:
         """Compute the matte of one image, and the recurrent state for the next image."""
         import torch
 
-        # Inference mode is not enabled in the generator _mattes, because it would stay enabled in the caller after
-        # each yield.
+        # Inference mode is not enabled in the generator _mattes, because inference mode would then stay enabled in the
+        # caller after each yield.
         with torch.inference_mode():
             values = torch.from_numpy(np.array(rgb)).to(self.device).permute(2, 0, 1)[None]
             try:

@@ -147,7 +147,7 @@ def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, 
 
 
 def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> tuple[ScreenColour, ...]:
-    """The screen of each camera: the colour from the settings, or an estimate from a few images."""
+    """The screen colour of each camera, from the settings or estimated from a few images."""
     numbers = range(len(capture.names))
     if settings.screen is not None:
         return tuple(parse_screen(settings.screen) for _ in numbers)
@@ -182,7 +182,7 @@ def _make_network_mattes(
 
 @dataclass(frozen=True)
 class _Job:
-    """Frames to be processed by one worker process.
+    """Job of a worker process: the frames whose mattes it computes.
 
     Attributes:
         selection: the capture.
@@ -209,7 +209,8 @@ def _make_frames(job: _Job) -> Iterator[int]:
             mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.model)]
         for name, matte in zip(capture.names, mattes, strict=True):
             path = job.folder / name / f"{capture.frame_names[frame]}.png"
-            if not path.exists():  # the user may have edited existing mattes of an incomplete frame
+            # Existing mattes of an incomplete frame are kept, because the user may have edited these mattes.
+            if not path.exists():
                 write_matte(path, matte)
         yield frame
 

@@ -196,10 +196,10 @@ def test_unpacked_frames_keep_their_offsets(tmp_path: Path) -> None:
     """Catches a folder that mixes unpacked frames with different time offsets."""
     source = write_source(tmp_path / "source")
     run_import(source, tmp_path / "out", unpack=True)
-    with pytest.raises(UserError, match=r"expected the offsets of the frames unpacked there \(none\), got b=2"):
+    with pytest.raises(UserError, match=r"expected the offsets of the frames in this folder \(none\), got b=2"):
         run_import(source, tmp_path / "out", unpack=True, offsets={"b": 2})
     write_numbered_video(source / "videos" / "b.mp4", range(41))
-    with pytest.raises(UserError, match="expected the videos whose frames were unpacked there, got other videos"):
+    with pytest.raises(UserError, match="expected the videos that were unpacked into it, got other videos"):
         run_import(source, tmp_path / "out", unpack=True)
 
 

@@ -1,4 +1,4 @@
-"""One module per format. Each module reads a source into an :class:`~fourd.importing.imported.Imported`.
+"""Importers, one module per format. Each importer reads a source into an :class:`~fourd.importing.imported.Imported`.
 
 To add a format:
 

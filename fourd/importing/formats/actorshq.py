@@ -46,7 +46,7 @@ def read(source: Path) -> Imported:
     frames = find_frames(source, ("rgbs",))
     cameras, notes = join_calibrations(frames, calibrations, path, [source / "masks"])
     return Imported(
-        cameras, ("unit metre and axes kept; poses inverted from camera-to-world to world-to-camera", *notes)
+        cameras, ("metres and axes are kept; poses are inverted from camera-to-world to world-to-camera", *notes)
     )
 
 

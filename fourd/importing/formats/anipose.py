@@ -83,7 +83,7 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
         raise UserError(f"{path}: expected a table for each camera, got none; calibrate again")
     scale, unit = _guess_unit(list(cameras.values()))
     cameras = {name: _scale_camera(camera, scale) for name, camera in cameras.items()}
-    notes = [unit, "origin at the centre of the first pixel -> half a pixel added to the principal points"]
+    notes = [unit, "half a pixel is added to the principal points, because the origin was the first pixel's centre"]
     metadata = data.get("metadata")
     if isinstance(metadata, dict):
         facts = [

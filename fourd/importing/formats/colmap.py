@@ -29,7 +29,7 @@ LENS_MODELS = {
 }
 """Number of focal lengths and number of distortion coefficients of each lens model.
 
-The parameters are the focal lengths, the principal point, and the distortion coefficients in OpenCV's order.
+A lens model's parameters are the focal lengths, the principal point, and the distortion coefficients in OpenCV's order.
 """
 PARAMETER_COUNTS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
 """Number of parameters of each lens model, by its id in cameras.bin."""
@@ -61,7 +61,7 @@ def read(source: Path) -> Imported:
         )
     calibrations = read_cameras(path)
     cameras, notes = join_calibrations(find_frames(source), calibrations, path)
-    unit = "lengths are in COLMAP's arbitrary unit"
+    unit = "lengths are kept in COLMAP's arbitrary unit"
     return Imported(cameras, (unit, *notes))
 
 

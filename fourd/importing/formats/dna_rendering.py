@@ -33,7 +33,7 @@ HEADER_BYTES = 1 << 16
 
 
 def looks_like(source: Path) -> bool:
-    """Whether ``source`` is a NAME.smc, or a folder with one."""
+    """Whether ``source`` is a file NAME.smc, or a folder with such a file."""
     return any(read_head(path, len(MAGIC)) == MAGIC for path in _find_files(source))
 
 
@@ -82,8 +82,8 @@ def read(source: Path) -> Imported:
             )
         cameras.append(ImportedCamera(f"{number:02d}", calibrations.get(number), frames, mattes))
     notes = [
-        "unit metre kept; poses inverted from camera-to-world to world-to-camera",
-        "origin at the centre of the first pixel -> half a pixel added to the principal points",
+        "metres are kept; poses are inverted from camera-to-world to world-to-camera",
+        "half a pixel is added to the principal points, because the origin was the first pixel's centre",
         "colours kept: Color_Calibration is not applied",
     ]
     uncalibrated = [camera.name for camera in cameras if camera.calibration is None]
@@ -215,7 +215,7 @@ class _Smc:
             yield
         except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
             reason = str(error).partition("\n")[0]
-            raise UserError(f"{self.path}: {name}: expected whole HDF5, got '{reason}'; download it again") from error
+            raise UserError(f"{self.path}: {name}: expected intact HDF5, got '{reason}'; download it again") from error
 
 
 def _read_picture(path: Path, datasets: tuple[str, ...], index: int) -> bytes:

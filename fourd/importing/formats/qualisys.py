@@ -29,7 +29,7 @@ def looks_like(source: Path) -> bool:
 
 
 def read(source: Path) -> Imported:
-    """Read the cameras of ``source``: a folder with NAME.qca.txt and videos, or the file beside the videos.
+    """Read the cameras of ``source``: a folder with NAME.qca.txt and videos, or NAME.qca.txt itself beside the videos.
 
     Raises:
         UserError: when the XML does not parse, a value is missing, or no camera in the XML has a video.
@@ -45,9 +45,9 @@ def read(source: Path) -> Imported:
         for name, found in frames.items()
     )
     notes = [
-        "millimetres -> metres, z up kept",
-        "camera axes y up, z backwards -> y down, z forward (OpenCV)",
-        "1/64 pixels -> pixels, origin at the first pixel's corner",
+        "lengths are converted from millimetres to metres; the world's z axis still points up",
+        "camera axes are converted from y up, z backwards to y down, z forward (OpenCV)",
+        "intrinsics are converted from 1/64 pixels to pixels, with the origin at the first pixel's corner",
     ]
     unused = sorted(set(calibrations) - set(pairs.values()))
     if unused:

@@ -185,7 +185,7 @@ def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
         clean = [_clean(name) for name in names]
         if "" not in clean and len(set(clean)) == len(clean):
             return {name: [entry] for name, entry in zip(clean, entries, strict=True)}
-    raise UserError(f"{path}: expected each image once, got one in two entries; remove the duplicate, or add times")
+    raise UserError(f"{path}: expected each image once, got the same image in two entries; remove one, or add times")
 
 
 def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
@@ -209,7 +209,7 @@ def _by_camera(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
             raise UserError(
                 f"{path}: expected static cameras with the same times, each time once, got {len(set(times))} different "
                 f"times in {len(times)} images of '{name}' and {len(cameras[first])} images of '{first}'; "
-                "remove the entries that other cameras lack"
+                "remove the entries at times that other cameras lack"
             )
     return cameras
 

@@ -1,4 +1,4 @@
-"""A folder that contains videos, or folders of images, without calibration."""
+"""Importer of a folder that contains videos or folders of images, without a calibration."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ class VoxelGrid:
         return VoxelGrid(xyz, size, tuple(cameras), pixels, tuple(widths))
 
     def scores(self, evidence: Sequence[Floats]) -> Scores:
-        """Score the voxels from each camera's log-odds image (h, w), in which positive values are the subject."""
+        """Score the voxels from one log-odds image (h, w) per camera, in which positive values are the subject."""
         seen = (self.pixels >= 0).sum(axis=0)
         needed = max(2, int(np.ceil(MIN_SEEING_SHARE * len(self.cameras) - 1e-9)))
         outliers = min(int(OUTLIER_SHARE * len(self.cameras) + 1e-9), max(0, len(self.cameras) - 2))

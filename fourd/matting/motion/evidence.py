@@ -18,7 +18,7 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 MAX_LOG_ODDS = np.float32(8.0)
-"""Log-odds are clamped to this magnitude."""
+"""Maximum magnitude of log-odds; larger log-odds are clamped."""
 UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
 """Factor on negative log-odds at pixels whose background is unknown. Negative log-odds are evidence against the
 subject."""

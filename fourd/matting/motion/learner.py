@@ -1,4 +1,4 @@
-"""The M-step of one camera: fits subject and background models to sampled frames and subject probabilities."""
+"""The M-step for one camera: it fits subject and background models to sampled frames and subject probabilities."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ class Learner:
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))
 
     def _colour_log_odds(self, known: Flags) -> Floats:
-        """Log-odds (T, h, w) of the subject's colours versus nearby background colours.
+        """Log-odds (T, h, w) of the subject against the nearby background, from colours alone.
 
         The background colours come from the pixels in the mask ``known`` (h, w).
         """

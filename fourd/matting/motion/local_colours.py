@@ -34,7 +34,7 @@ class LocalColours:
 
     @staticmethod
     def from_picture(rgb: Picture, counted: NDArray[np.bool_]) -> LocalColours:
-        """Compute local histograms from the pixels of an image (h, w, 3) where ``counted`` (h, w) is True."""
+        """Compute local histograms of an image (h, w, 3) from the pixels for which ``counted`` (h, w) is True."""
         height, width = counted.shape
         rows, columns = height // STEP_PX + 2, width // STEP_PX + 2
         y, x = np.nonzero(counted)

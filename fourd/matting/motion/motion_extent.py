@@ -40,7 +40,7 @@ class MotionExtent:
 
     @staticmethod
     def from_sample(sample: CameraSample) -> MotionExtent:
-        """Estimate the extent from sampled frames."""
+        """Estimate the noise and the extent of motion from sampled frames."""
         median = np.median(sample.rgb, axis=0).astype(np.float32)
         change = np.stack([channel_max(np.abs(picture - median)) for picture in sample.rgb]).astype(np.float32)
         noise = 1.48 * float(np.median(change)) + 1

@@ -47,7 +47,7 @@ def source(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize(("scale", "note"), [(1000, "millimetres -> metres"), (1, "unit assumed to be metres")])
+@pytest.mark.parametrize(("scale", "note"), [(1000, "to be millimetres"), (1, "to be metres")])
 def test_cameras_project_as_the_originals(source: Path, scale: float, note: str, rng: np.random.Generator) -> None:
     """Catches a missing half-pixel shift of the principal point, and millimetres that are read as metres."""
     (source / "calibration.toml").write_text(calibration_toml(scale))

@@ -95,7 +95,7 @@ def test_missing_parts_are_noted(source: Path) -> None:
     notes = read(source).notes
     assert "cameras without images, not imported: 10" in notes
     assert "without calibration: 77" in notes
-    assert "without mattes, unlike other cameras: 02, 77" in notes
+    assert "some cameras have no mattes: 02, 77" in notes
 
 
 def test_invalid_values_are_reported(source: Path) -> None:

@@ -111,7 +111,7 @@ def test_equal_file_names_use_the_folders_names(tmp_path: Path) -> None:
     frames = [make_entry(camera, f"images/c{index}/000.jpg") for index, camera in enumerate(uneven_cameras(2))]
     assert [camera.name for camera in read(write(tmp_path, frames)).cameras] == ["c0", "c1"]
     frames[1]["file_path"] = frames[0]["file_path"]
-    assert_refused(read, write(tmp_path, frames), r"transforms.json: expected each image once, got one in two")
+    assert_refused(read, write(tmp_path, frames), r"transforms.json: expected each image once, got the same")
 
 
 INVALID_VALUES: list[tuple[dict[str, object], str]] = [
