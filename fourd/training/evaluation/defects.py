@@ -1,0 +1,101 @@
+"""Measures of visible defects that a PSNR hides: errors at contours, specks, jumps between viewpoints, and flicker."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+CONTOUR_PX = 1.5
+"""Pixels up to this distance from the matte's contour count as contour."""
+NEAR_PX = 4.0
+"""Pixels inside the matte up to this distance from its contour count as near the contour, the others as inside."""
+SPECK_ERROR = 0.15
+"""Smallest error of a speck's pixels, the largest over the channels, for colours in [0, 1]."""
+SPECK_AREA_PX = 4
+"""Largest area of a speck in pixels. Larger regions of wrong pixels are not specks."""
+MIN_SPECK_NEIGHBOURS = 5
+"""Smallest number of neighbours, of eight, that are correct around each pixel of a speck."""
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class ContourErrors:
+    """Shares in [0, 1] of an image's summed squared error, by distance to the matte's contour. Their sum is 1.
+
+    Attributes:
+        contour: at most CONTOUR_PX from the contour, on either side.
+        near: inside the matte, more than CONTOUR_PX and at most NEAR_PX from the contour.
+        inside: inside the matte, more than NEAR_PX from the contour.
+        outside: outside the matte, more than CONTOUR_PX from the contour.
+    """
+
+    contour: float
+    near: float
+    inside: float
+    outside: float
+
+
+def contour_errors(prediction: Image, truth: Image, matte: NDArray[np.uint8]) -> ContourErrors:
+    """Shares of the squared error between images (H, W, 3) in [0, 1], by distance to the contour of a matte (H, W)."""
+    error = np.square(prediction - truth).sum(axis=-1)
+    solid = (matte > 127).astype(np.uint8)
+    inside = cv2.distanceTransform(solid, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside = cv2.distanceTransform(1 - solid, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    distance = np.maximum(inside, outside) - 0.5
+    near_contour = distance <= CONTOUR_PX
+    bands = (
+        near_contour,
+        ~near_contour & (solid > 0) & (distance <= NEAR_PX),
+        ~near_contour & (solid > 0) & (distance > NEAR_PX),
+        ~near_contour & (solid == 0),
+    )
+    total = max(float(error.sum()), 1e-12)
+    contour, near, deep, beyond = (float(error[band].sum()) / total for band in bands)
+    return ContourErrors(contour, near, deep, beyond)
+
+
+def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
+    """Mask (H, W) of the pixels that belong to specks.
+
+    A speck is a connected region of at most SPECK_AREA_PX pixels with errors above SPECK_ERROR. At least
+    MIN_SPECK_NEIGHBOURS of the eight neighbours of each of its pixels have smaller errors.
+
+    Args:
+        prediction: (H, W, 3) colours in [0, 1].
+        truth: the same shape.
+    """
+    wrong = (np.abs(prediction - truth).max(axis=-1) > SPECK_ERROR).astype(np.uint8)
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(wrong, connectivity=8)
+    small = statistics[:count, cv2.CC_STAT_AREA] <= SPECK_AREA_PX
+    small[0] = False
+    wrong_neighbours = cv2.filter2D(wrong, cv2.CV_8U, np.ones((3, 3), np.uint8), borderType=cv2.BORDER_CONSTANT) - wrong
+    return small[labels] & (wrong_neighbours <= 8 - MIN_SPECK_NEIGHBOURS)
+
+
+def jump_ratio(images: Sequence[Image]) -> float:
+    """Largest mean absolute difference between successive images, divided by the median difference.
+
+    For a slow camera path with constant steps, the ratio is close to 1 if the image changes smoothly.
+
+    Args:
+        images: at least 3 images (H, W, 3) along the path.
+    """
+    steps = [float(np.abs(after - before).mean()) for before, after in pairwise(images)]
+    return max(steps) / max(float(np.median(steps)), 1e-12)
+
+
+def flicker(predictions: Sequence[Image], truths: Sequence[Image]) -> float:
+    """Mean absolute error of the changes from frame to frame, in a sequence from a camera that does not move.
+
+    Args:
+        predictions: at least 2 images (H, W, 3) of successive frames.
+        truths: the true images of the same frames.
+    """
+    changes = zip(pairwise(predictions), pairwise(truths), strict=True)
+    return float(np.mean([np.abs((p1 - p0) - (t1 - t0)).mean() for (p0, p1), (t0, t1) in changes]))

@@ -1,0 +1,212 @@
+"""Measure the image quality of trained runs: scores of unseen and seen views, error by place, specks, jumps, flicker.
+
+python tools/quality_table.py RUN [RUN ...]
+python tools/quality_table.py RUN --orbit 240 --pictures pictures/ --json quality.json
+"""
+
+from __future__ import annotations
+
+import json
+import statistics
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import flip_evaluator
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from fourd.files import write_text_atomically
+from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, speck_pixels
+from fourd.training.evaluation.metrics import mask_box
+from fourd.training.evaluation.scores import BOX_MARGIN_PX, score_view
+from fourd.training.run import TrainedRun, load_run
+from fourd.viewer.navigation.paths import orbit
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The runs, and what to measure beside the scores."""
+
+    runs: tyro.conf.Positional[list[Path]]
+    """Run folders, trained with --test-views."""
+    frames: int = 6
+    """Number of frames to measure, spread evenly over the run's frames. Held-out views use all frames with 0."""
+    orbit: int = 0
+    """Number of images of a full orbit at the middle frame, for the jumps. 0 measures no jumps."""
+    pictures: Path | None = None
+    """Folder for images: the rendered and the true image of each held-out view at the middle frame, and the error."""
+    json: Path | None = None
+    """File for all figures."""
+
+
+@dataclass(frozen=True)
+class ViewQuality:
+    """Figures of one image, inside the matte's bounding box. ``specks`` is a share of the box's pixels."""
+
+    psnr: float
+    ssim: float | None
+    flip: float
+    specks: float
+    contour: float
+    near: float
+    inside: float
+    outside: float
+
+
+@dataclass(frozen=True)
+class RunQuality:
+    """Mean figures of a run: see the columns in :func:`markdown`.
+
+    Radii are in spacings, at the measured frames.
+    """
+
+    unseen: ViewQuality
+    seen_psnr: float
+    flicker: float
+    jump: float | None
+    radii: tuple[float, float, float]
+
+
+def main(arguments: Arguments) -> int:
+    """Print a Markdown table with a row for each run."""
+    torch.set_grad_enabled(False)
+    results = {}
+    for folder in arguments.runs:
+        trained = load_run(folder)
+        results[str(folder)] = measure_run(trained, arguments)
+        if arguments.pictures is not None:
+            write_pictures(trained, arguments.pictures / folder.name)
+    print(markdown(results))
+    if arguments.json is not None:
+        content = {name: asdict(result) for name, result in results.items()}
+        write_text_atomically(arguments.json, json.dumps(content, indent=1) + "\n")
+    return 0
+
+
+def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
+    """Measure a run at some frames, or at all frames if ``arguments.frames`` is 0."""
+    count = trained.run.capture.frame_count
+    frames = sorted(set(np.linspace(0, count - 1, arguments.frames or count).round().astype(int).tolist()))
+    console = Console(stderr=True)
+    jobs = [(frame, view) for frame in frames for view in trained.run.test]
+    unseen = [measure_view(trained, *job) for job in track(jobs, "unseen views", console=console)]
+    jobs = [(frame, view) for frame in frames for view in trained.run.training]
+    seen = [measure_view(trained, *job).psnr for job in track(jobs, "seen views", console=console)]
+    return RunQuality(
+        unseen=mean_of(unseen),
+        seen_psnr=statistics.mean(seen),
+        flicker=statistics.mean(measure_flicker(trained, view) for view in trained.run.test),
+        jump=measure_jump(trained, arguments.orbit, console) if arguments.orbit else None,
+        radii=radius_quantiles(trained, frames),
+    )
+
+
+def render(trained: TrainedRun, frame: int, view: int) -> tuple[Image, Image, NDArray[np.uint8]]:
+    """Rendered image, true image, and matte of a view. The view is not a source of its own image."""
+    capture, layers = trained.run.capture, trained.run.config.train.layers
+    points = trained.frames.get(frame)
+    picture = trained.renderer.render(points, frame, capture.cameras[view], layers, exclude=view).rgb
+    matte = capture.mask(view, frame)
+    truth = capture.image(view, frame).astype(np.float32) / 255
+    if trained.run.config.train.scene == "object":
+        truth *= matte[..., None].astype(np.float32) / 255
+    return picture, truth, matte
+
+
+def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
+    """Figures of one image."""
+    picture, truth, matte = render(trained, frame, view)
+    image, boxed = score_view(picture, truth, matte, None)
+    scores = boxed or image
+    box = mask_box(matte, BOX_MARGIN_PX) or (0, matte.shape[0], 0, matte.shape[1])
+    inside = (slice(box[0], box[1]), slice(box[2], box[3]))
+    picture, truth, matte = picture[inside], truth[inside], matte[inside]
+    _, flip, _ = flip_evaluator.evaluate(truth, picture, "LDR", applyMagma=False)
+    errors = contour_errors(picture, truth, matte)
+    return ViewQuality(scores.psnr, scores.ssim, flip, float(speck_pixels(picture, truth).mean()), **asdict(errors))
+
+
+def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
+    """Flicker of successive frames from a held-out camera, as a share of the true changes. 0 for a single frame."""
+    first = max(0, (trained.run.capture.frame_count - frames) // 2)
+    shown = range(first, min(first + frames, trained.run.capture.frame_count))
+    if len(shown) < 2:
+        return 0.0
+    pairs = [render(trained, frame, view)[:2] for frame in shown]
+    truths = [truth for _, truth in pairs]
+    changes = flicker(truths, [truths[0]] * len(truths))
+    return flicker([picture for picture, _ in pairs], truths) / max(changes, 1e-12)
+
+
+def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
+    """Largest step between neighbouring images of a full orbit at the middle frame, against the median step."""
+    capture = trained.run.capture
+    frame = capture.frame_count // 2
+    points, layers = trained.frames.get(frame), trained.run.config.train.layers
+    cameras = orbit(capture.cameras, steps, focus=trained.run.focus)
+    images = [
+        trained.renderer.render(points, frame, camera, layers).rgb for camera in track(cameras, "orbit", console=console)
+    ]
+    return jump_ratio([*images, images[0]])
+
+
+def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float, float, float]:
+    """Median, 90% and 99% quantiles of the radii, in spacings."""
+    ratios = torch.cat([points.radius / points.spacing for points in map(trained.frames.get, frames)]).numpy()
+    median, most, nearly_all = np.quantile(ratios, [0.5, 0.9, 0.99])
+    return float(median), float(most), float(nearly_all)
+
+
+def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
+    """Mean of each figure. The mean PSNR is the mean of the values in dB."""
+    fields: dict[str, Any] = {}
+    for name in ViewQuality.__dataclass_fields__:
+        values = [getattr(view, name) for view in views]
+        fields[name] = None if None in values else statistics.mean(values)
+    return ViewQuality(**fields)
+
+
+def markdown(results: dict[str, RunQuality]) -> str:
+    """The table. Error columns are shares of the squared error in the box of unseen views."""
+    heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside"]
+    heads += ["specks, per 10,000 pixels", "flicker / true change", "jump", "radii p50 / p90 / p99"]
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    return "\n".join([*lines, *rows(results)])
+
+
+def rows(results: dict[str, RunQuality]) -> Iterator[str]:
+    """The table's rows."""
+    for name, result in results.items():
+        unseen = result.unseen
+        cells = [name, f"{unseen.psnr:.2f}", "-" if unseen.ssim is None else f"{unseen.ssim:.4f}", f"{unseen.flip:.4f}"]
+        cells += [f"{result.seen_psnr:.2f}"]
+        cells += [f"{share:.0%}" for share in (unseen.contour, unseen.near, unseen.inside, unseen.outside)]
+        cells += [f"{unseen.specks * 1e4:.1f}", f"{result.flicker:.2f}"]
+        cells += ["-" if result.jump is None else f"{result.jump:.2f}"]
+        cells += [" / ".join(f"{radius:.2f}" for radius in result.radii)]
+        yield "| " + " | ".join(cells) + " |"
+
+
+def write_pictures(trained: TrainedRun, folder: Path) -> None:
+    """Write, for each held-out view at the middle frame, rendered image, true image and error, side by side."""
+    folder.mkdir(parents=True, exist_ok=True)
+    frame = trained.run.capture.frame_count // 2
+    for view in trained.run.test:
+        picture, truth, _ = render(trained, frame, view)
+        sheet = np.concatenate([picture, truth, np.abs(picture - truth) * 3], axis=1).clip(0, 1)
+        rgb = (sheet * 255 + 0.5).astype(np.uint8)
+        cv2.imwrite(str(folder / f"{trained.run.capture.names[view]}.png"), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Arguments, description=__doc__)))
