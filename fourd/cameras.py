@@ -7,12 +7,16 @@ torch, so that scenes can be opened and rendered without torch.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+FADE_MARGIN = 1.25
+"""Limit of :func:`fading_weights` if no camera is farther than the chosen cameras, as a factor on the largest angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +140,58 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
     return Camera(intrinsics, rotation, -rotation @ centre, width, height)
 
 
-def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Array) -> list[int]:
+@dataclass(frozen=True, eq=False)
+class SelectedViews:
+    """The source views from which the colours for a viewing camera are blended.
+
+    Attributes:
+        indices: indices of the V source cameras.
+        weights: (V,) float32 view weights in [0, 1], factors on the blend weights of every point. At least one is above
+            0.
+    """
+
+    indices: list[int]
+    weights: NDArray[np.float32]
+
+
+def select_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array, *, fade: bool) -> SelectedViews:
+    """Select the ``count`` source cameras nearest to ``camera``; see :func:`nearest_views`.
+
+    With ``fade``, the weights are those of :func:`fading_weights`. Otherwise all weights are 1.
+    """
+    chosen = nearest_views(camera, sources, count, focus)
+    weights = fading_weights(camera, sources, chosen, focus) if fade else np.ones(len(chosen), np.float32)
+    return SelectedViews(chosen, weights)
+
+
+def fading_weights(
+    camera: Camera, sources: Sequence[Camera], chosen: Sequence[int], focus: Array
+) -> NDArray[np.float32]:
+    """View weights (V,) of the source cameras ``chosen`` that fall with the angle to the viewer.
+
+    A view at the angle a has the weight 1 - a / b. The limit b is the angle of the nearest camera among those that are
+    not chosen and are farther than all chosen cameras. A view that is about to be replaced therefore has the weight 0,
+    and the image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured at
+    ``focus``, a (3,) world point. If all weights would be 0, all are 1.
+
+    Args:
+        camera: the viewing camera.
+        sources: cameras that can be source views. A camera that must not influence the limit is left out.
+        chosen: indices of the V chosen cameras, in any order.
+        focus: (3,) world point.
+    """
+    if not chosen:
+        return np.ones(0, np.float32)
+    angles = _view_angles(camera, sources, focus)
+    own = angles[list(chosen)]
+    others = np.delete(angles, list(chosen))
+    beyond = others[others >= own.max()]
+    limit = float(beyond.min()) if len(beyond) else FADE_MARGIN * float(own.max())
+    weights = 1 - own / max(limit, 1e-9)
+    return np.asarray(weights if weights.max() > 0 else np.ones_like(weights), np.float32)
+
+
+def nearest_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
     The angle is measured at ``focus``, a (3,) world point, between the rays to the centres of ``camera`` and of the
@@ -146,6 +201,13 @@ def nearest_views(camera: Camera, sources: list[Camera], count: int, focus: Arra
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])
     return [int(i) for i in np.argsort(-cosines, kind="stable")[:count]]
+
+
+def _view_angles(camera: Camera, sources: Sequence[Camera], focus: Array) -> Array:
+    """(V,) angles in radians at ``focus`` between the viewer's centre and the sources' centres."""
+    direction = _normalize(camera.centre - focus)
+    rays = np.array([_normalize(source.centre - focus) for source in sources]).reshape(-1, 3)
+    return np.arctan2(np.linalg.norm(np.cross(rays, direction), axis=1), rays @ direction)
 
 
 def _normalize(vector: Array) -> Array:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera, look_at, nearest_views
+from fourd.cameras import Camera, look_at, fading_weights, nearest_views, select_views
 
 INTRINSICS = np.array([[100.0, 0, 32], [0, 110, 24], [0, 0, 1]])
 
@@ -75,3 +75,42 @@ def test_nearest_views_are_chosen_by_angle_not_distance() -> None:
     same_side_far = look_at(np.array([9.0, 0.1, 0]), np.zeros(3), up, INTRINSICS, 64, 48)
     other_side_near = look_at(np.array([0.0, 2, 0]), np.zeros(3), up, INTRINSICS, 64, 48)
     assert nearest_views(target, [other_side_near, same_side_far], 1, np.zeros(3)) == [1]
+
+
+def at_degrees(degrees: float, radius: float = 2.0) -> Camera:
+    """A camera on a circle around the origin, at an angle from the x axis."""
+    angle = np.radians(degrees)
+    centre = radius * np.array([np.cos(angle), np.sin(angle), 0])
+    return look_at(centre, np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 48)
+
+
+def test_view_weights_fall_to_zero_at_the_first_view_that_is_left_out() -> None:
+    """Catches angles measured in cosines, and a limit at a view that is selected."""
+    sources = [at_degrees(degrees, radius) for degrees, radius in [(-10, 2), (20, 5), (40, 2), (-50, 3), (90, 2)]]
+    views = select_views(at_degrees(0), sources, 3, np.zeros(3), fade=True)
+    assert views.indices == [0, 1, 2]
+    np.testing.assert_allclose(views.weights, [0.8, 0.6, 0.2], atol=1e-6)
+    even = select_views(at_degrees(0), sources, 3, np.zeros(3), fade=False)
+    assert (even.indices, even.weights.tolist()) == ([0, 1, 2], [1, 1, 1])
+
+
+def test_the_limit_is_beyond_all_chosen_views() -> None:
+    """Catches negative weights in training, where a step skips one of the nearest views."""
+    sources = [at_degrees(degrees) for degrees in (10, 20, 30, 40, 60)]
+    np.testing.assert_allclose(fading_weights(at_degrees(0), sources, [0, 1, 3], np.zeros(3)), [5 / 6, 4 / 6, 2 / 6])
+
+
+@pytest.mark.parametrize(
+    ("degrees", "weights"), [([10, 20], [0.6, 0.2]), ([0, 0], [1, 1]), ([30, -30], [0.2, 0.2]), ([], [])]
+)
+def test_view_weights_without_other_views(degrees: list[float], weights: list[float]) -> None:
+    """Catches divisions by zero, and weights that are all 0."""
+    sources = [at_degrees(each) for each in degrees]
+    views = select_views(at_degrees(0), sources, 4, np.zeros(3), fade=True)
+    np.testing.assert_allclose(views.weights, weights, atol=1e-6)
+
+
+def test_views_at_equal_angles_keep_a_weight() -> None:
+    """Catches a viewer whose selected views all have weight 0, because a left-out view has the same angle."""
+    sources = [at_degrees(30), at_degrees(-30)]
+    np.testing.assert_allclose(select_views(at_degrees(0), sources, 1, np.zeros(3), fade=True).weights, [1])

@@ -10,8 +10,8 @@
 #include <vector>
 
 #include "play/arguments.h"
-#include "points/arguments.h"
 #include "play/play.h"
+#include "points/arguments.h"
 
 namespace nb = nanobind;
 
@@ -23,12 +23,13 @@ using Picture = nb::ndarray<std::uint8_t, nb::shape<-1, -1, 4>, nb::c_contig, nb
 
 void draw(play::Player& player, const Arguments::Xyz& xyz, const Arguments::Column& radius,
           const Arguments::Column& density, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
-          const Arguments::Colours& rgb, const ChosenArray& chosen, const CentreArray& centre, float sh_range,
-          float sh_base, const std::vector<double>& camera, int layers, double near_depth, double transmittance_min,
-          const std::array<float, 3>& background, int threads, const std::string& simd, const Picture& out) {
+          const Arguments::Colours& rgb, const ChosenArray& chosen, const ViewWeightArray& view_weights,
+          const CentreArray& centre, float sh_range, float sh_base, const std::vector<double>& camera, int layers,
+          double near_depth, double transmittance_min, const std::array<float, 3>& background, int threads,
+          const std::string& simd, const Picture& out) {
     const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
     const shade::Settings shading =
-        shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, threads, simd);
+        shade_settings(chosen, view_weights, frame.points.views, centre, sh_range, sh_base, threads, simd);
     const points::Settings settings =
         points_settings(camera, out.shape(1), out.shape(0), layers, near_depth, transmittance_min, threads, simd);
     nb::gil_scoped_release release;
@@ -53,9 +54,9 @@ void bind_play(nb::module_& module) {
     nb::class_<play::Player>(module, "Player", "Draws baked frames; not to be shared between threads.")
         .def(nb::init<>())
         .def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
-             nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
-             nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
-             nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+             nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"),
+             nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
+             nb::arg("transmittance_min"), nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
     nb::class_<play::DepthSorter>(module, "DepthSorter", "Orders points; not to be shared between threads.")
         .def(nb::init<>())
         .def("sort", &sort, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("camera"), nb::arg("width"),

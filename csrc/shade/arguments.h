@@ -12,18 +12,29 @@
 
 namespace fourd {
 
-// The indices of the views to blend, and the centre of a camera. Both arrays are in host memory.
+// The indices and weights of the views to blend, and the centre of a camera. All arrays are in host memory.
 using ChosenArray = nanobind::ndarray<const std::int32_t, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
+using ViewWeightArray = nanobind::ndarray<const float, nanobind::ndim<1>, nanobind::c_contig, nanobind::device::cpu>;
 using CentreArray = nanobind::ndarray<const double, nanobind::shape<3>, nanobind::c_contig, nanobind::device::cpu>;
 
-inline shade::Settings shade_settings(const ChosenArray& chosen, std::size_t views, const CentreArray& centre,
-                                      float sh_range, float sh_base, int threads, const std::string& simd) {
+inline shade::Settings shade_settings(const ChosenArray& chosen, const ViewWeightArray& view_weights, std::size_t views,
+                                      const CentreArray& centre, float sh_range, float sh_base, int threads,
+                                      const std::string& simd) {
     require(chosen.shape(0) <= shade::kMaxChosen, "chosen: expected at most 64 views");
     for (std::size_t i = 0; i < chosen.shape(0); ++i) {
         require(chosen.data()[i] >= 0 && static_cast<std::size_t>(chosen.data()[i]) < views,
                 "chosen: expected indices of source views");
     }
+    require(view_weights.shape(0) == chosen.shape(0), "view_weights: expected as many values as chosen");
+    float total = 0.0f;
+    for (std::size_t i = 0; i < view_weights.shape(0); ++i) {
+        const float weight = view_weights.data()[i];
+        require(weight >= 0.0f && weight <= 1.0f, "view_weights: expected values from 0 to 1");
+        total += weight;
+    }
+    require(total > 0.0f || chosen.shape(0) == 0, "view_weights: expected at least one value above 0");
     return {chosen.data(),
+            view_weights.data(),
             static_cast<int>(chosen.shape(0)),
             {centre.data()[0], centre.data()[1], centre.data()[2]},
             sh_range,

@@ -134,11 +134,13 @@ void run_play(unsigned seed, const char* simd) {
     for (auto& half : radius) half = static_cast<std::uint16_t>(random_int(random, 0, 0x7bff));
     for (auto& half : density) half = static_cast<std::uint16_t>(random_int(random, 0, 0x3c00));
     const std::int32_t chosen[] = {0};
+    const float view_weights[] = {0.5f};
     fourd::play::Player player;
     fourd::play::DepthSorter sorter;
     for (int picture = 0; picture < 2; ++picture) {
         const fourd::points::Settings settings = random_settings(random, simd);
-        const fourd::shade::Settings shading{chosen, 1, {0, 0, -3}, 0.25f, 0.0f, settings.threads, settings.simd};
+        const fourd::shade::Settings shading{chosen,           view_weights, 1, {0, 0, -3}, 0.25f, 0.0f,
+                                             settings.threads, settings.simd};
         std::vector<std::uint8_t> rgba(std::size_t{4} * settings.camera.width * settings.camera.height);
         const fourd::play::Frame frame{
             {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views}, radius.data(), density.data()};
@@ -167,8 +169,10 @@ void run_shade(unsigned seed, const char* simd) {
     std::vector<std::int32_t> chosen;
     for (std::size_t view = 0; view < views; view += 2) chosen.push_back(static_cast<std::int32_t>(view));
     const fourd::shade::Points points{xyz.data(), sh.data(), weights.data(), rgb.data(), count, views};
-    const fourd::shade::Settings settings{chosen.data(), static_cast<int>(chosen.size()), {0.5, 0.1, -3.0},       0.25f,
-                                          0.0f,          random_int(random, 1, 4),        fourd::simd_named(simd)};
+    const std::vector<float> view_weights(chosen.size(), 0.5f);
+    const fourd::shade::Settings settings{
+        chosen.data(), view_weights.data(),      static_cast<int>(chosen.size()), {0.5, 0.1, -3.0}, 0.25f,
+        0.0f,          random_int(random, 1, 4), fourd::simd_named(simd)};
     Floats out(3 * count);
     fourd::shade::shade(points, settings, out.data());
     expect_finite(out, "colours", seed);

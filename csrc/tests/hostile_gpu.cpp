@@ -81,9 +81,10 @@ void run_play(unsigned seed) {
     for (auto& half : radius) half = static_cast<std::uint16_t>(random_int(random, 0, 0x7bff));
     for (auto& half : density) half = static_cast<std::uint16_t>(random_int(random, 0, 0x3c00));
     const std::int32_t chosen[] = {0};
+    const float view_weights[] = {0.5f};
     const fourd::points::Settings settings = random_settings(random, "");
     const int width = settings.camera.width, height = settings.camera.height;
-    const fourd::shade::Settings shading{chosen, 1, {0, 0, -3}, 0.25f, 0.0f, 1, settings.simd};
+    const fourd::shade::Settings shading{chosen, view_weights, 1, {0, 0, -3}, 0.25f, 0.0f, 1, settings.simd};
     std::vector<std::uint8_t> rgba(std::size_t{4} * width * height);
     const fourd::play::Frame frame{
         {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views}, radius.data(), density.data()};

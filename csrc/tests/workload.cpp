@@ -108,14 +108,15 @@ std::function<void()> play_workload(const Size& size) {
     const auto player = std::make_shared<fourd::play::Player>();
     return [=, density = std::vector<std::uint16_t>(size.points, 0x3bc0), sh = halves(48 * size.points),
             weights = halves(kViews * size.points), rgb = std::vector<std::uint8_t>(3 * kViews * size.points, 90),
-            chosen = std::vector<std::int32_t>{2, 3, 4, 5},
+            chosen = std::vector<std::int32_t>{2, 3, 4, 5}, view_weights = std::vector<float>{0.7f, 0.6f, 0.3f, 0.1f},
             picture = std::vector<std::uint8_t>(std::size_t{4} * size.width * size.height)]() mutable {
         const fourd::play::Frame frame{{figure.xyz.data(), sh.data(), weights.data(), rgb.data(), size.points, kViews},
                                        radius.data(),
                                        density.data()};
         fourd::points::Settings fast = settings;
         fast.transmittance_min = 1e-3f;
-        const fourd::shade::Settings shading{chosen.data(), 4, {0, -3, 0.4}, 0.25f, 0.0f, size.threads, size.simd};
+        const fourd::shade::Settings shading{chosen.data(), view_weights.data(), 4,        {0, -3, 0.4}, 0.25f,
+                                             0.0f,          size.threads,        size.simd};
         player->draw(frame, fast, shading, {picture.data(), {0, 0, 0}});
     };
 }

@@ -91,6 +91,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 
         fps=fps,
         layers=layers,
         neighbours=run.config.train.model.neighbours,
+        fade_views=run.config.train.model.fade_views,
         sh_range=trained.model.sh_range,
         sh_base=trained.model.sh_base,
         near=NEAR,

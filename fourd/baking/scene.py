@@ -144,6 +144,8 @@ class SceneManifest:
         fps: playback rate, frames per second.
         layers: maximum number of points that a pixel composites (K in 4K4D).
         neighbours: number of source views that are blended for an image (N' in 4K4D).
+        fade_views: whether the weight of a source view falls with its angle to the viewer; see
+            :func:`fourd.cameras.fading_weights`.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.
         near: camera depth in world units below which points are culled.
@@ -168,6 +170,7 @@ class SceneManifest:
     fps: float = 30.0
     layers: int = 12
     neighbours: int = 4
+    fade_views: bool = False
     sh_range: float = 0.25
     sh_base: float = 0.0
     near: float = 0.01

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
-from fourd.cameras import Camera, nearest_views
+from fourd.cameras import Camera, SelectedViews, select_views
 from fourd.ops.shade.op import shade_points
 from fourd.ops.shade.reference import shade_points_reference
 from fourd.ops.shade.shading import Shading
@@ -33,15 +33,17 @@ def shade_reference(frame: BakedFrame, camera: Camera, manifest: SceneManifest) 
 
 def make_shading(camera: Camera, manifest: SceneManifest) -> Shading:
     """Return the inputs that the kernels need to shade a scene's points for ``camera``."""
-    views = np.asarray(select_source_views(camera, manifest), dtype=np.int32)
-    return Shading(views, np.ascontiguousarray(camera.centre), manifest.sh_range, manifest.sh_base)
+    views = select_source_views(camera, manifest)
+    indices = np.asarray(views.indices, dtype=np.int32)
+    centre = np.ascontiguousarray(camera.centre)
+    return Shading(indices, views.weights, centre, manifest.sh_range, manifest.sh_base)
 
 
-def select_source_views(camera: Camera, manifest: SceneManifest) -> list[int]:
-    """Return the indices of the source views nearest to ``camera``, measured by the angle at the focus.
-    ``manifest.neighbours`` is the number of returned views.
+def select_source_views(camera: Camera, manifest: SceneManifest) -> SelectedViews:
+    """Select the source views nearest to ``camera``, measured by the angle at the focus. ``manifest.neighbours`` is the
+    number of returned views.
 
-    The list is empty for a scene without source views.
+    A scene without source views has no selected views.
     """
-    sources = list(manifest.source_cameras)
-    return nearest_views(camera, sources, manifest.neighbours, np.asarray(manifest.focus))
+    focus = np.asarray(manifest.focus)
+    return select_views(camera, manifest.source_cameras, manifest.neighbours, focus, fade=manifest.fade_views)

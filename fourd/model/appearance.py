@@ -108,7 +108,13 @@ def zero_low_visibility(visibility: Tensor) -> Tensor:
     return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 
-def blend(logits: Tensor, visibility: Tensor, colours: Tensor, base: Tensor | None = None) -> Tensor:
+def blend(
+    logits: Tensor,
+    visibility: Tensor,
+    colours: Tensor,
+    base: Tensor | None = None,
+    view_weights: Tensor | None = None,
+) -> Tensor:
     """Image-based colour: the mean of the views' colours, weighted by the softmax of the logits times the visibility.
 
     Args:
@@ -117,17 +123,21 @@ def blend(logits: Tensor, visibility: Tensor, colours: Tensor, base: Tensor | No
         colours: (V, N, 3).
         base: (N, 3) the points' own colours, or None. With ``base``, a view with visibility v and colour c contributes
             the colour v c + (1 - v) base instead of c.
+        view_weights: (V,) factors in [0, 1] on the weights of all points, or None for factors of 1.
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets ``base`` or, without ``base``, the mean of the views'
-        colours. In a baked scene, a point whose stored weights are all 0 gets the mean of the views' colours.
+        colours, weighted by ``view_weights``. A baked scene treats a point whose stored weights are all 0 alike.
     """
     visibility = zero_low_visibility(visibility)
     if base is not None:
         colours = base.lerp(colours, visibility[..., None])
     weights = torch.softmax(logits, dim=0) * visibility
+    own = torch.ones_like(weights[:, 0]) if view_weights is None else view_weights
+    if view_weights is not None:
+        weights = weights * own[:, None]
     total = weights.sum(0)
-    even = torch.full_like(weights, 1 / weights.shape[0])
+    even = (own / own.sum())[:, None].expand_as(weights)
     weights = torch.where(total > 0, weights / torch.where(total > 0, total, torch.ones_like(total)), even)
     return (weights[..., None] * colours).sum(0)
 

@@ -191,7 +191,7 @@ class PointModel(nn.Module):
                     encoded = self.encode_images(sources.images)
             samples = sample_sources(points.xyz, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)
             logits = self.blend_logits(points, samples, sources, viewer)
-            colour = blend(logits, samples.visibility, samples.colours, points.rgb)
+            colour = blend(logits, samples.visibility, samples.colours, points.rgb, sources.weights)
             colour = colour if shadow is None else shadow.apply(colour)
         sh = self.harmonics(points)
         if sh is not None:

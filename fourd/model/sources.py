@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from fourd.cameras import Camera
@@ -28,6 +31,7 @@ class SourceViews:
             if occlusion is not tested.
         cameras: the V cameras of the cropped or padded images.
         encoded: (V, C, h, w) cached features of the image encoder; None if the features are not cached.
+        weights: (V,) view weights in [0, 1], factors on the blend weights; None if all weights are 1.
     """
 
     images: Tensor
@@ -35,6 +39,11 @@ class SourceViews:
     depth: Tensor | None
     cameras: tuple[Camera, ...]
     encoded: Tensor | None = None
+    weights: Tensor | None = None
+
+    def weighted(self, weights: NDArray[np.float32]) -> SourceViews:
+        """The same views with the view weights (V,)."""
+        return replace(self, weights=torch.from_numpy(weights))
 
 
 @dataclass(frozen=True)

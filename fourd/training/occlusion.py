@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
@@ -69,4 +70,4 @@ def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: boo
     if not occlusion:
         return sources
     depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]
-    return SourceViews(sources.images, sources.mattes, torch.stack(depths), sources.cameras)
+    return replace(sources, depth=torch.stack(depths))

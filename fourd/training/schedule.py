@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fourd.cameras import Camera, nearest_views
+from fourd.cameras import Camera, fading_weights, nearest_views
 from fourd.training.config import RateConfig, TrainConfig
 
 
@@ -18,6 +19,7 @@ class StepSample:
         frame: index into the selected frames.
         target: index of the target camera.
         sources: indices of the source cameras.
+        source_weights: (V,) float32 view weights of the source cameras.
         background_colour: (3,) float32 RGB on which prediction and ground truth are composited.
         layers: maximum number K of points that are composited at each pixel.
         is_plate: whether the target is the camera's clean plate instead of the camera's image of the frame.
@@ -27,6 +29,7 @@ class StepSample:
     frame: int
     target: int
     sources: list[int]
+    source_weights: np.ndarray
     background_colour: np.ndarray
     layers: int
     is_plate: bool = False
@@ -46,6 +49,8 @@ class StepSampler:
         self._training = training
         self._frames = frames
         self._min_layers = config.least_layers if config.scene == "object" else config.background.least_layers
+        self._cameras = cameras
+        self._focus = focus
         self._pools = {
             target: source_pool(cameras, target, training, config.neighbour_pool, focus) for target in training
         }
@@ -66,11 +71,22 @@ class StepSampler:
         drawn = sorted(rng.choice(len(pool), size=count, replace=False).tolist())
         colour = rng.random(3) if self._config.random_background else np.zeros(3)
         layers = int(rng.integers(min(self._min_layers, self._config.layers), self._config.layers + 1))
-        sample = StepSample(frame, target, [pool[i] for i in drawn], colour.astype(np.float32), layers)
+        sources = [pool[i] for i in drawn]
+        weights = self._source_weights(target, sources)
+        sample = StepSample(frame, target, sources, weights, colour.astype(np.float32), layers)
         if self._config.scene == "object":
             return sample
         is_plate = bool(rng.random() < self._config.background.share)
         return replace(sample, is_plate=is_plate, position=(rng.random(), rng.random(), rng.random()))
+
+
+    def _source_weights(self, target: int, sources: list[int]) -> NDArray[np.float32]:
+        """View weights of the cameras ``sources`` for the camera ``target``, which is not a source itself."""
+        if not self._config.model.fade_views:
+            return np.ones(len(sources), np.float32)
+        others = [camera for camera in self._training if camera != target]
+        chosen = [others.index(camera) for camera in sources]
+        return fading_weights(self._cameras[target], [self._cameras[i] for i in others], chosen, self._focus)
 
 
 def source_pool(

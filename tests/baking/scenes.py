@@ -46,6 +46,7 @@ def manifest(views: int = 6, frames: int = 3) -> SceneManifest:
         other_names=("held out",),
         other_cameras=cameras[views:],
         fps=24.0,
+        fade_views=True,
         producer="tests",
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -32,14 +33,40 @@ def test_any_thread_count_gives_the_same_bits() -> None:
     assert all(np.array_equal(one, shade(frame, camera, described, threads=count)) for count in (2, 3, 5))
 
 
-def test_views_without_weight_count_equally() -> None:
-    """Catches a division by zero for points whose selected views all have weight 0."""
+def test_points_without_blend_weights_use_the_view_weights() -> None:
+    """Catches a division by zero for points whose selected views all have blend weight 0."""
     frame = random_frame(10, 6, seed=1)
     weightless = replace(frame, sh=np.zeros_like(frame.sh), blend_weights=np.zeros_like(frame.blend_weights))
     described = manifest(views=6)
     camera = ring(6)[2]
-    expected = frame.rgb[:, select_source_views(camera, described)].mean(axis=1) / 255
+    views = select_source_views(camera, described)
+    assert len(set(views.weights.tolist())) > 1
+    expected = np.average(frame.rgb[:, views.indices], axis=1, weights=views.weights) / 255
     assert np.abs(shade(weightless, camera, described) - expected).max() < 1e-5
+
+
+def test_view_weights_scale_the_blend_weights() -> None:
+    """Catches view weights that are ignored, or assigned to the wrong views."""
+    frame, camera = random_frame(100, 6, seed=4), ring(29)[1]
+    faded, even = manifest(views=6), replace(manifest(views=6), fade_views=False)
+    views = select_source_views(camera, faded)
+    scaled = frame.blend_weights.copy()
+    scaled[:, views.indices] *= views.weights.astype(np.float16)
+    expected = shade(replace(frame, blend_weights=scaled), camera, even)
+    assert np.abs(shade(frame, camera, faded) - expected).max() < 2e-3
+    assert np.abs(shade(frame, camera, even) - expected).max() > 1e-2
+
+
+def test_colours_do_not_jump_when_the_selected_views_change() -> None:
+    """Catches view weights that are not 0 at the angle at which another view replaces the view."""
+    frame, described = random_frame(200, 6, seed=5), manifest(views=6)
+    path = ring(720)
+    selected = [set(select_source_views(camera, described).indices) for camera in path]
+    colours = [shade(frame, camera, described) for camera in path]
+    steps = np.array([np.abs(after - before).mean() for before, after in pairwise(colours)])
+    changes = np.array([before != after for before, after in pairwise(selected)])
+    assert changes.sum() >= 4
+    assert steps[changes].max() < 1.5 * steps[~changes].max()
 
 
 def test_weights_are_normalized() -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from fourd.cameras import Camera, look_at
+from fourd.cameras import Camera, look_at, select_views
 from fourd.training.config import RateConfig, TrainConfig
 from fourd.training.schedule import StepSampler, budget_spent, rate_factor
 
@@ -33,6 +33,20 @@ def test_held_out_views_and_the_target_are_never_sources() -> None:
         assert sample.target not in (3, 8)
         assert not {3, 8} & set(sample.sources)
         assert len(set(sample.sources)) == 4
+
+
+def test_source_weights_are_those_of_rendering() -> None:
+    """Catches view weights in training that differ from those in rendering, where the target is no source either."""
+    drawn, cameras = sampler(), ring(10)
+    training = [0, 1, 2, 4, 5, 6, 7, 9]
+    for sample in map(drawn.sample, range(40)):
+        others = [index for index in training if index != sample.target]
+        views = select_views(cameras[sample.target], [cameras[index] for index in others], 4, np.zeros(3), fade=True)
+        nearest = [others[index] for index in views.indices]
+        assert 0 <= sample.source_weights.min() <= sample.source_weights.max() <= 1
+        if sorted(nearest) == sorted(sample.sources):
+            expected = dict(zip(nearest, views.weights, strict=True))
+            np.testing.assert_allclose(sample.source_weights, [expected[index] for index in sample.sources])
 
 
 def test_an_epoch_draws_every_view_of_every_frame_once() -> None:

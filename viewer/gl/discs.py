@@ -18,6 +18,7 @@ from fourd.viewer.gl.frame_textures import FrameTextures
 from fourd.viewer.gl.shaders import TEXELS_PER_ROW, compile_program, set_uniforms
 
 _BYTES_PER_DISC = 32
+_MAX_BLENDED_VIEWS = 64  # the size of the arrays in viewer/shaders/shade.vert
 _DISCS_PER_ROW = TEXELS_PER_ROW // 2
 _MAX_RANKS = 1 << 24
 
@@ -226,9 +227,11 @@ def _camera_uniforms(camera: Camera) -> dict[str, tuple[float, ...]]:
 def _shading_uniforms(request: RenderRequest) -> dict[str, object]:
     manifest = request.manifest
     blended = select_source_views(request.camera, manifest)
+    unused = _MAX_BLENDED_VIEWS - len(blended.indices)
     return {
-        "blended_views": [*blended, *[0] * (64 - len(blended))],
-        "blended_count": len(blended),
+        "blended_views": [*blended.indices, *[0] * unused],
+        "view_weights": [*map(float, blended.weights), *[0.0] * unused],
+        "blended_count": len(blended.indices),
         "sh_range": manifest.sh_range,
         "sh_base": manifest.sh_base,
         "near": manifest.near,

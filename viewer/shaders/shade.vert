@@ -22,6 +22,7 @@ uniform vec3 camera_centre;
 uniform float near;
 
 uniform int blended_views[64];  // Indices of the source views to blend.
+uniform float view_weights[64];  // factors on the blend weights of these views
 uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;
@@ -59,17 +60,18 @@ vec3 spherical_harmonics(vec3 d) {
 }
 
 vec3 blend_source_views() {
-    vec3 sum = vec3(0.0), unweighted = vec3(0.0);
-    float total = 0.0;
+    vec3 sum = vec3(0.0), plain_sum = vec3(0.0);
+    float total = 0.0, plain_total = 0.0;
     for (int k = 0; k < blended_count; ++k) {
         int texel = slot * views + blended_views[k];
-        float weight = texelFetch(blend_weights, at(texel), 0).r;
+        float weight = view_weights[k] * texelFetch(blend_weights, at(texel), 0).r;
         vec3 colour = texelFetch(rgb, at(texel), 0).rgb;
         sum += weight * colour;
-        unweighted += colour;
+        plain_sum += view_weights[k] * colour;
+        plain_total += view_weights[k];
         total += weight;
     }
-    return total > 0.0 ? sum / max(total, 1e-6) : unweighted / float(max(blended_count, 1));
+    return total > 0.0 ? sum / max(total, 1e-30) : plain_sum / max(plain_total, 1e-30);
 }
 
 void main() {

@@ -8,10 +8,10 @@
 #include <vector>
 
 #include "binding/cuda_arrays.h"
-#include "points/cuda/entry_arguments.h"
 #include "play/arguments.h"
-#include "points/arguments.h"
 #include "play/cuda/draw.h"
+#include "points/arguments.h"
+#include "points/cuda/entry_arguments.h"
 
 namespace nb = nanobind;
 
@@ -30,12 +30,13 @@ std::pair<std::size_t, std::size_t> plan(device::EntryEstimator& estimator, std:
 
 void draw(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Arguments::Column& density,
           const Arguments::Harmonics& sh, const Arguments::Weights& weights, const Arguments::Colours& rgb,
-          const ChosenArray& chosen, const CentreArray& centre, float sh_range, float sh_base,
-          const std::vector<double>& camera, int layers, double near_depth, double transmittance_min,
+          const ChosenArray& chosen, const ViewWeightArray& view_weights, const CentreArray& centre, float sh_range,
+          float sh_base, const std::vector<double>& camera, int layers, double near_depth, double transmittance_min,
           const std::array<float, 3>& background, const device::EntryEstimator& estimator, std::size_t entries,
           const Workspace& workspace, std::uintptr_t stream, const Picture& out) {
     const play::Frame frame = Arguments::frame(xyz, radius, density, sh, weights, rgb);
-    const shade::Settings shading = shade_settings(chosen, frame.points.views, centre, sh_range, sh_base, 1, "");
+    const shade::Settings shading =
+        shade_settings(chosen, view_weights, frame.points.views, centre, sh_range, sh_base, 1, "");
     const points::Settings settings =
         points_settings(camera, out.shape(1), out.shape(0), layers, near_depth, transmittance_min, 1, "");
     const EntryBufferArguments buffer{estimator, entries, workspace};
@@ -46,12 +47,13 @@ void draw(const Arguments::Xyz& xyz, const Arguments::Column& radius, const Argu
 }
 
 void shade(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Arguments::Weights& weights,
-           const Arguments::Colours& rgb, const ChosenArray& chosen, const CentreArray& centre, float sh_range,
-           float sh_base, std::uintptr_t stream, const ColourOut& out) {
+           const Arguments::Colours& rgb, const ChosenArray& chosen, const ViewWeightArray& view_weights,
+           const CentreArray& centre, float sh_range, float sh_base, std::uintptr_t stream, const ColourOut& out) {
     const shade::Points points = Arguments::points(xyz, sh, weights, rgb);
     require(out.shape(0) == points.count, "out: unexpected shape");
-    play::cuda::shade(points, shade_settings(chosen, points.views, centre, sh_range, sh_base, 1, ""), out.data(),
-                      stream_of(stream));
+    const shade::Settings shading =
+        shade_settings(chosen, view_weights, points.views, centre, sh_range, sh_base, 1, "");
+    play::cuda::shade(points, shading, out.data(), stream_of(stream));
 }
 
 }  // namespace
@@ -60,13 +62,13 @@ void bind_play(nb::module_& module) {
     module.def("plan_draw", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("width"), nb::arg("height"),
                "The number of entries to provide for, and the bytes of workspace, of the next picture.");
     module.def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
-               nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"),
-               nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
-               nb::arg("background"), nb::arg("estimator"), nb::arg("entries"), nb::arg("workspace"), nb::arg("stream"),
-               nb::arg("out"));
+               nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"),
+               nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
+               nb::arg("transmittance_min"), nb::arg("background"), nb::arg("estimator"), nb::arg("entries"),
+               nb::arg("workspace"), nb::arg("stream"), nb::arg("out"));
     module.def("shade", &shade, nb::arg("xyz"), nb::arg("sh"), nb::arg("blend_weights"), nb::arg("rgb"),
-               nb::arg("chosen"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("stream"),
-               nb::arg("out"));
+               nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"),
+               nb::arg("stream"), nb::arg("out"));
 }
 
 }  // namespace fourd::cuda

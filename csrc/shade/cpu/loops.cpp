@@ -115,7 +115,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
             std::memcpy(&bytes, points.rgb + 3 * at, 3);
         }
         const __m128 rgb = _mm_cvtepi32_ps(_mm_cvtepu8_epi32(_mm_cvtsi32_si128(static_cast<int>(bytes))));
-        const float weight = _cvtsh_ss(points.weights[at]);
+        const float weight = settings.view_weights[v] * _cvtsh_ss(points.weights[at]);
         sum = _mm_fmadd_ps(_mm_set1_ps(weight), rgb, sum);
         total += weight;
     }
@@ -128,7 +128,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
     *out = {{0, 0, 0}};
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::size_t at = row + static_cast<std::size_t>(settings.chosen[v]);
-        const float weight = from_half(points.weights[at]);
+        const float weight = settings.view_weights[v] * from_half(points.weights[at]);
         total += weight;
         for (int c = 0; c < 3; ++c) out->channel[c] += weight * points.rgb[3 * at + c];
     }
@@ -136,15 +136,17 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
 #endif
 }
 
-// Computes the sum of the colours of the chosen views without weights, and returns the number of these views. The sum
-// without weights is used if all chosen views have weight 0 at the point.
+// Computes the sum of the colours of the chosen views, weighted by the view weights alone. Returns the sum of the view
+// weights. The result is used if all chosen views have blend weight 0 at the point.
 FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
+    float total = 0;
     *out = {{0, 0, 0}};
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::uint8_t* rgb = points.rgb + 3 * (row + static_cast<std::size_t>(settings.chosen[v]));
-        for (int c = 0; c < 3; ++c) out->channel[c] += rgb[c];
+        total += settings.view_weights[v];
+        for (int c = 0; c < 3; ++c) out->channel[c] += settings.view_weights[v] * rgb[c];
     }
-    return static_cast<float>(settings.chosen_count);
+    return total;
 }
 
 // Blends the colours of the chosen views with normalised weights, and adds the result to colour (count, 3).

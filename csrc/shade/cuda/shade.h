@@ -7,8 +7,7 @@
 
 namespace fourd::shade::cuda {
 
-// A kernel over points. The kernel contains a copy of the chosen view indices, because settings.chosen is in host
-// memory.
+// A kernel over points. The kernel contains a copy of the views' indices and weights, because they are in host memory.
 class ShadePoint {
   public:
     ShadePoint(const Points& points, const Settings& settings, float* out)
@@ -17,7 +16,10 @@ class ShadePoint {
           sh_range_(settings.sh_range),
           sh_base_(settings.sh_base),
           out_(out) {
-        for (int v = 0; v < count_; ++v) chosen_[v] = settings.chosen[v];
+        for (int v = 0; v < count_; ++v) {
+            chosen_[v] = settings.chosen[v];
+            view_weights_[v] = settings.view_weights[v];
+        }
         for (int axis = 0; axis < 3; ++axis) centre_[axis] = settings.centre[axis];
     }
 
@@ -36,26 +38,28 @@ class ShadePoint {
     }
 
   private:
-    // Blends the colours of the chosen views with normalised weights. If all chosen views have weight 0, the result is
-    // the mean of their colours.
+    // Blends the colours of the chosen views with normalised weights. If all chosen views have blend weight 0 at the
+    // point, the view weights alone are used.
     FOURD_DEVICE void blend(std::size_t point, float* out) const {
-        float total = 0.0f, plain[3] = {};
+        float total = 0.0f, plain_total = 0.0f, plain[3] = {};
         for (int v = 0; v < count_; ++v) {
             const std::size_t at = point * points_.views + static_cast<std::size_t>(chosen_[v]);
-            const float weight = from_half(points_.weights[at]);
+            const float weight = view_weights_[v] * from_half(points_.weights[at]);
             total += weight;
+            plain_total += view_weights_[v];
             for (int c = 0; c < 3; ++c) {
                 out[c] += weight * points_.rgb[3 * at + c];
-                plain[c] += points_.rgb[3 * at + c];
+                plain[c] += view_weights_[v] * points_.rgb[3 * at + c];
             }
         }
         const bool weighted = total > 0.0f;
-        const float scale = 1.0f / (255.0f * (weighted ? total : static_cast<float>(count_)));
+        const float scale = 1.0f / (255.0f * (weighted ? total : plain_total));
         for (int c = 0; c < 3; ++c) out[c] = scale * (weighted ? out[c] : plain[c]);
     }
 
     Points points_;
     std::int32_t chosen_[kMaxChosen] = {};
+    float view_weights_[kMaxChosen] = {};
     int count_;
     double centre_[3];
     float sh_range_, sh_base_;

@@ -28,7 +28,7 @@ def shade_points_reference(
         harmonics = np.einsum("nck,nk->nc", sh[chunk].astype(np.float32), sh_basis(directions))
         colour[chunk] = shading.sh_base + shading.sh_range * np.tanh(harmonics)
         if len(shading.views):
-            weights = _normalize(blend_weights[chunk][:, shading.views].astype(np.float32))
+            weights = _normalize(blend_weights[chunk][:, shading.views].astype(np.float32), shading.view_weights)
             colours = rgb[chunk][:, shading.views].astype(np.float32) / 255
             colour[chunk] += np.einsum("nv,nvc->nc", weights, colours)
     return colour
@@ -41,8 +41,11 @@ def sh_basis(directions: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.stack(terms, axis=1).astype(np.float32, copy=False)
 
 
-def _normalize(weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Scale each row of weights to a sum of 1. In a row of zeros, all weights become equal."""
+def _normalize(blend_weights: NDArray[np.float32], view_weights: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Weights (N, V): each row of blend weights (N, V), times the view weights (V,), scaled to a sum of 1.
+
+    A row of zeros becomes the view weights, scaled to a sum of 1.
+    """
+    weights = blend_weights * view_weights
     total = weights.sum(axis=1, keepdims=True)
-    uniform = np.float32(1 / weights.shape[1])
-    return np.where(total > 0, weights / np.where(total > 0, total, 1), uniform)
+    return np.where(total > 0, weights / np.where(total > 0, total, 1), view_weights / view_weights.sum())

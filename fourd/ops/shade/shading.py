@@ -15,16 +15,18 @@ class Shading:
     Attributes:
         views: (N',) int32 indices of the source views to blend. The array is empty if the colour is spherical harmonics
             only.
+        view_weights: (N',) float32 factors in [0, 1] on the views' blend weights, at least one above 0; C-contiguous.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.
     """
 
     views: NDArray[np.int32]
+    view_weights: NDArray[np.float32]
     centre: NDArray[np.float64]
     sh_range: float
     sh_base: float
 
-    def arguments(self) -> tuple[NDArray[np.int32], NDArray[np.float64], float, float]:
+    def arguments(self) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float64], float, float]:
         """Return the fields in the order in which the native kernels expect them."""
-        return self.views, self.centre, self.sh_range, self.sh_base
+        return self.views, self.view_weights, self.centre, self.sh_range, self.sh_base

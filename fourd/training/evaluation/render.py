@@ -4,13 +4,13 @@ renderer."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from fourd.cameras import Camera, nearest_views
+from fourd.cameras import Camera, SelectedViews, select_views
 from fourd.training.background import StaticBackground
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import RenderablePoints, composite
@@ -89,11 +89,12 @@ class ModelRenderer:
         points = self.scene.evaluate_background(camera, self._nearest(camera, exclude))
         return render_view([points], camera, layers)
 
-    def _nearest(self, camera: Camera, exclude: int | None) -> list[int]:
+    def _nearest(self, camera: Camera, exclude: int | None) -> SelectedViews:
         candidates = [index for index in self.training if index != exclude]
         cameras = [self.views.rig.cameras[index] for index in candidates]
-        neighbours = self.scene.models["model"].config.neighbours
-        return [candidates[i] for i in nearest_views(camera, cameras, neighbours, self.focus)]
+        model = self.scene.models["model"].config
+        views = select_views(camera, cameras, model.neighbours, self.focus, fade=model.fade_views)
+        return replace(views, indices=[candidates[i] for i in views.indices])
 
 
 def render_view(clouds: Sequence[RenderablePoints], camera: Camera, layers: int) -> RenderedView:

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.cameras import Camera
+from fourd.cameras import Camera, SelectedViews
 from fourd.model import PointModel
 from fourd.training.background import StaticBackground
 from fourd.training.cameras.refinement import Refinement
@@ -114,19 +114,21 @@ class FullScene:
         self.background.clear_cache()
 
     def evaluate_frame(
-        self, points: FramePoints, frame: int, camera: Camera, sources: list[int]
+        self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
     ) -> list[RenderablePoints]:
         foreground = self.foreground.evaluate_frame(points, frame, camera, sources)
         return [*foreground, self.evaluate_background(camera, sources, self.views.capture.time(frame))]
 
     def evaluate_background(
-        self, camera: Camera, sources: list[int], shadow_time: float | None = None
+        self, camera: Camera, sources: SelectedViews, shadow_time: float | None = None
     ) -> RenderablePoints:
         """All points of the background, with the shadows at time ``shadow_time``. If ``shadow_time`` is None, the
         points have no shadows."""
         model, points = self.background.model, self.background.points
         with torch.no_grad():
-            plates = None if model.config.appearance == "sh" else self.background.sources(sources)
+            plates = None
+            if model.config.appearance != "sh":
+                plates = self.background.sources(sources.indices).weighted(sources.weights)
             evaluated = model.evaluate(points.xyz, points.spacing, 0.0, rgb=points.parameters.get("rgb"))
             shadow = None
             if model.shadow is not None and shadow_time is not None:
@@ -154,6 +156,7 @@ class FullScene:
         if self.config.model.appearance != "sh":
             train_encoder = sample.is_plate and step % self.config.background.encoder_every == 0
             sources = self.background.sources(sample.sources, train_encoder=train_encoder)
+            sources = sources.weighted(sample.source_weights)
         leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
         evaluated = model.evaluate(leaves["xyz"], points.spacing[rows], 0.0, rgb=leaves.get("rgb"))
         shadow = None if model.shadow is None or sample.is_plate else model.shadow(evaluated.xyz, time)

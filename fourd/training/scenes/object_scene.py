@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.cameras import Camera
+from fourd.cameras import Camera, SelectedViews
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews
 from fourd.training.background import StaticBackground
@@ -68,7 +68,7 @@ class ObjectScene:
         """Evaluate the points ``rows`` (M,) of a frame for training."""
         sources = None
         if self.config.model.appearance != "sh":
-            views = self.views.sources(sample.sources, sample.frame)
+            views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
             sources = with_surface_depth(views, points, self.config.model.occlusion)
         leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
         evaluated = self.model.evaluate(leaves["xyz"], points.spacing[rows], time, explicit_sh=leaves.get("sh"))
@@ -89,7 +89,7 @@ class ObjectScene:
         pass
 
     def evaluate_frame(
-        self, points: FramePoints, frame: int, camera: Camera, sources: list[int]
+        self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
     ) -> list[RenderablePoints]:
         with torch.no_grad():
             evaluated = self.model.evaluate(
@@ -100,7 +100,8 @@ class ObjectScene:
             )
             views: SourceViews | None = None
             if self.model.config.appearance != "sh":
-                views = with_surface_depth(self.views.sources(sources, frame), evaluated, self.model.config.occlusion)
+                selected = self.views.sources(sources.indices, frame).weighted(sources.weights)
+                views = with_surface_depth(selected, evaluated, self.model.config.occlusion)
             return [RenderablePoints.of(evaluated, self.model.colour(evaluated, camera, views))]
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from fourd.cameras import Camera
+from fourd.cameras import Camera, SelectedViews
 from fourd.model import PointModel
 from fourd.model.point_model import EvaluatedPoints
 from fourd.model.sources import SourceViews
@@ -125,7 +125,7 @@ class TrainingScene(Protocol):
         """Drop cached data, because a resumed run starts without cached data."""
 
     def evaluate_frame(
-        self, points: FramePoints, frame: int, camera: Camera, sources: list[int]
+        self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
     ) -> list[RenderablePoints]:
         """All points of a scene at one frame, with the foreground first. ``frame`` is an index into the selected
         frames. Colours are blended from the source views of the cameras with indices ``sources``."""

@@ -19,7 +19,7 @@ from fourd.training.losses.term import RenderedStep, weighted_values
 from fourd.training.losses.terms import common_terms
 from fourd.training.schedule import StepSample
 
-SAMPLE = StepSample(0, 0, [1], np.zeros(3, np.float32), 8)
+SAMPLE = StepSample(0, 0, [1], np.ones(1, np.float32), np.zeros(3, np.float32), 8)
 
 
 def rendered(side: int = 16) -> RenderedStep:

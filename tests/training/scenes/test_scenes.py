@@ -18,7 +18,7 @@ from fourd.training.schedule import StepSample
 from tests.captures import ring_cameras
 from tests.training.small import SMALL, full_config
 
-SAMPLE = StepSample(0, 0, [1, 2, 4, 5], np.zeros(3, np.float32), 8, position=(0.9, 0.2, 0.7))
+SAMPLE = StepSample(0, 0, [1, 2, 4, 5], np.ones(4, np.float32), np.zeros(3, np.float32), 8, position=(0.9, 0.2, 0.7))
 PLATE = replace(SAMPLE, is_plate=True)
 
 
