@@ -154,10 +154,8 @@ def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
     frame = capture.frame_count // 2
     points, layers = trained.frames.get(frame), trained.run.config.train.layers
     cameras = orbit(capture.cameras, steps, focus=trained.run.focus)
-    images = [
-        trained.renderer.render(points, frame, camera, layers).rgb for camera in track(cameras, "orbit", console=console)
-    ]
-    return jump_ratio([*images, images[0]])
+    tracked = track([*cameras, cameras[0]], "orbit", console=console)
+    return jump_ratio([trained.renderer.render(points, frame, camera, layers).rgb for camera in tracked])
 
 
 def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float, float, float]:

@@ -57,8 +57,9 @@ class ModelConfig:
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
     fade_views: bool = False
-    """Multiply the blend weights of a source view by 1 - a / b, where a is the view's angle to the viewing camera, and b
-    is the angle of the nearest view that is left out. Images then change smoothly along a camera path."""
+    """Multiply the blend weights of a source view by 1 - a / b. Here a is the angle between the view and the viewing
+    camera, and b is the angle of the nearest view that is not selected. Images then change smoothly along a camera
+    path."""
     image_features: int = 8
     """Channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2

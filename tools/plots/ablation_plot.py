@@ -1,6 +1,6 @@
 """Train ablations on one capture. Plot and tabulate held-out PSNR over training time.
 
-    python tools/ablation_plot.py CAPTURE --test-views 03,09,14 --frames 0:1 --seconds 180
+    python tools/plots/ablation_plot.py CAPTURE --test-views 03,09,14 --frames 0:1 --seconds 180
 
 The program writes docs/figures/ablations.png and docs/measurements/ablations.md. Finished runs in the folder --work are
 not trained again.
@@ -22,7 +22,7 @@ from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.run import load_run
 
-DOCS = Path(__file__).parent.parent / "docs"
+DOCS = Path(__file__).parents[2] / "docs"
 FIGURES = DOCS / "figures"
 ABLATIONS = {"both": "images and SH", "ibr": "images alone", "sh": "SH alone"}
 
