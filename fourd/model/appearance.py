@@ -127,7 +127,7 @@ def blend(
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets ``base`` or, without ``base``, the mean of the views'
-        colours, weighted by ``view_weights``. A baked scene treats a point whose stored weights are all 0 alike.
+        colours, weighted by ``view_weights``. In a baked scene, a point whose stored weights are all 0 gets this mean.
     """
     visibility = zero_low_visibility(visibility)
     if base is not None:

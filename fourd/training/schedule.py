@@ -79,7 +79,6 @@ class StepSampler:
         is_plate = bool(rng.random() < self._config.background.share)
         return replace(sample, is_plate=is_plate, position=(rng.random(), rng.random(), rng.random()))
 
-
     def _source_weights(self, target: int, sources: list[int]) -> NDArray[np.float32]:
         """View weights of the cameras ``sources`` for the camera ``target``, which is not a source itself."""
         if not self._config.model.fade_views:

@@ -69,6 +69,7 @@ def test_frames_and_manifest_round_trip(tmp_path: Path) -> None:
     assert got.points == (200, 201, 202)
     assert (got.names, got.frame_numbers) == (expected.names, expected.frame_numbers)
     assert (got.fps, got.focus, got.bounds, got.kind) == (24.0, expected.focus, expected.bounds, "object")
+    assert got.fade_views is expected.fade_views is True
     for before, after in zip(expected.cameras, got.cameras, strict=True):
         np.testing.assert_array_equal(before.intrinsics, after.intrinsics)
         np.testing.assert_array_equal(before.rotation, after.rotation)
@@ -127,6 +128,7 @@ def test_a_file_of_version_1_is_read_and_still_written(tmp_path: Path) -> None:
     frames = [plain_frame(3, start=1), plain_frame(2, start=5)]
     reader = SceneReader(VERSION_1)
     assert (reader.manifest.version, reader.manifest.kind, reader.manifest.points) == (1, "object", (3, 2))
+    assert reader.manifest.fade_views is False
     for index, frame in enumerate(frames):
         for attribute in frame.attributes:
             np.testing.assert_array_equal(getattr(reader.read(index), attribute.name), getattr(frame, attribute.name))
@@ -290,6 +292,7 @@ def _set(*keys: str | int, to: object) -> Callable[[dict[str, Any]], None]:
         (_set("version", to=True), "version: expected a whole number"),
         (_set("fps", to=float("nan")), "fps: expected a number from 0.001"),
         (_set("fps", to=0), "fps: expected a number from 0.001"),
+        (_set("fade_views", to=1), "fade_views: expected true or false, got 1"),
         (_set("layers", to=0), "layers: expected a whole number from 1"),
         (_set("layers", to=10**400), "layers: expected a whole number from 1"),
         (_set("kind", to="thing"), 'kind: expected "object" or "full"'),

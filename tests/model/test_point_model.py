@@ -91,6 +91,15 @@ def test_blend_is_a_softmax_over_visible_views() -> None:
     torch.testing.assert_close(mixed, torch.tensor([[0.5, 0.5, 0]]))
 
 
+def test_view_weights_scale_the_softmax() -> None:
+    """Catches view weights that are not normalized, and a point that no view sees and that ignores the view weights."""
+    logits = torch.tensor([[0.0, 0.0], [0.0, 0.0]])
+    colours = torch.tensor([[1.0, 0, 0], [0, 1.0, 0]])[:, None].expand(2, 2, 3)
+    visibility = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
+    mixed = blend(logits, visibility, colours, view_weights=torch.tensor([0.6, 0.2]))
+    torch.testing.assert_close(mixed, torch.tensor([[0.75, 0.25, 0], [0.75, 0.25, 0]]))
+
+
 @pytest.mark.parametrize("visibility", [0.0, 1e-6, 0.9e-3])
 def test_views_of_low_visibility_have_no_weight(visibility: float) -> None:
     """Catches colours from views in which the point is occluded, and missing colours of points that are visible in no

@@ -273,8 +273,8 @@ def count_gl_objects(context: moderngl.Context) -> dict[str, int]:
 
 
 def test_manifest_constants_reach_the_shader(make, context: moderngl.Context) -> None:
-    """Catches shaders with hard-coded values of sh_range, sh_base, near and neighbours."""
-    changed: SceneManifest = replace(manifest(6), sh_range=0.4, sh_base=0.1, near=2.6, neighbours=2)
+    """Catches shaders with hard-coded values of sh_range, sh_base, near, neighbours and view weights."""
+    changed: SceneManifest = replace(manifest(6), sh_range=0.4, sh_base=0.1, near=2.6, neighbours=2, fade_views=False)
     request = RenderRequest(shell_frame(2000, seed=3), small_camera(1), changed, DisplaySettings(LAYERS))
     truth = reference(request)
     for name in RENDERERS:
