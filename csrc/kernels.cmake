@@ -1,4 +1,4 @@
-# One call per kernel. docs/adding_a_kernel.md explains how to add a kernel.
+# One call per kernel. docs/guides/adding_a_kernel.md explains how to add a kernel.
 fourd_kernel(blend
   CPU cpu/blend.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT

@@ -25,7 +25,7 @@ NAME = re.compile(r"`(fourd(?:\.\w+)+)(?:\(\))?`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 PLACEHOLDER = re.compile(r"[A-Z]{3,}|\*|saxpy|\.pyi$")
-"""Placeholders, the example kernel of docs/adding_a_kernel.md, and files that the build generates."""
+"""Placeholders, the example kernel of docs/guides/adding_a_kernel.md, and files that the build generates."""
 GENERATED = {"docs/examples.md", "docs/contributing.md", "docs/changelog.md", "docs/reference/cli.md"}
 """Pages that exist only in the built site."""
 

@@ -1,4 +1,4 @@
-"""The kernel of docs/adding_a_kernel.md builds with the package's CMake functions and matches its reference."""
+"""The kernel of docs/guides/adding_a_kernel.md builds with the package's CMake functions and matches its reference."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def example_module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 @pytest.mark.usefixtures("example_module")
 def test_example_matches_its_reference(rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches build functions or headers of the package that differ from the instructions in
-    docs/adding_a_kernel.md."""
+    docs/guides/adding_a_kernel.md."""
     values = [torch.from_numpy(rng.standard_normal(1003).astype(np.float32)) for _ in range(2)]
     inputs = [tensor.requires_grad_() for tensor in values]
     expected = saxpy_reference(1.7, *inputs)
