@@ -40,8 +40,7 @@ def pictures(rng: np.random.Generator, count: int, size: tuple[int, int] = (20, 
 
 
 def test_recurrent_state_is_passed_on_and_reset(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches recurrent state that is lost, permuted or shared between cameras, BGR channels, and a wrong scale of
-    alpha."""
+    """Catches BGR channels, a wrong scale of alpha, and recurrent state that is lost or mixed up between cameras."""
     rvm = load_rvm(script(tmp_path / "small.torchscript"), "cpu")
     frames = pictures(rng, 4)
     for _ in range(2):

@@ -133,7 +133,12 @@ def _load_model(path: Path) -> Any:
     if (path / "cameras.bin").is_file():
         _check_whole(path)
     try:
-        return pycolmap.Reconstruction(str(path))
+        model = pycolmap.Reconstruction(str(path))
+        for image in model.images.values():
+            image.name.encode()  # pycolmap decodes a name only when the name is read
+        return model
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: expected image names in UTF-8, got other bytes; rename the image") from error
     except (ValueError, IndexError, KeyError, RuntimeError, MemoryError, OSError) as error:
         reason = str(error).partition("\n")[0].strip()
         raise UserError(f"{path}: expected a COLMAP model, got '{reason}'; copy or reconstruct it again") from error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -164,6 +165,15 @@ def test_truncated_files_are_reported(source: Path, name: str) -> None:
     for cut in (content[: len(content) // 2], content[:-3], b"\xff" * 7 + b"\x0f" + content[8:], b""):
         (source / name).write_bytes(cut)
         assert_refused(read, source, rf"{name}: expected a whole file, got a truncated one; copy it again")
+
+
+@pytest.mark.parametrize("write", [write_text, write_binary])
+def test_a_name_that_is_not_utf8_is_reported(source: Path, write: Callable[..., None]) -> None:
+    """Catches a UnicodeDecodeError, which pycolmap raises only when the name is read."""
+    write(source, images(), "OPENCV")
+    file = next(source.glob("images.*"))
+    file.write_bytes(file.read_bytes().replace(b"c1/0000.jpg", b"c1/\xff000.jpg"))
+    assert_refused(read, source, "expected image names in UTF-8, got other bytes; rename the image")
 
 
 def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:

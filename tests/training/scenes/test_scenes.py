@@ -67,7 +67,7 @@ def test_a_full_scene_renders_frames_and_plates(ball_capture: Path, tmp_path: Pa
 
 
 def test_without_joint_training_frames_are_objects(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches background in the target images of a foreground that is trained alone."""
+    """Catches target images that still contain the background when the foreground is trained alone."""
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, background=replace(config.background, joint=False))
     scene = full_scene(ball_capture, tmp_path, config)
