@@ -42,7 +42,7 @@ class Format:
 
 FORMATS = (
     Format("qualisys", "NAME.qca.txt and one video per camera", qualisys.looks_like, qualisys.read),
-    Format("anipose", "a calibration TOML (also Pose2Sim's) and videos", anipose.looks_like, anipose.read),
+    Format("anipose", "a calibration TOML of Anipose or Pose2Sim, and videos", anipose.looks_like, anipose.read),
     Format("neural3dv", "poses_bounds.npy and camNN.mp4", neural3dv.looks_like, neural3dv.read),
     Format("actorshq", "calibration.csv, rgbs/ and masks/", actorshq.looks_like, actorshq.read),
     Format("dna-rendering", "NAME.smc and NAME_annots.smc", dna_rendering.looks_like, dna_rendering.read),

@@ -72,7 +72,7 @@ def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[st
             return found
     raise UserError(
         f"{source}: expected a video or a folder of images for each camera, in this folder or in "
-        f"{' or '.join(f'{name}/' for name in folders if name != '.')}, got none; add them"
+        f"{' or '.join(f'{name}/' for name in folders if name != '.')}, got none; add the videos or images"
     )
 
 
@@ -107,7 +107,7 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
         return PictureFiles(tuple(by_number[number] for number in wanted))
     if len(found.paths) != len(frames.paths):
         raise UserError(
-            f"{folder}: expected a matte for each of {len(frames.paths)} images, got {len(found.paths)}; "
+            f"{folder}: expected a matte for each of {len(frames.paths)} images, got {len(found.paths)} mattes; "
             "restore the missing mattes, or move all mattes away"
         )
     return found
@@ -141,7 +141,9 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
 def join_calibrations(
     frames: Mapping[str, Frames], calibrations: Mapping[str, Camera], path: Path, mattes: Sequence[Path] = ()
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """Combine frames and calibrations, matched by :func:`match_names`. Returns the cameras, and notes on missing parts.
+    """Combine frames and calibrations, matched by :func:`match_names`. Returns the cameras, and notes.
+
+    The notes are about cameras without images, calibration or mattes.
 
     Args:
         frames: frames by camera name.

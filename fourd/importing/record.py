@@ -79,7 +79,7 @@ def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping
     """Raise UserError when the folder's frames were unpacked from other videos or with other offsets."""
     if before.unpacked and before.files != files:
         raise UserError(
-            f"{out}: expected the videos that were unpacked into it, got other videos; import into another folder"
+            f"{out}: expected the videos unpacked into this folder, got other videos; import into another folder"
         )
     if before.unpacked and before.offsets != dict(offsets):
         raise UserError(

@@ -39,7 +39,7 @@ DEFAULT_SPREAD = 0.15
 SUBJECT_DISTANCE = 0.4
 """Minimum :func:`screen_distance` of subject pixels (0 = screen, 1 = grey).
 
-The value is below 0.5, so that it includes edge pixels whose share of subject is slightly below one half.
+The value is below 0.5, so that the subject includes edge pixels whose share of subject is slightly below one half.
 """
 SPREAD_FACTOR = 1.6
 """Minimum :func:`screen_distance` of subject pixels, as a multiple of the screen's spread."""

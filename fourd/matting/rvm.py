@@ -115,7 +115,7 @@ class RVM:
 def load_rvm(path: Path | str, device: str | None = None) -> RVM:
     """Load the network from a local file and run it on a small image as a test.
 
-    Loading a TorchScript file (.torchscript, .pt) executes code from it, so load only trusted files. Checkpoints (.pth)
+    Loading a TorchScript file (.torchscript, .pt) executes its code, so load only trusted files. Checkpoints (.pth)
     are refused, because they contain weights only. fourd does not include the network's source code, because the code's
     licence is incompatible.
 
@@ -167,6 +167,6 @@ def _script(path: Path, device: str) -> torch.nn.Module:
 
 
 def _reason(error: Exception) -> str:
-    """The last line of an exception's message. For TorchScript errors, it is the cause without the traceback."""
+    """The last line of an exception's message. In TorchScript errors, the last line is the cause."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return re.sub(r"\s+", " ", lines[-1] if lines else type(error).__name__)[:160]

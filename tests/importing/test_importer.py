@@ -199,7 +199,7 @@ def test_unpacked_frames_keep_their_offsets(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"expected the offsets of the frames in this folder \(none\), got b=2"):
         run_import(source, tmp_path / "out", unpack=True, offsets={"b": 2})
     write_numbered_video(source / "videos" / "b.mp4", range(41))
-    with pytest.raises(UserError, match="expected the videos that were unpacked into it, got other videos"):
+    with pytest.raises(UserError, match="expected the videos unpacked into this folder, got other videos"):
         run_import(source, tmp_path / "out", unpack=True)
 
 

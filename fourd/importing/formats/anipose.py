@@ -111,14 +111,15 @@ def _guess_unit(cameras: list[Camera]) -> tuple[float, str]:
     centres = np.stack([camera.centre for camera in cameras])
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)[np.triu_indices(len(centres), 1)]
     if not len(distances):
-        return 1.0, "lengths kept: one camera is not enough to estimate the unit"
+        return 1.0, "lengths are kept: one camera is not enough to estimate the unit"
     median = float(np.median(distances))
     if median > MAX_DISTANCE_M:
         return (
             METRES_PER_MM,
-            f"unit assumed to be millimetres (median distance between cameras {median:.0f}): millimetres -> metres",
+            f"the unit is assumed to be millimetres, because the median distance between cameras is {median:.0f}; "
+            "lengths are converted to metres",
         )
-    return 1.0, f"unit assumed to be metres (median distance between cameras {median:.3g}): lengths kept"
+    return 1.0, f"the unit is assumed to be metres, because the median distance between cameras is {median:.3g}"
 
 
 def _scale_camera(camera: Camera, scale: float) -> Camera:

@@ -57,7 +57,7 @@ def read(source: Path) -> Imported:
     path = _find_model(source)
     if path is None:
         raise UserError(
-            f"{source}: expected cameras.bin and images.bin (or .txt) in this folder or in sparse/0, got none; add them"
+            f"{source}: expected cameras.bin and images.bin (or .txt) in this folder or in sparse/0, got none; add both"
         )
     calibrations = read_cameras(path)
     cameras, notes = join_calibrations(find_frames(source), calibrations, path)

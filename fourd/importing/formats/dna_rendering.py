@@ -84,7 +84,7 @@ def read(source: Path) -> Imported:
     notes = [
         "metres are kept; poses are inverted from camera-to-world to world-to-camera",
         "half a pixel is added to the principal points, because the origin was the first pixel's centre",
-        "colours kept: Color_Calibration is not applied",
+        "colours are kept: Color_Calibration is not applied",
     ]
     uncalibrated = [camera.name for camera in cameras if camera.calibration is None]
     notes += [f"without calibration: {', '.join(uncalibrated)}"] if uncalibrated else []

@@ -1,7 +1,7 @@
-"""EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext, optionally masks/CAM/.
+"""EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext.
 
-Pixel coordinates are not converted. fourd's own captures use the same files, and EasyVolcap writes pixel coordinates in
-COLMAP's convention.
+Mattes in masks/CAM/ are optional. Pixel coordinates are not converted. fourd's own captures use the same files, and
+EasyVolcap writes pixel coordinates in COLMAP's convention.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def read(source: Path) -> Imported:
     for name, calibration in calibrations.items():
         cameras_by_name[name] = _make_camera(path, name, calibration, found.get(name))
     cameras, notes = join_calibrations(frames, cameras_by_name, path, [source / folder for folder in MASK_FOLDERS])
-    return Imported(cameras, ("lengths and pixel coordinates kept as in the calibration", *notes))
+    return Imported(cameras, ("lengths and pixel coordinates are kept as in the calibration", *notes))
 
 
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:

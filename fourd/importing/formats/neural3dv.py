@@ -48,9 +48,9 @@ def read(source: Path) -> Imported:
         for index, (row, (name, found)) in enumerate(zip(rows, frames.items(), strict=True))
     )
     notes = (
-        "lengths kept; the unit of length is unknown",
-        "camera axes down, right, backwards -> right, down, forward (OpenCV)",
-        "rows belong to the videos in the order of their names; near and far bounds are ignored",
+        "lengths are kept; the unit of length is unknown",
+        "camera axes are converted from down, right, backwards to right, down, forward (OpenCV)",
+        "rows belong to the videos in the order of video names; near and far bounds are ignored",
     )
     return Imported(cameras, notes)
 

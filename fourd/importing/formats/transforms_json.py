@@ -94,13 +94,13 @@ def read(source: Path) -> Imported:
         frames = PictureFiles(tuple(entry.picture for entry in group))
         cameras.append(ImportedCamera(name, group[0].camera, frames, mattes))
     notes = [
-        "lengths kept; the unit of length is unknown",
-        "camera axes y up, z backwards -> y down, z forward (OpenCV)",
+        "lengths are kept; the unit of length is unknown",
+        "camera axes are converted from y up, z backwards to y down, z forward (OpenCV)",
     ]
     ignored = [key for key in IGNORED if key in data]
     notes += [f"ignored: {', '.join(ignored)}"] if ignored else []
     if 0 < masked < len(entries):
-        notes.append(f"mattes not imported: only {masked} of {len(entries)} entries have a matte")
+        notes.append(f"mattes are not imported, because only {masked} of {len(entries)} entries have a matte")
     return Imported(tuple(cameras), tuple(notes))
 
 

@@ -109,7 +109,7 @@ class VoxelGrid:
         return Scores.from_evidence(self, alive[keep], stacked, outliers)
 
     def max_projection(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
-        """Project the ``chosen`` voxels into camera ``index`` and keep the largest of their ``values`` per pixel.
+        """Project the ``chosen`` voxels into camera ``index`` and keep the largest of the voxel ``values`` per pixel.
 
         Returns an array (h, w). Pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
         """

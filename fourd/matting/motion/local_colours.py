@@ -69,7 +69,7 @@ def _interpolation(size: int, points: int) -> tuple[NDArray[np.intp], Floats]:
     """Linear interpolation along one image axis of ``size`` pixels with ``points`` grid points.
 
     Returns:
-        For each pixel, the index of the grid point before it, and the weight in [0, 1] of the grid point after it.
+        For each pixel, the index of the grid point before the pixel, and the weight in [0, 1] of the next grid point.
     """
     position = (np.arange(size) + 0.5) / STEP_PX - 0.5
     before = np.clip(np.floor(position), 0, points - 2).astype(np.intp)

@@ -23,7 +23,7 @@ data needs 200 MB."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4
-"""Maximum distance, in frames, between the two frames of an optical flow, which is 67 ms at 60 frames per second."""
+"""Maximum distance, in frames, between the two frames of an optical flow. Four frames take 67 ms at 60 Hz."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,7 +66,7 @@ def test_unit_of_a_single_camera_is_unknown(source: Path) -> None:
     (source / "calibration.toml").write_text(text[: text.index("[cam_1]")])
     for name in NAMES[1:]:
         (source / "videos-raw" / f"{name}.mp4").unlink()
-    assert read(source).notes[0] == "lengths kept: one camera is not enough to estimate the unit"
+    assert read(source).notes[0] == "lengths are kept: one camera is not enough to estimate the unit"
 
 
 def test_other_toml_files_are_ignored(source: Path) -> None:
