@@ -1,4 +1,4 @@
-"""fourd: multi-view video of a moving scene in, a 4D point scene out.
+"""fourd turns multi-view video of a moving scene into a 4D point scene.
 
 Importing this package loads neither native modules nor torch. Each subpackage loads its own dependencies when the
 subpackage is imported.
@@ -8,5 +8,5 @@ from importlib.metadata import PackageNotFoundError, version
 
 try:
     __version__ = version("fourd")
-except PackageNotFoundError:  # imported from a source folder without installation
+except PackageNotFoundError:  # the package is used from a source folder, without installation
     __version__ = "0+unknown"

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Limit of :func:`fading_weights` if no camera is farther than the chosen cameras, as a factor on the largest angle."""
+"""Factor for the limit angle of :func:`fading_weights`, if no camera limits the angle.
+
+The limit angle is then the largest angle of the chosen cameras times the factor.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +27,7 @@ class Camera:
     """A pinhole camera with optional lens distortion.
 
     Attributes:
-        intrinsics: (3, 3) matrix K in pixels; K[2] must be (0, 0, 1).
+        intrinsics: (3, 3) matrix of the intrinsics, in pixels. The last row must be (0, 0, 1).
         rotation: (3, 3) matrix R_camera_world, orthonormal with determinant +1.
         translation: (3,) vector T_camera_world, in world units.
         width: image width in pixels, at least 1.
@@ -116,7 +119,7 @@ class Camera:
         return replace(self, intrinsics=zoom @ self.intrinsics, width=width, height=height)
 
     def crop(self, left: int, top: int, width: int, height: int) -> Camera:
-        """Return the camera of the image part of ``width`` x ``height`` pixels that starts at (``left``, ``top``)."""
+        """Return this camera for an image cropped to ``width`` x ``height`` pixels from (``left``, ``top``)."""
         intrinsics = self.intrinsics.copy()
         intrinsics[0, 2] -= left
         intrinsics[1, 2] -= top
@@ -126,8 +129,8 @@ class Camera:
 def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: int, height: int) -> Camera:
     """Return a camera at ``centre`` that points at ``target``, with ``up`` towards the top of the image.
 
-    ``centre``, ``target`` and ``up`` are (3,), in world coordinates. Raises ValueError if ``up`` is parallel to the
-    viewing direction.
+    ``centre``, ``target`` and ``up`` are vectors (3,) in world coordinates. Raises ValueError if ``up`` is parallel
+    to the viewing direction.
     """
     forward = np.asarray(target, dtype=np.float64) - centre
     forward = forward / np.linalg.norm(forward)
@@ -142,12 +145,12 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
 
 @dataclass(frozen=True, eq=False)
 class SelectedViews:
-    """The source views from which the colours for a viewing camera are blended.
+    """The source views whose colours are blended for a viewing camera.
 
     Attributes:
         indices: indices of the V source cameras.
-        weights: (V,) float32 view weights in [0, 1], factors on the blend weights of every point. At least one is above
-            0.
+        weights: (V,) float32 view weights in [0, 1]. The blend weights of every point are multiplied by the view
+            weights. At least one view weight is above 0.
     """
 
     indices: list[int]
@@ -157,7 +160,7 @@ class SelectedViews:
 def select_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array, *, fade: bool) -> SelectedViews:
     """Select the ``count`` source cameras nearest to ``camera``; see :func:`nearest_views`.
 
-    With ``fade``, the weights are those of :func:`fading_weights`. Otherwise all weights are 1.
+    With ``fade``, :func:`fading_weights` computes the view weights. Without ``fade``, all view weights are 1.
     """
     chosen = nearest_views(camera, sources, count, focus)
     weights = fading_weights(camera, sources, chosen, focus) if fade else np.ones(len(chosen), np.float32)
@@ -167,16 +170,17 @@ def select_views(camera: Camera, sources: Sequence[Camera], count: int, focus: A
 def fading_weights(
     camera: Camera, sources: Sequence[Camera], chosen: Sequence[int], focus: Array
 ) -> NDArray[np.float32]:
-    """View weights (V,) of the source cameras ``chosen`` that fall with the angle to the viewer.
+    """Return view weights (V,) of the ``chosen`` cameras, which fall with the angle to the viewing camera.
 
-    A view at the angle a has the weight 1 - a / b. The limit b is the angle of the nearest camera among those that are
-    not chosen and are farther than all chosen cameras. A view that is about to be replaced therefore has the weight 0,
-    and the image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured at
-    ``focus``, a (3,) world point. If all weights would be 0, all are 1.
+    A chosen camera at the angle a has the view weight 1 - a / b with a limit angle b. Let A be the largest angle of the
+    chosen cameras. The limit angle b is the smallest angle of at least A among the cameras that are not chosen. When
+    another camera replaces a chosen camera, both cameras have the view weight 0, so the rendered image does not jump
+    (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured at the point ``focus``. If all
+    view weights would be 0, all view weights are 1.
 
     Args:
         camera: the viewing camera.
-        sources: cameras that can be source views. A camera that must not influence the limit is left out.
+        sources: cameras that can be source views. Leave out cameras that must not influence the limit angle.
         chosen: indices of the V chosen cameras, in any order.
         focus: (3,) world point.
     """
@@ -194,9 +198,9 @@ def fading_weights(
 def nearest_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    The angle is measured at ``focus``, a (3,) world point, between the rays to the centres of ``camera`` and of the
-    source camera. Selecting source views by angle follows 4K4D (sec. 3.2). Cameras with equal angles are ordered by
-    index.
+    The angle of a source camera is measured at ``focus``, a (3,) world point, between the rays to the centre of
+    ``camera`` and to the centre of the source camera. Selecting source views by angle follows 4K4D (sec. 3.2).
+    Cameras with equal angles are ordered by index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])
@@ -204,7 +208,7 @@ def nearest_views(camera: Camera, sources: Sequence[Camera], count: int, focus: 
 
 
 def _view_angles(camera: Camera, sources: Sequence[Camera], focus: Array) -> Array:
-    """(V,) angles in radians at ``focus`` between the viewer's centre and the sources' centres."""
+    """Return angles (V,) in radians at ``focus`` between the centres of the viewing camera and each source camera."""
     direction = _normalize(camera.centre - focus)
     rays = np.array([_normalize(source.centre - focus) for source in sources]).reshape(-1, 3)
     return np.arctan2(np.linalg.norm(np.cross(rays, direction), axis=1), rays @ direction)

@@ -1,8 +1,8 @@
 """Convert typed dataclass configs to YAML and back. An unknown key or a wrong type raises an error with the key's name.
 
-A scalar is read by the type of its field, and not by the rules of YAML 1.1. For example, ``test_views: [05, 11]`` gives
-the names "05" and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number. YAML tags cannot create Python
-objects.
+The type of a config field decides how a YAML scalar is read. The type rules of YAML 1.1 are not used. For example,
+``test_views: [05, 11]`` gives the names "05" and "11", ``frames: 1:24`` stays text, and ``rate: 1e-3`` is a number.
+YAML tags cannot create Python objects.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ def load_overlay(base: Config, path: Path) -> Config:
     Fields that the file does not set keep their values.
 
     Args:
-        base: a frozen dataclass instance. The types of fields may be bool, int, float, str, Path, Literal, tuples of
-            these, optional (``X | None``), and nested dataclasses.
+        base: a frozen dataclass instance. Its fields may have the types bool, int, float, str, Path and Literal, tuples
+            of these types, optional types (``X | None``), and nested dataclasses.
         path: a file with a YAML mapping of field names to values. If the file is empty, ``base`` is returned.
 
     Raises:
         UserError: the file is missing, the YAML is invalid, a key is unknown or repeated, a value has the wrong type,
             or ``__post_init__`` of the dataclass raises ValueError. The error message names the file, the line and the
             key.
-        TypeError: a bug in the dataclass: a field has a type that is not listed for ``base``.
+        TypeError: a field of ``base`` has a type that is not supported, which is a bug in the dataclass.
     """
     node = _parse_file(path)
     if node is None:
@@ -61,7 +61,7 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
     Fields that no assignment sets keep their values.
 
     Args:
-        base: a frozen dataclass instance, with the field types of :func:`load_overlay`.
+        base: a frozen dataclass instance, with field types that :func:`load_overlay` supports.
         assignments: strings KEY=VALUE. Dots in KEY separate the names of nested fields. VALUE is YAML. If a key is
             assigned twice, the last assignment wins. Values are validated after all assignments are applied.
         option: name of the option, for error messages.
@@ -74,7 +74,7 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
         if not equals or not all(part.strip() for part in key.split(".")):
-            raise UserError(f"{option}: expected KEY=VALUE, got '{assignment}'; write one like rates.planes=1e-3")
+            raise UserError(f"{option}: expected KEY=VALUE, got '{assignment}'; write for example rates.planes=1e-3")
         _assign(root, [part.strip() for part in key.split(".")], _parse_value(text, f"{option} {key}"), option)
     return _overlay(base, root, _Place(option, "", has_lines=False))
 
@@ -128,7 +128,7 @@ _Dumper.add_representer(list, lambda dumper, data: dumper.represent_sequence("ta
 def _parse_file(path: Path) -> yaml.Node | None:
     """Parse a file to a tree of YAML nodes.
 
-    No Python objects are built from the nodes, so YAML tags cannot create any.
+    YAML tags cannot create Python objects, because the nodes are not converted to Python objects.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -158,7 +158,7 @@ def _parse_value(text: str, label: str) -> yaml.Node:
 
 
 def _assign(root: yaml.MappingNode, keys: list[str], value: yaml.Node, option: str) -> None:
-    """Set the nested entry ``keys`` of a mapping node to ``value``."""
+    """Set the entry at the path ``keys`` of nested YAML mappings to ``value``."""
     node = root
     for key in keys[:-1]:
         child = _entry(node, key)
@@ -194,7 +194,7 @@ def _overlay(base: Any, node: yaml.Node, place: _Place) -> Any:
 
 
 def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str, yaml.Node]]:
-    """Return the keys of a mapping with the nodes of their values. A null node counts as an empty mapping.
+    """Return each key of a YAML mapping with the node of its value. A null node counts as an empty mapping.
 
     Raises UserError if a key is unknown or repeated.
     """
@@ -210,7 +210,7 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
         key = key_node.value if isinstance(key_node, yaml.ScalarNode) else _describe(key_node)
         if key not in known:
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-            hint = f"did you mean '{near[0]}'?" if near else f"the keys here are {', '.join(known)}"
+            hint = f"did you mean '{near[0]}'?" if near else f"the known keys are {', '.join(known)}"
             raise place.error(key_node, f"expected a known key, got '{key}'; {hint}")
         if key in seen:
             raise place.error(
@@ -222,10 +222,10 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 
 
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
-    """Convert a node to the type ``kind``.
+    """Convert a YAML node to the type ``kind``.
 
-    ``base`` is the old value of the config field. If ``base`` is a dataclass, fields that the node does not name are
-    kept.
+    ``base`` is the old value of the config field. If ``base`` is a dataclass, fields that the node does not name
+    keep their values.
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
@@ -240,10 +240,7 @@ def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
 
 
 def _blank(kind: type, node: yaml.Node, place: _Place) -> Any:
-    """An instance of the dataclass ``kind`` with default values.
-
-    The default values are the base if the old value is None.
-    """
+    """Make an instance of the dataclass ``kind`` with default values, for a field whose old value is None."""
     try:
         return kind()
     except TypeError as error:
@@ -268,7 +265,7 @@ def _tuple(arguments: tuple[Any, ...], node: yaml.Node, place: _Place) -> tuple[
     else:
         kinds = list(arguments)
         if len(kinds) != count:
-            raise place.error(node, f"expected {len(kinds)} values, got {count}; write {len(kinds)}")
+            raise place.error(node, f"expected {len(kinds)} values, got {count}; write {len(kinds)} values")
     return tuple(
         _value(kind, element, None, place.element(index))
         for index, (kind, element) in enumerate(zip(kinds, node.value, strict=True))
@@ -298,16 +295,16 @@ def _scalar(kind: Any, node: yaml.Node, place: _Place) -> Any:
     if kind is int:
         if plain is not None and _INTEGER.fullmatch(text):
             return int(text.replace("_", ""))
-        raise place.error(node, f"expected a whole number, got {_describe(node)}; write one like 12")
+        raise place.error(node, f"expected a whole number, got {_describe(node)}; write for example 12")
     if kind is float:
         if plain is not None and _FLOAT.fullmatch(text):
             return _float(text)
-        raise place.error(node, f"expected a number, got {_describe(node)}; write one like 0.5 or 1e-3")
+        raise place.error(node, f"expected a number, got {_describe(node)}; write for example 0.5 or 1e-3")
     if kind is str or (isinstance(kind, type) and issubclass(kind, Path)):
         if _is_text(node) and plain not in (_NULL_TAG, _BOOL_TAG):
             return kind(text)
-        raise place.error(node, f"expected text, got {_describe(node)}; put it in quotes")
-    raise TypeError(f"{place.key}: expected a config type, got {kind}")
+        raise place.error(node, f"expected text, got {_describe(node)}; put the text in quotes")
+    raise TypeError(f"{place.key}: expected a supported field type, got {kind}")
 
 
 def _float(text: str) -> float:
@@ -317,7 +314,7 @@ def _float(text: str) -> float:
 
 
 def _plain_tag(node: yaml.Node) -> str | None:
-    """The implicit tag of an unquoted scalar, or None for quoted scalars, collections and explicit tags."""
+    """Return the implicit YAML tag of an unquoted scalar, or None for any other node or an explicit tag."""
     if isinstance(node, yaml.ScalarNode) and node.style is None and node.tag in _PLAIN_TAGS:
         return node.tag
     return None

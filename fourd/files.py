@@ -15,12 +15,12 @@ UNFINISHED = ".unfinished-"
 
 @contextmanager
 def atomic_path(target: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside ``target``. On success, sync the temporary file to disk and rename it.
+    """Yield a temporary path beside ``target``. On success, rename the temporary file to ``target``.
 
-    The context manager is meant for file writers that take a path. If the ``with`` block raises an exception, the
-    temporary file is removed and ``target`` is unchanged. A killed process leaves the temporary file behind;
-    :func:`remove_unfinished` removes it. The temporary file keeps the suffix of ``target``, because some writers choose
-    the file format by the suffix.
+    The temporary file is synced to disk before it is renamed. The context manager is meant for file writers
+    that take a path. If the ``with`` block raises an exception, the temporary file is removed and ``target`` is
+    unchanged. A killed process leaves the temporary file behind, and :func:`remove_unfinished` removes temporary files.
+    The temporary file keeps the suffix of ``target``, because some writers choose the file format by the suffix.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)

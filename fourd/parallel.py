@@ -38,7 +38,7 @@ def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item
 
 
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """Yield the results of ``work`` for all jobs, each as soon as it is ready.
+    """Yield the results of ``work`` for all jobs, each result as soon as it is ready.
 
     With one worker or one job, ``work`` runs in this process, without a pool. The pool's processes are terminated when
     the caller stops the iteration or a job fails. The pool's processes also exit when their parent process is killed.
@@ -68,7 +68,7 @@ def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], worke
 
 
 _results: SimpleQueue[Any]
-"""Queue of results. It is set only in the processes of the pool."""
+"""Queue of results. The variable is set only in the processes of the pool."""
 
 
 def _initialize(results: SimpleQueue[Any]) -> None:
@@ -101,7 +101,7 @@ def _run_job(work: Callable[[Job], Iterable[object]], job: Job) -> None:
 def _block_interrupts() -> Iterator[None]:
     """Defer Ctrl-C until the end of the ``with`` block.
 
-    Processes that start in the block inherit the blocked signal.
+    Processes that start inside the block inherit the blocked signal SIGINT.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

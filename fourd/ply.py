@@ -1,4 +1,7 @@
-"""Coloured points in PLY files. ASCII and both binary formats can be read. Binary little endian is written."""
+"""Read and write coloured points in PLY files.
+
+The reader accepts ASCII files and binary files of both byte orders. The writer writes binary little-endian files.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ class ColouredPoints(NamedTuple):
     """Coloured points.
 
     Attributes:
-        xyz: (N, 3) float32, world units, finite.
+        xyz: (N, 3) float32 positions in world units, all finite.
         rgb: (N, 3) uint8 sRGB colours.
     """
 
@@ -57,8 +60,8 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
 def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours may be uchar, or float in [0, 1]. Points without colours become mid grey. Other properties of vertices, and
-    elements after the vertices, are skipped.
+    Colours may have the type uchar, or float with values in [0, 1]. Points without colours become mid
+    grey. Other properties of vertices, and elements after the vertices, are skipped.
 
     Raises:
         UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
@@ -148,7 +151,9 @@ def _ascii_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
     try:
         values = np.array([line.split()[:width] for line in lines], dtype=np.float64).reshape(-1, width)
     except ValueError as error:
-        raise _invalid(path, f"{width} numbers on every vertex line", "a line that is short or not numeric") from error
+        raise _invalid(
+            path, f"{width} numbers on every vertex line", "a line with fewer values or with text"
+        ) from error
     kind = np.dtype([(name, code if code in ("f4", "u1") else "f8") for name, code in header.properties])
     rows = np.empty(len(values), dtype=kind)
     for i, (name, code) in enumerate(header.properties):
@@ -174,9 +179,9 @@ def _points(path: Path, header: _Header, rows: NDArray[Any]) -> ColouredPoints:
 def _truncated(path: Path, declared: int, found: int) -> UserError:
     return UserError(
         f"{path}: expected the {declared} vertices that the header declares, got {found}; the file is truncated: "
-        "write it again"
+        "write the file again"
     )
 
 
 def _invalid(path: Path, expected: str, got: str) -> UserError:
-    return UserError(f"{path}: expected {expected}, got {got}; write it again as a PLY point cloud")
+    return UserError(f"{path}: expected {expected}, got {got}; write the file again as a PLY point cloud")

@@ -14,7 +14,7 @@ from rich.text import Text
 
 Item = TypeVar("Item")
 Log = Callable[[str], None]
-"""Logging callback. It is called with one line of text."""
+"""Logging callback that takes one line of text."""
 
 LINE_SECONDS = 30.0
 """Interval in seconds between progress lines if the output is not a terminal."""
@@ -92,7 +92,7 @@ class Tracker:
 
 
 class EndEstimate:
-    """Estimates the end of a phase from the rate of the last items.
+    """Estimates the end of a phase from the rate at which the last items were finished.
 
     The rate is measured over the last minute, or over the last 20 items if these took longer than a minute. The time
     window is long enough for a stable estimate when several processes finish items at the same time. The time window is
@@ -123,7 +123,7 @@ def format_duration(seconds: float) -> str:
 
 
 class _RemainingTime(ProgressColumn):
-    """Time until the estimated end of the phase."""
+    """Progress bar column with the time until the estimated end of the phase."""
 
     def render(self, task: Task) -> Text:
         end: float | None = task.fields["end"]

@@ -39,7 +39,7 @@ def test_yaml_1_1_surprises(tmp_path: Path) -> None:
         ("background: {shadow: true}\nmodel: {appearance: sh}", r"my\.yaml.*shadow: expected.*got sh"),
         ("model: {neighbors: 3}", r"my\.yaml.*neighbors.*neighbours"),
         ("points: many", r"my\.yaml.*points.*many"),
-        ("test_views: [05, no]", r"my\.yaml.*test_views.*'no'; put it in quotes"),
+        ("test_views: [05, no]", r"my\.yaml.*test_views.*'no'; put the text in quotes"),
         ("points: 1.5", r"my\.yaml.*points"),
         ("model: 3", r"my\.yaml.*model"),
         ("model: {sh: wavelets}", r"my\.yaml.*sh.*wavelets"),

@@ -46,7 +46,7 @@ FILE_ERRORS = (
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
 
-HELP = """fourd: multi-view video of a moving scene in, a 4D point scene out.
+HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
 
   fourd make VIDEOS|CAPTURE -o scene.4dv
                                     run every stage from videos to a scene; cached and resumable
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.errno not in FILE_ERRORS:
             raise
         reason = (error.strerror or "").lower()
-        got = f"expected a readable and writable path, got '{reason}'; free space or use another folder"
+        got = f"expected a readable and writable path, got '{reason}'; free disk space or use another folder"
         print(f"fourd {words[0]}: {error.filename or 'the disk'}: {got}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -19,13 +19,13 @@ LPIPS_DEFAULT = "VGG-16 from torch.hub's cache, LPIPS from the installed package
 def describe(*sentences: str) -> Any:
     """Make a help text from several sentences.
 
-    tyro would keep the source's line breaks if the help text were a docstring.
+    Long help texts are not docstrings, because tyro keeps the line breaks of docstrings.
     """
     return tyro.conf.arg(help=" ".join(sentences))
 
 
 def option(metavar: str, default: str, text: str | None = None) -> Any:
-    """Make an option whose default is computed after parsing. --help shows the text ``default``."""
+    """Make an option whose default is computed after parsing. --help shows ``default`` as its value."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
 
 
@@ -42,7 +42,7 @@ LpipsWeights = Annotated[
 
 @dataclass(frozen=True)
 class SelectionOptions:
-    """Part of the capture to use."""
+    """Cameras and frames of the capture to use."""
 
     views: Views = None
     frames: Frames = None
@@ -80,7 +80,7 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
 
 
 def worker_count(workers: int | None) -> int:
-    """Return the number of processes to use: ``workers``, or the number of available cores if it is None."""
+    """Return ``workers``, or the number of available cores if ``workers`` is None."""
     if workers is None:
         return core_count()
     if workers < 1:

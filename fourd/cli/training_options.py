@@ -16,7 +16,7 @@ from fourd.errors import UserError
 from fourd.training.config import TrainConfig
 
 SEEDING_METHODS = ("ngp", "sfm")
-"""Methods of background seeding. ``--background`` accepts one of them or a PLY file."""
+"""Methods of background seeding. ``--background`` accepts a seeding method or a PLY file."""
 BACKGROUND_HELP = (
     "Source of the background points, for --scene full. ngp: a radiance field fitted to the clean plates, guided by "
     "stereo depth maps. "
@@ -35,11 +35,11 @@ CONFIG_KEYS = {
     "max_steps": "max_steps",
     "seed": "seed",
 }
-"""Maps options to the dotted keys of the training config that they override."""
+"""Maps each option to the dotted key of the training config that the option overrides."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
-    """Make an option that overrides a key of the config. --help shows the key's default."""
+    """Make an option that overrides a key of the config. --help shows the default value of the key."""
     value = operator.attrgetter(CONFIG_KEYS[name])(TrainConfig())
     return option(metavar, {None: "all", (): "none"}.get(value, str(value)), text)
 
@@ -49,9 +49,9 @@ class TrainingOptions:
     """Flags and --set override the config file. The config file overrides the defaults."""
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
-    """object: only the foreground of the mattes, on black. full: the foreground and a static background."""
+    """object: reconstruct only the foreground in the mattes, on black. full: also reconstruct a static background."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
-    """YAML file with config keys; docs/configuration.md lists them."""
+    """YAML file with config keys. docs/configuration.md lists all keys."""
     assignments: Annotated[
         tuple[str, ...],
         tyro.conf.arg(name="set", metavar="KEY=VALUE", help_behavior_hint="(repeatable)"),
@@ -74,7 +74,7 @@ class TrainingOptions:
     refine_colours: bool = False
     """Learn an affine colour correction for each camera."""
     points_from: Annotated[Path | None, option("DIR", "points are carved from the mattes")] = None
-    """Folder with your own initial points: one PLY file per frame, 000000.ply and so on, in world units."""
+    """Folder with your own initial points in world units, as one PLY file per frame: 000000.ply and so on."""
     max_seconds: Annotated[float | None, option("SECONDS", "1800 for fourd make without --max-steps, else none")] = None
     """Stop after this many seconds of training. fourd train needs --max-steps or --max-seconds."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
@@ -87,8 +87,8 @@ class TrainingOptions:
         """Return the default config, overridden first by the config file and then by --set and the flags.
 
         Args:
-            max_seconds: time budget in seconds. The value of ``max_seconds`` is used if options and config file set no
-                budget. If ``max_seconds`` is None, a missing budget raises UserError.
+            max_seconds: training budget in seconds, used if neither the options nor the config file set a budget. If
+                ``max_seconds`` is None, a missing budget raises UserError.
         """
         config = self.overlay(TrainConfig())
         if config.max_steps is None and config.max_seconds is None:
@@ -117,7 +117,7 @@ class TrainingOptions:
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
-    """The fields that option ``name`` sets in the dataclass that contains ``key``, with their values."""
+    """Return the new values of the config fields that option ``name`` sets, by the name of the field."""
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):
@@ -126,7 +126,10 @@ def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
 
 
 def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) -> Any:
-    """Return a copy of ``config`` in which ``values`` are set in the dataclass that contains the dotted ``key``."""
+    """Return a copy of ``config`` with other field values in the dataclass that contains the dotted ``key``.
+
+    ``values`` contains the new values by the name of the field.
+    """
     head, _, rest = key.partition(".")
     if rest:
         return replace(config, **{head: _replace_key(getattr(config, head), rest, values, flag)})

@@ -160,7 +160,7 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
 ) -> None:
     """Catches a flag that is silently ignored."""
     line = error_line(capsys, "eval", trained.folder, "--refine-test-colours")
-    assert "--refine-test-colours: expected --refine-test too, got no --refine-test; add it" in line
+    assert "--refine-test-colours: expected also --refine-test, got --refine-test-colours alone" in line
     line = error_line(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
     assert "--refine-test-colours: expected no --scene, got both options; leave one of them out" in line
 
@@ -180,7 +180,7 @@ def test_resumed_runs_keep_their_config(trained: Run, tmp_path: Path, capsys: py
     words = ["train", trained.capture.path, "--out", run, "--resume", "--max-steps", 7]
     for flag, shown in ((["--points", 5], "points: 5"), (["--set", "rates.planes=1"], "planes: 1.0")):
         line = error_line(capsys, *words, *flag)
-        assert f"--resume: expected the run's own config except for the budget, got {shown}; train in a new" in line
+        assert f"--resume: expected the options of the run, except for the budget, got {shown}; train in a new" in line
     same = ["--points", 1500, "--seed", 0, "--test-views", "03", "--set", "layers=8"]
     assert main([str(word) for word in [*words, *same]]) == 0
     assert load_run(run).step == 7

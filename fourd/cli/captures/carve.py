@@ -22,7 +22,8 @@ FOLDER = Path(".fourd") / "hulls"
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes FRAME.ply and bounds.json. Run an interrupted command again to resume it."""
+    """Writes the points of each frame to FRAME.ply and the bounds to bounds.json. Run an interrupted command again to
+    resume it."""
 
     capture: CapturePath
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""
@@ -34,16 +35,16 @@ class Arguments:
     agreement: Annotated[
         float,
         describe(
-            "Minimum share in (0, 1] of mattes that must contain a point. Views that do not see the point are ignored.",
-            "Choose a lower share if mattes have holes.",
+            "Minimum share of mattes that must contain a point, in (0, 1]. Views that do not see the point are",
+            "ignored. Choose a lower share if mattes have holes.",
         ),
     ] = 0.95
     least_views: Annotated[
         float,
         describe(
-            "Minimum share in (0, 1] of all views that must see a point. Choose a lower share if each camera sees only",
-            "a part of the scene. At least three views must always see a point (or all views, if there are fewer),",
-            "because two views give false points.",
+            "Minimum share of all views that must see a point, in (0, 1]. Choose a lower share if each camera sees",
+            "only a part of the scene. At least three views must see every point, because two views give false points.",
+            "If the capture has fewer than three views, all views must see every point.",
         ),
     ] = 0.5
     scale: float = 1.0
@@ -70,7 +71,8 @@ def run(arguments: Arguments) -> None:
     bounds = read_bounds(folder)
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
     console.print(
-        f"{folder}: {arguments.points} points per frame; bounds ({lower}) to ({upper}), world units", soft_wrap=True
+        f"{folder}: at most {arguments.points} points per frame; bounds in world units: ({lower}) to ({upper})",
+        soft_wrap=True,
     )
 
 

@@ -28,8 +28,8 @@ class Arguments:
     deep: bool = False
     """Decode all images to find damaged files."""
     quick: bool = False
-    """Skip the epipolar residuals. The residuals need feature matching between all cameras. For 20 cameras of 512 x 512
-    pixels, the matching takes seconds."""
+    """Skip the epipolar residuals, which need feature matching between all cameras. The matching takes seconds for 20
+    cameras of 512 x 512 pixels."""
 
 
 def run(arguments: Arguments) -> None:
@@ -79,7 +79,7 @@ def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:
 
 def _residuals(agreement: Agreement) -> str:
     if agreement.mean_px is None or agreement.worst is None:
-        return f"unknown: too few points match between the cameras ({agreement.matches})"
+        return f"unknown: only {agreement.matches} points match between the cameras, which are too few"
     name, worst_px = agreement.worst
     return (
         f"{agreement.mean_px:.2f} px from epipolar lines on average over {agreement.pairs} camera pairs "

@@ -26,7 +26,7 @@ WORDS_HELP = (
     "SRC: input folder or file. OUT: capture folder to create."
 )
 
-OFFSET_HELP = "Number of frames by which the video of CAM is late. Separate cameras by commas: cam02=3,cam05=-1."
+OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
     "world's origin and axes. If two cameras see the chessboard, it also sets the unit."
@@ -55,7 +55,8 @@ class Arguments:
     """Estimate the videos' time offsets from motion and print them, but do not apply them. Writes a plot to
     OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate the videos' time offsets. Apply every offset above 3 frames whose confidence is at least 0.5."""
+    """Estimate the videos' time offsets. Apply each offset of more than 3 frames that has a confidence of
+    at least 0.5."""
     resize: Annotated[
         str,
         tyro.conf.arg(
@@ -67,8 +68,9 @@ class Arguments:
     centres: Annotated[
         PrincipalPointMode,
         describe(
-            "Check of the principal points. auto: warn if a rotated calibration seems to have mirrored them.",
-            "as-given: do not check. mirrored: fix principal points that a rotated calibration mirrored.",
+            "How to treat principal points that another program may have mirrored when it rotated the calibration.",
+            "auto: warn if principal points seem to be mirrored. as-given: do not check the principal points.",
+            "mirrored: correct mirrored principal points.",
         ),
     ] = "auto"
     calibrate: bool = False
@@ -123,7 +125,7 @@ def _offsets(words: Sequence[str]) -> dict[str, int]:
         except ValueError:
             value, name = 0, ""
         if not name or name in found:
-            raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
+            raise UserError(f"--offset: expected CAM=FRAMES with each camera once, got '{part}'; write it as cam02=7")
         found[name] = value
     return found
 

@@ -20,12 +20,12 @@ from fourd.pipeline.stages.mattes import MatteStageSettings
 
 @dataclass(frozen=True)
 class MatteOptions:
-    """Method of making mattes, used for a capture without masks/."""
+    """How to make mattes for a capture without the folder masks/."""
 
     method: Annotated[
         Literal["motion", "chroma", "rvm"],
         describe(
-            "motion: motion and multi-view consistency, without a pretrained network.",
+            "motion: detect the subject by motion and multi-view consistency, without a pretrained network.",
             "chroma: chroma key (green screen). rvm: Robust Video Matting, a pretrained network that needs --rvm.",
         ),
     ] = "motion"
@@ -65,7 +65,7 @@ def run(arguments: Arguments) -> None:
     lines = [
         f"{capture / MASKS}: the capture has masks, so no mattes were made"
         if masks
-        else f"{capture / MATTES}: mattes; {capture / SHEET} shows examples"
+        else f"{capture / MATTES}: mattes; {capture / SHEET} shows examples of the mattes"
     ]
     if arguments.plates:
         lines.append(f"{capture / PLATES}: clean plates, transparent at pixels where no frame shows the background")

@@ -18,7 +18,7 @@ class Arguments:
     """Two runs with the same options write byte-identical captures."""
 
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """Capture folder to write. It must be new, empty, or a synthetic capture, which is replaced."""
+    """Capture folder to write: a new or empty folder, or a synthetic capture, which is replaced."""
     frames: Annotated[str, tyro.conf.arg(metavar="0:N|N")] = "0:24"
     """Number N of frames. The figure's motion repeats after N frames."""
     cameras: int = 12
@@ -52,8 +52,8 @@ def run(arguments: Arguments) -> None:
 
 
 def _frame_count(frames: str) -> int:
-    """Parse N from ``0:N`` or ``N``."""
+    """Parse the number N of frames from ``0:N`` or ``N``."""
     first, _, last = frames.rpartition(":")
     if first.strip() not in ("", "0") or not last.strip().isdecimal():
-        raise UserError(f"--frames: expected 0:N or N, the number of frames, got '{frames}'; write for example 0:24")
+        raise UserError(f"--frames: expected 0:N or N for N frames, got '{frames}'; write for example 0:24")
     return int(last)

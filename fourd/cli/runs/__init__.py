@@ -1,1 +1,1 @@
-"""Commands that train runs and turn them into scenes."""
+"""Commands that train, evaluate and export runs."""

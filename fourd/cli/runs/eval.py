@@ -26,8 +26,8 @@ from fourd.training.losses.lpips import load_lpips
 from fourd.training.run import TrainedRun, load_run
 
 PLATES_HELP = (
-    "Also evaluate the background of a full scene. The rendered background is compared with the images DIR/CAM.png of "
-    "the scene without the subject."
+    "Folder of images CAM.png that show the scene without the subject. These images are compared with the rendered "
+    "background of a full scene."
 )
 
 
@@ -42,12 +42,15 @@ class Arguments:
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
     scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
-    """Scene file exported from the run. Its renderings are evaluated instead of those of the run's model."""
+    """Scene file exported from the run. Images rendered from this file are evaluated instead of images of the run's
+    model."""
     plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
-    """Before evaluation, fit the pose of each evaluated camera to its own images, with the scene fixed (as in BARF)."""
+    """Before evaluation, fit the pose of each evaluated camera to the images of this camera. The scene is not
+    changed (as in BARF)."""
     refine_test_colours: bool = False
-    """With --refine-test, also fit an affine colour correction of each evaluated camera to its own images."""
+    """With --refine-test, also fit an affine colour correction of each evaluated camera to the images of this
+    camera."""
     lpips_weights: LpipsWeights = None
 
 
@@ -111,10 +114,12 @@ def _fit_cameras(
 ) -> dict[int, FittedView]:
     """Fit each evaluated camera to its own images.
 
-    Returns the fitted cameras by camera index, or no cameras without --refine-test.
+    Returns the fitted cameras by camera index. Without --refine-test, no camera is fitted.
     """
     if arguments.refine_test_colours and not arguments.refine_test:
-        raise UserError("--refine-test-colours: expected --refine-test too, got no --refine-test; add it")
+        raise UserError(
+            "--refine-test-colours: expected also --refine-test, got --refine-test-colours alone; add --refine-test"
+        )
     if arguments.refine_test_colours and arguments.scene is not None:
         raise UserError("--refine-test-colours: expected no --scene, got both options; leave one of them out")
     if not arguments.refine_test:
@@ -156,7 +161,7 @@ def _backgrounds(
         if truth.shape[:2] != (camera.height, camera.width):
             raise UserError(
                 f"{folder / f'{name}.png'}: expected {camera.width} x {camera.height} pixels, "
-                f"got {truth.shape[1]} x {truth.shape[0]}; resize it"
+                f"got {truth.shape[1]} x {truth.shape[0]}; resize the image"
             )
         if index in fitted:
             camera = fitted[index].camera

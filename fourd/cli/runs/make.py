@@ -18,8 +18,8 @@ from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
 SOURCE_HELP = (
-    "A capture, or any input of fourd import, such as a folder of videos. To set offsets, scale or calibration, run "
-    "fourd import first."
+    "A capture, or any input of fourd import, such as a folder of videos. To set time offsets, the scale or the "
+    "calibration, run fourd import first."
 )
 
 
@@ -29,7 +29,7 @@ class Arguments:
 
     capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]]
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The .4dv file to write. For scene.4dv, intermediate results are kept beside it in the folder scene.work/."""
+    """The .4dv file to write. Intermediate results of scene.4dv are kept in the folder scene.work/ beside the file."""
     training: TrainingOptions
     mattes: MatteOptions
     workers: Workers = None
@@ -37,7 +37,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Run all stages that are not up to date."""
-    console = Console()  # stderr is reserved for the one-line error message
+    console = Console()  # not stderr, which is reserved for the one-line error message
     options = arguments.training
     config = options.train_config(DEFAULT_SECONDS)
     load_lpips(options.lpips_weights)  # report invalid LPIPS weights before any stage runs

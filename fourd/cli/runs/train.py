@@ -31,16 +31,17 @@ class Arguments:
     capture: CapturePath
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Run folder: new, or a run to continue with --resume."""
+    """Run folder to write: a new folder, or an existing run with --resume."""
     training: TrainingOptions
     resume: bool = False
-    """Continue from the newest checkpoint. Only the budget (--max-steps, --max-seconds) may change."""
+    """Continue training from the newest checkpoint. Of all options, only the budget (--max-steps, --max-seconds) may
+    change."""
     workers: Workers = None
 
 
 def run(arguments: Arguments) -> None:
-    """Run the stages before training, then train."""
-    console = Console()  # stderr is reserved for the one-line error message
+    """Run the stages that training needs, then train."""
+    console = Console()  # not stderr, which is reserved for the one-line error message
     options = arguments.training
     context = Context(console, worker_count(arguments.workers))
     load_lpips(options.lpips_weights)  # report invalid LPIPS weights before any stage runs
@@ -58,7 +59,10 @@ def run(arguments: Arguments) -> None:
 
 
 def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfig:
-    """Return the run's config with the budget from the options, or with its own budget without a budget option."""
+    """Return the run's config with the training budget of the options.
+
+    Without a budget option, the config keeps its budget.
+    """
     overlaid = options.overlay(config)
     if options.max_steps is not None or options.max_seconds is not None:
         overlaid = replace(overlaid, max_steps=options.max_steps, max_seconds=options.max_seconds)
@@ -67,6 +71,6 @@ def _resumed_config(options: TrainingOptions, config: TrainConfig) -> TrainConfi
         lines = zip(to_yaml(unchanged).splitlines(), to_yaml(config).splitlines(), strict=False)
         changed = next((new.strip() for new, old in lines if new != old), "another config")
         raise UserError(
-            f"--resume: expected the run's own config except for the budget, got {changed}; train in a new folder"
+            f"--resume: expected the options of the run, except for the budget, got {changed}; train in a new folder"
         )
     return overlaid

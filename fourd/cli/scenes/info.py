@@ -40,7 +40,7 @@ def run(arguments: Arguments) -> None:
     """Detect the type, read the headers and print a table."""
     path = arguments.path
     if not path.exists():
-        raise UserError(f"{path}: expected a file or a folder, but it does not exist; check the name")
+        raise UserError(f"{path}: expected a file or a folder, got a path that does not exist; check the name")
     title, rows = _describe_folder(path) if path.is_dir() else _describe_file(path)
     table = Table(title=Text(f"{path}: {title}"), title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
@@ -56,7 +56,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
-    # A truncated scene file still starts with the bytes PK, so damaged scene files are recognised too.
+    # Scene files are recognised by their first bytes PK, so a truncated scene file is recognised too.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if head.startswith((b"ply\n", b"ply\r")):
@@ -134,11 +134,11 @@ def _points(path: Path) -> Rows:
 
 
 def _checkpoint(path: Path) -> Rows:
-    """Describe a checkpoint by its header.
+    """Describe a checkpoint from the header of its file.
 
-    The tensors are not read, because they may be large and torch is slow to import.
+    The tensors are not read, because tensors may be large and importing torch is slow.
     """
-    damaged = UserError(f"{path}: expected a whole safetensors file, got a damaged one; name another checkpoint")
+    damaged = UserError(f"{path}: expected a whole safetensors file, got a damaged file; name another checkpoint")
     size = path.stat().st_size
     with path.open("rb") as stream:
         length = int.from_bytes(stream.read(8), "little")
@@ -165,7 +165,7 @@ def _video(path: Path) -> Rows:
     try:
         with av.open(str(path)) as container:
             if not container.streams.video:
-                raise UserError(f"{path}: expected a video, got a file without video frames; name another")
+                raise UserError(f"{path}: expected a video, got a file without video frames; name another file")
             stream = container.streams.video[0]
             rate = float(stream.average_rate or 0)
             seconds = float(container.duration or 0) / av.time_base
@@ -199,7 +199,7 @@ def _run(path: Path) -> Rows:
 
 
 def _last_metrics(path: Path) -> list[str]:
-    """The last complete line of metrics.jsonl, read from the end of the file."""
+    """Format the first eight numbers of the last complete line of metrics.jsonl. Returns one line of text or none."""
     if not path.is_file():
         return []
     with path.open("rb") as stream:
@@ -231,7 +231,7 @@ def _capture(path: Path) -> Rows:
         rows.append(("masks", "yes" if capture.has_masks else "none"))
     else:
         rows.append(("cameras", f"{len(folders)} in images/: {_names(folders)}" if folders else "none in images/"))
-        rows.append(("calibration", "yes" if calibrated else "none: intri.yml and extri.yml are needed to train"))
+        rows.append(("calibration", "yes" if calibrated else "none: training needs intri.yml and extri.yml"))
     rows.append(("videos", _names(videos) or "none"))
     has_plates = (path / "bgs").is_dir() or (path / ".fourd" / "plates").is_dir()
     rows.append(("background plates", "yes" if has_plates else "none"))

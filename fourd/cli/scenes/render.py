@@ -24,7 +24,8 @@ from fourd.viewer.output.video import write_video
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, writes a video."""
+    """Writes the images OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, the command
+    writes a video instead."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
     """Run folder or .4dv file."""
@@ -36,12 +37,13 @@ class Arguments:
         Literal["orbit", "spiral", "cameras"] | None,
         option("{orbit,spiral,cameras}", "none; --views or --path is required"),
     ] = None
-    """orbit: once around the scene. spiral: two orbits with changing height. cameras: through all capture cameras."""
+    """orbit: one orbit around the scene. spiral: two orbits with changing height. cameras: through all capture
+    cameras."""
     frames: Frames = None
     steps: Annotated[int | None, option("INT", "120, or the number of frames if that is larger")] = None
     """Number of images along the path. The scene advances by one frame per image and plays in a loop."""
-    size: Annotated[tuple[int, int] | None, option("W H", "the capture's")] = None
-    """Width and height in pixels."""
+    size: Annotated[tuple[int, int] | None, option("W H", "the size of the capture's images")] = None
+    """Width and height of the images in pixels."""
     layers: Annotated[int | None, option("INT", "the source's")] = None
     """Number of points composited per pixel (K), 1 to 64."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)

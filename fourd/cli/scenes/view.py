@@ -25,8 +25,8 @@ class Arguments:
         Literal["auto"] | RendererName,
         describe(
             "sorted: one pass over points sorted by depth, for GPUs. peel: depth peeling, exact and slow.",
-            "dual: dual depth peeling, exact and slow. cpu: exact, without a GPU.",
-            "auto: sorted on a GPU, otherwise cpu. The choice and its reason are printed.",
+            "dual: dual depth peeling, exact and slow. cpu: exact rendering without a GPU.",
+            "auto: sorted if there is a GPU, otherwise cpu. The selected renderer and the reason are printed.",
         ),
     ] = "auto"
     size: Annotated[tuple[int, int] | None, option("W H", "1280 720; the camera's size for --screenshot")] = None
@@ -48,7 +48,7 @@ class Arguments:
     camera: Annotated[str | None, option("NAME", "the first")] = None
     """Name of the capture camera from which the --screenshot image is rendered."""
     frame: int = 0
-    """Frame of the scene that the --screenshot image shows, counted from 0."""
+    """Index of the scene's frame that the --screenshot image shows, from 0."""
 
 
 def run(arguments: Arguments) -> None:
@@ -66,7 +66,7 @@ def run(arguments: Arguments) -> None:
     from fourd.viewer.headless import Headless
 
     if arguments.source is None:
-        raise UserError("SCENE|RUN: expected a .4dv file or a run folder, got none; name one")
+        raise UserError("SCENE|RUN: expected a .4dv file or a run folder, got none; name a file or folder")
     headless = Headless(arguments.source, arguments.renderer, arguments.size, settings)
     if arguments.screenshot is not None:
         headless.screenshot(arguments.screenshot, arguments.camera, arguments.frame, console)
