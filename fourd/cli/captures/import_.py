@@ -125,7 +125,7 @@ def _offsets(words: Sequence[str]) -> dict[str, int]:
         except ValueError:
             value, name = 0, ""
         if not name or name in found:
-            raise UserError(f"--offset: expected CAM=FRAMES with each camera once, got '{part}'; write it as cam02=7")
+            raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
         found[name] = value
     return found
 

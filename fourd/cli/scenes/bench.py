@@ -22,9 +22,9 @@ from fourd.files import write_text_atomically
 
 @dataclass(frozen=True)
 class Arguments:
-    """Times are printed in milliseconds and relative to the time of a fixed matrix product. The matrix product of two
-    2048 x 2048 float32 matrices is computed with torch and timed before every run. When other programs use the machine,
-    relative times vary less than times in milliseconds. CUDA kernels are timed if they are built and a CUDA device
+    """Times are printed in milliseconds and in units. One unit is the time that torch needs to multiply two 2048 x 2048
+    float32 matrices. The unit is measured before every run of a timed function. When other programs use the machine,
+    times in units vary less than times in milliseconds. CUDA kernels are timed if they are built and a CUDA device
     exists. The environment variables FOURD_THREADS and FOURD_SIMD set the number of threads and the instruction set of
     the CPU kernels."""
 
