@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Factor for the limit angle of :func:`fading_weights`, if no camera limits the angle.
+"""Ratio of the limit angle of :func:`fading_weights` to the largest angle of the chosen cameras.
 
-The limit angle is then the largest angle of the chosen cameras times the factor.
+The ratio is used only if every other camera has a smaller angle than the farthest chosen camera.
 """
 
 
@@ -172,11 +172,11 @@ def fading_weights(
 ) -> NDArray[np.float32]:
     """Return view weights (V,) of the ``chosen`` cameras, which fall with the angle to the viewing camera.
 
-    A chosen camera at the angle a has the view weight 1 - a / b with a limit angle b. Let A be the largest angle of the
-    chosen cameras. The limit angle b is the smallest angle of at least A among the cameras that are not chosen. When
-    another camera replaces a chosen camera, both cameras have the view weight 0, so the rendered image does not jump
-    (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured at the point ``focus``. If all
-    view weights would be 0, all view weights are 1.
+    A chosen camera at the angle a has the view weight 1 - a / b, where b is the limit angle. Let A be the largest angle
+    of the chosen cameras. Among the cameras that are not chosen and whose angle is at least A, the smallest angle is
+    the limit angle b. When another camera replaces a chosen camera, both cameras have the view weight 0, so the
+    rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured at
+    the point ``focus``. If all view weights would be 0, all view weights are 1.
 
     Args:
         camera: the viewing camera.

@@ -39,8 +39,8 @@ def load_overlay(base: Config, path: Path) -> Config:
     Fields that the file does not set keep their values.
 
     Args:
-        base: a frozen dataclass instance. Its fields may have the types bool, int, float, str, Path and Literal, tuples
-            of these types, optional types (``X | None``), and nested dataclasses.
+        base: a frozen dataclass instance. Fields may have the types bool, int, float, str, Path and Literal, tuples of
+            these types, optional types (``X | None``), and nested dataclasses.
         path: a file with a YAML mapping of field names to values. If the file is empty, ``base`` is returned.
 
     Raises:

@@ -25,7 +25,7 @@ def describe(*sentences: str) -> Any:
 
 
 def option(metavar: str, default: str, text: str | None = None) -> Any:
-    """Make an option whose default is computed after parsing. --help shows ``default`` as its value."""
+    """Make an option whose default is computed after parsing. --help shows ``default`` as the default value."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
 
 

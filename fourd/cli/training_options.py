@@ -117,7 +117,7 @@ class TrainingOptions:
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
-    """Return the new values of the config fields that option ``name`` sets, by the name of the field."""
+    """Return the new values of the config fields that option ``name`` sets, by field name."""
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):
@@ -126,9 +126,9 @@ def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
 
 
 def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) -> Any:
-    """Return a copy of ``config`` with other field values in the dataclass that contains the dotted ``key``.
+    """Return a copy of ``config`` with new field values in the dataclass that contains the dotted ``key``.
 
-    ``values`` contains the new values by the name of the field.
+    ``values`` contains the new values by field name.
     """
     head, _, rest = key.partition(".")
     if rest:

@@ -37,10 +37,12 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Run all stages that are not up to date."""
-    console = Console()  # not stderr, which is reserved for the one-line error message
+    # Progress is printed to stdout, because stderr is reserved for the one-line error message.
+    console = Console()
     options = arguments.training
     config = options.train_config(DEFAULT_SECONDS)
-    load_lpips(options.lpips_weights)  # report invalid LPIPS weights before any stage runs
+    # Loading the LPIPS weights here reports invalid weights before any stage runs.
+    load_lpips(options.lpips_weights)
     make_scene(
         arguments.capture,
         arguments.out,

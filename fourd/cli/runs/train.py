@@ -41,10 +41,12 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Run the stages that training needs, then train."""
-    console = Console()  # not stderr, which is reserved for the one-line error message
+    # Progress is printed to stdout, because stderr is reserved for the one-line error message.
+    console = Console()
     options = arguments.training
     context = Context(console, worker_count(arguments.workers))
-    load_lpips(options.lpips_weights)  # report invalid LPIPS weights before any stage runs
+    # Loading the LPIPS weights here reports invalid weights before any stage runs.
+    load_lpips(options.lpips_weights)
     stages: tuple[AnyStage, ...]
     if arguments.resume:
         config = _resumed_config(options, open_run(arguments.out).config.train)

@@ -56,7 +56,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
-    # Scene files are recognised by their first bytes PK, so a truncated scene file is recognised too.
+    # Scene files are recognised by the bytes PK at the start, so a truncated scene file is recognised too.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if head.startswith((b"ply\n", b"ply\r")):
@@ -199,7 +199,10 @@ def _run(path: Path) -> Rows:
 
 
 def _last_metrics(path: Path) -> list[str]:
-    """Format the first eight numbers of the last complete line of metrics.jsonl. Returns one line of text or none."""
+    """Format the first eight numbers of the last complete line of metrics.jsonl.
+
+    Returns a list with one line of text, or an empty list if there is no complete line.
+    """
     if not path.is_file():
         return []
     with path.open("rb") as stream:

@@ -25,7 +25,7 @@ from fourd.viewer.output.video import write_video
 @dataclass(frozen=True)
 class Arguments:
     """Writes the images OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, the command
-    writes a video instead."""
+    writes a video instead of images."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
     """Run folder or .4dv file."""

@@ -45,7 +45,7 @@ class Arguments:
     """Frames per second of the --headless video."""
     screenshot: Annotated[Path | None, option("FILE.png", "none")] = None
     """Render an image to this file, without opening a window."""
-    camera: Annotated[str | None, option("NAME", "the first")] = None
+    camera: Annotated[str | None, option("NAME", "the first camera")] = None
     """Name of the capture camera from which the --screenshot image is rendered."""
     frame: int = 0
     """Index of the scene's frame that the --screenshot image shows, from 0."""
