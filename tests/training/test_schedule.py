@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fourd.cameras import Camera, look_at, select_views
+from fourd.model.config import ModelConfig
 from fourd.training.config import RateConfig, TrainConfig
 from fourd.training.schedule import StepSampler, budget_spent, rate_factor
 
@@ -37,8 +38,9 @@ def test_held_out_views_and_the_target_are_never_sources() -> None:
 
 def test_source_weights_are_those_of_rendering() -> None:
     """Catches view weights in training that differ from those in rendering, where the target is no source either."""
-    drawn, cameras = sampler(), ring(10)
-    training = [0, 1, 2, 4, 5, 6, 7, 9]
+    cameras, training = ring(10), [0, 1, 2, 4, 5, 6, 7, 9]
+    config = TrainConfig(model=ModelConfig(fade_views=True))
+    drawn = StepSampler(config, cameras, training, 5, np.zeros(3))
     for sample in map(drawn.sample, range(40)):
         others = [index for index in training if index != sample.target]
         views = select_views(cameras[sample.target], [cameras[index] for index in others], 4, np.zeros(3), fade=True)
@@ -47,6 +49,11 @@ def test_source_weights_are_those_of_rendering() -> None:
         if sorted(nearest) == sorted(sample.sources):
             expected = dict(zip(nearest, views.weights, strict=True))
             np.testing.assert_allclose(sample.source_weights, [expected[index] for index in sample.sources])
+
+
+def test_views_are_not_faded_by_default() -> None:
+    """Catches view weights in training for a model that is rendered without view weights."""
+    assert sampler().sample(0).source_weights.tolist() == [1, 1, 1, 1]
 
 
 def test_an_epoch_draws_every_view_of_every_frame_once() -> None:
