@@ -24,8 +24,9 @@ from rich.console import Console
 from rich.progress import track
 
 from fourd.files import write_text_atomically
-from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, speck_pixels
+from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, silhouette_errors, speck_pixels
 from fourd.training.evaluation.metrics import mask_box
+from fourd.training.evaluation.render import RenderedView
 from fourd.training.evaluation.scores import BOX_MARGIN_PX, score_view
 from fourd.training.run import TrainedRun, load_run
 from fourd.viewer.navigation.paths import orbit
@@ -61,6 +62,8 @@ class ViewQuality:
     near: float
     inside: float
     outside: float
+    excess: float
+    missing: float
 
 
 @dataclass(frozen=True)
@@ -111,11 +114,11 @@ def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
     )
 
 
-def render(trained: TrainedRun, frame: int, view: int) -> tuple[Image, Image, NDArray[np.uint8]]:
-    """Rendered image, true image, and matte of a view. The view is not a source of its own image."""
+def render(trained: TrainedRun, frame: int, view: int) -> tuple[RenderedView, Image, NDArray[np.uint8]]:
+    """Rendered view, true image, and matte of a view. The view is not a source of its own image."""
     capture, layers = trained.run.capture, trained.run.config.train.layers
     points = trained.frames.get(frame)
-    picture = trained.renderer.render(points, frame, capture.cameras[view], layers, exclude=view).rgb
+    picture = trained.renderer.render(points, frame, capture.cameras[view], layers, exclude=view)
     matte = capture.mask(view, frame)
     truth = capture.image(view, frame).astype(np.float32) / 255
     if trained.run.config.train.scene == "object":
@@ -125,15 +128,16 @@ def render(trained: TrainedRun, frame: int, view: int) -> tuple[Image, Image, ND
 
 def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
     """Figures of one image."""
-    picture, truth, matte = render(trained, frame, view)
-    image, boxed = score_view(picture, truth, matte, None)
+    rendered, truth, matte = render(trained, frame, view)
+    image, boxed = score_view(rendered.rgb, truth, matte, None)
     scores = boxed or image
     box = mask_box(matte, BOX_MARGIN_PX) or (0, matte.shape[0], 0, matte.shape[1])
     inside = (slice(box[0], box[1]), slice(box[2], box[3]))
-    picture, truth, matte = picture[inside], truth[inside], matte[inside]
+    picture, alpha, truth, matte = rendered.rgb[inside], rendered.foreground[inside], truth[inside], matte[inside]
     _, flip, _ = flip_evaluator.evaluate(truth, picture, "LDR", applyMagma=False)
-    errors = contour_errors(picture, truth, matte)
-    return ViewQuality(scores.psnr, scores.ssim, flip, float(speck_pixels(picture, truth).mean()), **asdict(errors))
+    specks = float(speck_pixels(picture, truth).mean())
+    places = asdict(contour_errors(picture, truth, matte)) | asdict(silhouette_errors(picture, truth, alpha, matte))
+    return ViewQuality(scores.psnr, scores.ssim, flip, specks, **places)
 
 
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
@@ -145,7 +149,7 @@ def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
     pairs = [render(trained, frame, view)[:2] for frame in shown]
     truths = [truth for _, truth in pairs]
     changes = flicker(truths, [truths[0]] * len(truths))
-    return flicker([picture for picture, _ in pairs], truths) / max(changes, 1e-12)
+    return flicker([picture.rgb for picture, _ in pairs], truths) / max(changes, 1e-12)
 
 
 def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
@@ -176,7 +180,7 @@ def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
 
 def markdown(results: dict[str, RunQuality]) -> str:
     """The table. Error columns are shares of the squared error in the box of unseen views."""
-    heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside"]
+    heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside", "excess", "missing"]
     heads += ["specks, per 10,000 pixels", "flicker / true change", "jump", "radii p50 / p90 / p99"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     return "\n".join([*lines, *rows(results)])
@@ -188,7 +192,8 @@ def rows(results: dict[str, RunQuality]) -> Iterator[str]:
         unseen = result.unseen
         cells = [name, f"{unseen.psnr:.2f}", "-" if unseen.ssim is None else f"{unseen.ssim:.4f}", f"{unseen.flip:.4f}"]
         cells += [f"{result.seen_psnr:.2f}"]
-        cells += [f"{share:.0%}" for share in (unseen.contour, unseen.near, unseen.inside, unseen.outside)]
+        places = (unseen.contour, unseen.near, unseen.inside, unseen.outside, unseen.excess, unseen.missing)
+        cells += [f"{share:.0%}" for share in places]
         cells += [f"{unseen.specks * 1e4:.1f}", f"{result.flicker:.2f}"]
         cells += ["-" if result.jump is None else f"{result.jump:.2f}"]
         cells += [" / ".join(f"{radius:.2f}" for radius in result.radii)]
@@ -200,7 +205,8 @@ def write_pictures(trained: TrainedRun, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     frame = trained.run.capture.frame_count // 2
     for view in trained.run.test:
-        picture, truth, _ = render(trained, frame, view)
+        rendered, truth, _ = render(trained, frame, view)
+        picture = rendered.rgb
         sheet = np.concatenate([picture, truth, np.abs(picture - truth) * 3], axis=1).clip(0, 1)
         rgb = (sheet * 255 + 0.5).astype(np.uint8)
         cv2.imwrite(str(folder / f"{trained.run.capture.names[view]}.png"), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))

@@ -14,6 +14,8 @@ CONTOUR_PX = 1.5
 """Pixels up to this distance from the matte's contour count as contour."""
 NEAR_PX = 4.0
 """Pixels inside the matte up to this distance from its contour count as near the contour, the others as inside."""
+WRONG_ALPHA = 0.3
+"""Smallest difference between a wrong rendered alpha and the matte."""
 SPECK_ERROR = 0.15
 """Smallest error of a speck's pixels, the largest over the channels, for colours in [0, 1]."""
 SPECK_AREA_PX = 4
@@ -58,6 +60,37 @@ def contour_errors(prediction: Image, truth: Image, matte: NDArray[np.uint8]) ->
     total = max(float(error.sum()), 1e-12)
     contour, near, deep, beyond = (float(error[band].sum()) / total for band in bands)
     return ContourErrors(contour, near, deep, beyond)
+
+
+@dataclass(frozen=True)
+class SilhouetteErrors:
+    """Shares in [0, 1] of an image's summed squared error, at pixels with a wrong alpha.
+
+    Attributes:
+        excess: where the rendered alpha is above the matte by more than WRONG_ALPHA.
+        missing: where the rendered alpha is below the matte by more than WRONG_ALPHA.
+    """
+
+    excess: float
+    missing: float
+
+
+def silhouette_errors(
+    prediction: Image, truth: Image, alpha: NDArray[np.float32], matte: NDArray[np.uint8]
+) -> SilhouetteErrors:
+    """Shares of the squared error where the rendered silhouette is too large or too small.
+
+    Args:
+        prediction: (H, W, 3) colours in [0, 1].
+        truth: the same shape.
+        alpha: (H, W) rendered alpha of the foreground in [0, 1].
+        matte: (H, W) true alpha, 255 for 1.
+    """
+    error = np.square(prediction - truth).sum(axis=-1)
+    difference = alpha - matte.astype(np.float32) / 255
+    total = max(float(error.sum()), 1e-12)
+    excess, missing = error[difference > WRONG_ALPHA].sum(), error[difference < -WRONG_ALPHA].sum()
+    return SilhouetteErrors(float(excess) / total, float(missing) / total)
 
 
 def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, speck_pixels
+from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, silhouette_errors, speck_pixels
 
 
 def disc(size: int = 64, radius: float = 20.0) -> np.ndarray:
@@ -34,6 +34,18 @@ def test_equal_images_have_no_contour_error() -> None:
     """Catches a division by zero for equal images."""
     image = np.full((64, 64, 3), 0.3, np.float32)
     assert astuple(contour_errors(image, image, disc())) == (0.0, 0.0, 0.0, 0.0)
+
+
+def test_silhouette_errors_tell_excess_from_missing() -> None:
+    """Catches a swapped sign, and wrong colours inside a correct silhouette that count as wrong silhouette."""
+    truth, matte = np.zeros((8, 8, 3), np.float32), np.zeros((8, 8), np.uint8)
+    matte[:, :4], truth[:, :4] = 255, 1
+    prediction, alpha = truth.copy(), matte.astype(np.float32) / 255
+    prediction[0, 6], alpha[0, 6] = 1, 1
+    prediction[0:2, 0], alpha[0:2, 0] = 0, 0.2
+    prediction[5, 1] = 0
+    shares = silhouette_errors(prediction, truth, alpha, matte)
+    assert (shares.excess, shares.missing) == pytest.approx((0.25, 0.5))
 
 
 def test_single_wrong_pixels_are_specks_and_wrong_regions_are_not() -> None:
