@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.training.evaluation.defects import contour_errors, flicker, jump_ratio, silhouette_errors, speck_pixels
 from fourd.training.evaluation.metrics import mask_box
@@ -84,11 +85,17 @@ def main(arguments: Arguments) -> int:
     """Print a Markdown table with a row for each run."""
     torch.set_grad_enabled(False)
     results = {}
-    for folder in arguments.runs:
-        trained = load_run(folder)
-        results[str(folder)] = measure_run(trained, arguments)
-        if arguments.pictures is not None:
-            write_pictures(trained, arguments.pictures / folder.name)
+    try:
+        for folder in arguments.runs:
+            trained = load_run(folder)
+            if not trained.run.test:
+                raise UserError(f"{folder}: expected held-out views, got none; train with --test-views")
+            results[str(folder)] = measure_run(trained, arguments)
+            if arguments.pictures is not None:
+                write_pictures(trained, arguments.pictures / folder.name)
+    except UserError as error:
+        print(error, file=sys.stderr)
+        return 2
     print(markdown(results))
     if arguments.json is not None:
         content = {name: asdict(result) for name, result in results.items()}
