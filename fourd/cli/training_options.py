@@ -126,9 +126,13 @@ def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
 
 
 def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) -> Any:
-    """Return a copy of ``config`` with new field values in the dataclass that contains the dotted ``key``.
+    """Return a copy of ``config`` with new values in one of its nested dataclasses.
 
-    ``values`` contains the new values by field name.
+    Args:
+        config: a dataclass.
+        key: dotted key of a field, for example "rates.planes". The fields in ``values`` belong to the same dataclass.
+        values: new values by field name.
+        flag: the command-line option, for errors.
     """
     head, _, rest = key.partition(".")
     if rest:

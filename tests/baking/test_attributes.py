@@ -51,7 +51,7 @@ def test_unknown_attributes_are_skipped(tmp_path: Path, write: Callable[[Path], 
 
 @pytest.fixture
 def optional_sh(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Declare the attribute "sh" optional, like an attribute that older scenes lack."""
+    """Make the attribute "sh" optional for a test."""
     table = tuple(replace(item, is_optional=item.is_optional or item.name == "sh") for item in ATTRIBUTES)
     monkeypatch.setattr(fourd.baking.scene, "ATTRIBUTES", table)
     monkeypatch.setattr(fourd.baking.manifest, "ATTRIBUTES", table)

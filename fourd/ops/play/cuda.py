@@ -27,8 +27,8 @@ def draw_points_gpu(
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
     out: Tensor | None = None,
 ) -> Tensor:
-    """Draw the image of :meth:`fourd.ops.play.op.PointPlayer.draw` on the tensors' device, with a difference of at most
-    1 per byte.
+    """Draw baked points on the tensors' device. Each byte of the image differs by at most 1 from the image that
+    :meth:`fourd.ops.play.op.PointPlayer.draw` draws.
 
     Pass float16 arrays as int16 tensors with the same bits. All tensors must be contiguous. The kernels are queued on
     torch's current stream, and the call returns before they finish. For CPU tensors, the emulated kernels run.
