@@ -56,5 +56,6 @@ def to_json(rows: Iterable[Row], machine: Machine) -> str:
 
 def _format_rivals(row: Row) -> str:
     return "; ".join(
-        f"{name} {rival.ms:,.0f} ms ({rival.units / row.timing.units:,.1f} x)" for name, rival in row.rivals.items()
+        f"{name} {rival.ms:,.0f} ms ({rival.units / row.timing.units:,.1f} times as long)"
+        for name, rival in row.rivals.items()
     )

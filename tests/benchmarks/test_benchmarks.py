@@ -54,7 +54,7 @@ def test_reports_contain_every_timing() -> None:
     rows = [Row("work", Timing(10.0, 0.5, 7), {"other": Timing(40.0, 2.0, 3)})]
     machine = this_machine()
     text = markdown(rows, machine)
-    assert "| work | 10.0 | 0.500 | other 40 ms (4.0 x) |" in text
+    assert "| work | 10.0 | 0.500 | other 40 ms (4.0 times as long) |" in text
     assert str(machine) in text
     content = json.loads(to_json(rows, machine))
     assert content["machine"]["threads"] >= 1
