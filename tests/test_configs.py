@@ -27,10 +27,10 @@ def test_round_trip(tmp_path: Path) -> None:
 
 def test_yaml_1_1_surprises(tmp_path: Path) -> None:
     """Catches a YAML reader that reads 05 as a number, 1:24 as 84, or 1e-3 as text."""
-    config = overlay(tmp_path, "test_views: [05, 1e3]\nframes: 1:24\nrates: {xyz: 1e-3}\n")
+    config = overlay(tmp_path, "test_views: [05, 1e3]\nframes: 1:24\nrates: {planes: 1e-3}\n")
     assert config.test_views == ("05", "1e3")
     assert config.frames == "1:24"
-    assert config.rates.xyz == 1e-3
+    assert config.rates.planes == 1e-3
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.carving.bounds import Bounds, empty_hull_error
+from fourd.carving.excess import replace_excess
 from fourd.carving.hull import Silhouettes
 from fourd.carving.silhouette import Floats
 from fourd.carving.surface import choose_cell_side, project_to_surface, surface_cells, thin_evenly
@@ -42,6 +43,7 @@ def carve_frame(
     points: int = 65536,
     agreement: float = 0.95,
     least_views: float = 1 / 2,
+    trim: bool = True,
     seed: int = 0,
     names: Sequence[str] | None = None,
     label: str = "masks",
@@ -62,6 +64,7 @@ def carve_frame(
             that see the point. If 20 views see the point, 0.95 tolerates one wrong view.
         least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
             and in at least 3 views. With only 2 views, a hull point must project inside both images.
+        trim: remove protruding parts of the hull that no silhouette needs; see :mod:`fourd.carving.excess`.
         seed: random seed of the points' order. Equal inputs and seeds give bitwise equal results.
         names: camera names for messages.
         label: name of the masks for messages.
@@ -80,6 +83,8 @@ def carve_frame(
     xyz, normals = _surface_candidates(views, bounds, size, points)
     if len(xyz) == 0:
         raise empty_hull_error(views, float(bounds.extent.max()) / 2, names, label)
+    if trim:
+        xyz, normals = replace_excess(views, lower, upper, xyz, normals, size)
     rng = np.random.default_rng(seed)
     chosen = thin_evenly(xyz, points, rng)
     spacing = float(size * np.sqrt(len(xyz) / max(len(chosen), 1)))

@@ -49,6 +49,7 @@ class CarveSettings:
     points: int = 65536
     agreement: float = 0.95
     least_views: float = 1 / 2
+    trim: bool = True
     seed: int = 0
 
 
@@ -59,6 +60,7 @@ def carve_capture(
     points: int = 65536,
     agreement: float = 0.95,
     least_views: float = 1 / 2,
+    trim: bool = True,
     seed: int = 0,
     track: Track = untracked,
     workers: int = 1,
@@ -77,6 +79,7 @@ def carve_capture(
             that see the point.
         least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
             and in at least 3 views. With only 2 views, a hull point must project inside both images.
+        trim: remove protruding parts of the hull that no silhouette needs.
         seed: random seed of the points' order.
         track: progress callback.
         workers: number of worker processes. Worker processes are started only if they save time, which is estimated
@@ -89,7 +92,7 @@ def carve_capture(
     Raises:
         UserError: if a frame's hull is empty or a file cannot be written.
     """
-    settings = CarveSettings(points, agreement, least_views, seed)
+    settings = CarveSettings(points, agreement, least_views, trim, seed)
     folder = Path(out_folder)
     key = settings_key(capture, settings)
     refuse_symlinks(capture.path, folder)

@@ -17,11 +17,11 @@ def require(condition: bool, message: str) -> None:
 class PlanesConfig:
     """4D K-Planes (Fridovich-Keil et al. 2023): feature planes over pairs of the coordinates x, y, z and t."""
 
-    levels: int = 4
+    levels: int = 3
     """Number of levels, from 1 to 8. Each level has its own grid resolution."""
     features: int = 8
     """Channels of each plane."""
-    base_resolution: int = 64
+    base_resolution: int = 32
     """Grid resolution along the longest side of the bounds at the coarsest level."""
     multiplier: int = 2
     """Factor by which the resolution increases from one level to the next finer level."""
@@ -56,7 +56,7 @@ class ModelConfig:
     """Let blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be exported."""
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
-    fade_views: bool = False
+    fade_views: bool = True
     """Multiply the blend weights of a source view by 1 - a / b. Here a is the angle between the view and the viewing
     camera, and b is the angle of the nearest view that is not selected. Images then change smoothly along a camera
     path."""

@@ -15,7 +15,7 @@ class ResidualField(nn.Module):
 
     def __init__(self, config: ModelConfig, sides: tuple[float, float, float], frame_count: int) -> None:
         super().__init__()
-        planes = PlanesConfig(levels=2, features=config.planes.features, time=config.planes.time)
+        planes = PlanesConfig(levels=2, features=config.planes.features, base_resolution=64, time=config.planes.time)
         self.planes = KPlanes(planes, sides, frame_count)
         self.range = config.residual_range * max(sides)
         self.layers = nn.Sequential(

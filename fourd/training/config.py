@@ -45,8 +45,12 @@ class RateConfig:
     """Learning rate of the K-Planes."""
     mlps: float = 1e-3
     """Learning rate of the MLPs and the image encoder."""
-    xyz: float = 2e-3
-    """Learning rate of point positions, as a share of the longest side of the scene's bounds."""
+    xyz_spacings: float = 0.6
+    """Learning rate of point positions before the first update of a point, as a share of the point spacing."""
+    xyz_halving_updates: int = 60
+    """Number H of updates of a point after which the learning rate of its position is half as high, in addition to the
+    exponential decay: after n updates, the additional factor is 1 / (1 + n / H). With 0, there is no additional factor.
+    Without this factor, long training moves points that no image constrains at random, and new views become worse."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
@@ -55,9 +59,12 @@ class RateConfig:
     """Number of steps of the linear warm-up of the learning rates."""
 
     def __post_init__(self) -> None:
-        for name in ("planes", "mlps", "xyz", "sh"):
+        for name in ("planes", "mlps", "xyz_spacings", "sh"):
             value = getattr(self, name)
             require(value >= 0, f"{name}: expected 0 or more, got {value}")
+        require(
+            self.xyz_halving_updates >= 0, f"xyz_halving_updates: expected 0 or more, got {self.xyz_halving_updates}"
+        )
         require(0 < self.final <= 1, f"final: expected a share in (0, 1], got {self.final}")
         require(self.warm_up >= 0, f"warm_up: expected 0 or more, got {self.warm_up}")
 
@@ -76,7 +83,7 @@ class BackgroundConfig:
     """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
     """Settings of the radiance field that seeding ngp uses."""
-    planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(time=False))
+    planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
     """Render foreground and background together. If false, steps on frames train the foreground alone on black. Steps
@@ -202,6 +209,8 @@ class TrainConfig:
     """Settings of the corrections of the calibration."""
     points: int = 40_000
     """Maximum number of points in each frame."""
+    trim_hull: bool = True
+    """Remove protruding parts of the visual hull that no matte needs, before the initial points are placed."""
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8

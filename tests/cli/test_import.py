@@ -196,7 +196,7 @@ def test_real_recording_is_corrected(tmp_path: Path, capsys: pytest.CaptureFixtu
     if not BALANCE.is_dir():
         pytest.skip(f"no real capture at {BALANCE}")
     output = imported_log(capsys, BALANCE, tmp_path / "out")
-    assert "qualisys: NAME.qca.txt and a video of each camera" in output
+    assert "qualisys: NAME.qca.txt and one video per camera" in output
     assert "cam01, cam02: 1088 x 1920 -> 1080 x 1920: letterboxed (black bars of 7.0" in output
     assert "warning: principal points look mirrored: cam01 x, cam02 y, cam03 y, cam04 y" in output
     output = imported_log(capsys, BALANCE, tmp_path / "out", "--centres", "mirrored")

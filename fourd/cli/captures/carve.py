@@ -47,6 +47,9 @@ class Arguments:
             "If the capture has fewer than three views, all views must see every point.",
         ),
     ] = 0.5
+    trim: bool = True
+    """Remove protruding parts of the visual hull that no matte needs. Without this step, the points cover the whole
+    visual hull."""
     scale: float = 1.0
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     seed: int = 0
@@ -64,6 +67,7 @@ def run(arguments: Arguments) -> None:
         arguments.points,
         arguments.agreement,
         arguments.least_views,
+        arguments.trim,
         arguments.seed,
     )
     console = Console(stderr=True)

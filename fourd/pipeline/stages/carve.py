@@ -40,6 +40,7 @@ class CarveStageSettings:
         agreement: minimum share in (0, 1]. Of the views that see a point, at least this share must have the point in
             their mattes.
         least_views: minimum share in (0, 1]. At least this share of all views must see a point.
+        trim: whether to remove protruding parts of the hull that no silhouette needs.
         seed: random seed for the order of the points.
     """
 
@@ -47,6 +48,7 @@ class CarveStageSettings:
     points: int = 65536
     agreement: float = 0.95
     least_views: float = 1 / 2
+    trim: bool = True
     seed: int = 0
 
 
@@ -94,6 +96,7 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
         points=settings.points,
         agreement=settings.agreement,
         least_views=settings.least_views,
+        trim=settings.trim,
         seed=settings.seed,
         track=context.track,
         workers=context.workers,

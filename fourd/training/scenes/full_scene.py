@@ -86,7 +86,7 @@ class FullScene:
         evaluated.append(self._evaluate_background(rows[-1], time, sample, camera, step))
         return evaluated
 
-    def xyz_rate(self, points: OptimizedPoints, factor: float) -> float | Tensor:
+    def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
         if points.cloud is not self.background.points:
             return self.foreground.xyz_rate(points, factor)
         return self.config.background.xyz_rate * factor * points.cloud.spacing[points.rows][:, None]

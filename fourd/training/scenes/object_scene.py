@@ -39,7 +39,6 @@ class ObjectScene:
         self.model = model
         self.views = views
         self.models: Mapping[str, PointModel] = {"model": model}
-        self._size = float((model.upper - model.lower).max())
 
     @property
     def static_clouds(self) -> Mapping[str, FramePoints]:
@@ -76,8 +75,12 @@ class ObjectScene:
         colour = self.model.colour(evaluated, camera, sources, train_encoder=train_encoder)
         return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
 
-    def xyz_rate(self, points: OptimizedPoints, factor: float) -> float | Tensor:
-        return self.config.rates.xyz * self._size * factor
+    def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
+        rates = self.config.rates
+        rate = rates.xyz_spacings * factor * points.cloud.spacing[points.rows]
+        if rates.xyz_halving_updates:
+            rate = rate / (1 + points.cloud.optimizer.steps[points.rows] / rates.xyz_halving_updates)
+        return rate[:, None]
 
     def finish_step(self) -> None:
         pass

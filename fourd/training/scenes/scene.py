@@ -110,9 +110,9 @@ class TrainingScene(Protocol):
     ) -> list[OptimizedPoints]:
         """The visible points of each cloud that is rendered in a step. The foreground comes first."""
 
-    def xyz_rate(self, points: OptimizedPoints, factor: float) -> float | Tensor:
-        """Learning rate of the point positions in world units, either one number or a tensor (M, 1). ``factor`` is the
-        schedule's factor on all learning rates."""
+    def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
+        """Learning rates (M, 1) of the positions of the M points in world units. ``factor`` is the schedule's factor on
+        all learning rates."""
 
     def finish_step(self) -> None:
         """Notify the scene that a training step has updated the parameters."""

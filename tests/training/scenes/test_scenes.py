@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 import torch
 
 from fourd.pipeline.make import create_run
@@ -76,9 +75,9 @@ def test_without_joint_training_frames_are_objects(ball_capture: Path, tmp_path:
     assert scene.target(PLATE).fills_picture
 
 
-def test_rates_of_positions_scale_with_scene_and_spacing(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches background points that are trained with the learning rate of the foreground, although they are farther
-    apart."""
+def test_rates_of_positions_scale_with_the_spacing(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a learning rate that depends on the extent of the scene instead of on the distance between points, and
+    background points that are trained with the learning rate of the foreground."""
     config = full_config(tmp_path / "shell.ply")
     scene = full_scene(ball_capture, tmp_path, config)
     plate = scene.target(PLATE)
@@ -87,6 +86,21 @@ def test_rates_of_positions_scale_with_scene_and_spacing(ball_capture: Path, tmp
     assert isinstance(rate, torch.Tensor)
     expected = 0.5 * config.background.xyz_rate * background.cloud.spacing[background.rows]
     torch.testing.assert_close(rate[:, 0], expected)
+    ratio = config.rates.xyz_spacings / config.background.xyz_rate
     foreground = replace(background, cloud=replace(background.cloud))
-    size = float((scene.foreground.model.upper - scene.foreground.model.lower).max())
-    assert scene.xyz_rate(foreground, 0.5) == pytest.approx(0.5 * config.rates.xyz * size)
+    torch.testing.assert_close(scene.xyz_rate(foreground, 0.5), expected[:, None] * ratio)
+
+
+def test_rates_of_positions_fall_with_the_updates_of_each_point(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a rate that falls with the steps of the run, although each point is updated in only some of the steps."""
+    config = full_config(tmp_path / "shell.ply")
+    config = replace(config, rates=replace(config.rates, xyz_spacings=0.5, xyz_halving_updates=20))
+    scene = full_scene(ball_capture, tmp_path, config)
+    plate = scene.target(PLATE)
+    background = scene.evaluate_step(scene.background.points, 0.0, PLATE, plate.camera, 0)[0]
+    foreground = replace(background, cloud=replace(background.cloud))
+    foreground.cloud.optimizer.steps[foreground.rows[0]] = 20
+    foreground.cloud.optimizer.steps[foreground.rows[1]] = 60
+    spacing = foreground.cloud.spacing[foreground.rows[:3]]
+    expected = 0.5 * spacing / torch.tensor([2.0, 4.0, 1.0])
+    torch.testing.assert_close(scene.xyz_rate(foreground, 1.0)[:3, 0], expected)

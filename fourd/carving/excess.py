@@ -1,0 +1,199 @@
+"""Removal of excess parts of the visual hull: parts that protrude although no silhouette needs them.
+
+The visual hull is the largest shape that agrees with all silhouettes. Between the views, and in concave places that no
+silhouette shows, the hull protrudes from the object. The images can often not remove these parts later. For example, a
+white lump before a white chest has the right colour in every view.
+
+The hull is filled with cells. In each round, each cell whose neighbourhood is mostly empty is removed, unless the
+cell is the most central one of all remaining cells on the ray of a silhouette's pixel. Every ray that starts inside a
+silhouette therefore still meets the remaining cells, and the remaining shape still agrees with all silhouettes.
+Repeated smoothing and thresholding moves a surface by its mean curvature (Merriman, Bence and Osher 1994). A shape of
+small area that satisfies silhouette constraints is also the aim of Kolev and Cremers (2008), who solve a convex
+problem instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from skimage.measure import marching_cubes
+
+from fourd.cameras import Array
+from fourd.carving.hull import Silhouettes, refine, root_cells
+from fourd.carving.silhouette import Floats, SilhouetteView, sample
+
+CELLS_PER_THICKNESS = 6
+"""Number of cells per mean thickness. The mean thickness is the hull's volume divided by its area."""
+
+MAX_GRID_CELLS = 1 << 24
+"""Maximum number of cells of the grid around the hull. The cells of a larger grid are enlarged."""
+
+SMOOTHING_CELLS = 3.0
+"""Standard deviation in cells of the Gaussian that measures how full a cell's neighbourhood is."""
+
+MIN_FULLNESS = 0.48
+"""Cells whose neighbourhood is less full are removed. The neighbourhood of a cell on a flat surface is half full."""
+
+MAX_ROUNDS = 25
+
+RAY_CELLS = 0.7
+"""Distance between neighbouring rays of a silhouette, in cells. With larger distances, the contours would shrink."""
+
+NEAR_CELLS = 1.3
+"""A point within this distance of a cell's centre, in cells, belongs to the cell."""
+
+SURFACE_SMOOTHING_CELLS = 1.2
+"""Standard deviation in cells of the Gaussian that smooths the remaining cells before their surface is computed."""
+
+
+@dataclass(frozen=True, eq=False)
+class FilledHull:
+    """Cells whose centres are inside the hull, on a regular grid with empty cells at all borders.
+
+    Attributes:
+        lower: (3,) centre of the grid's first cell, relative to the origin of the silhouettes.
+        side: side of a cell in world units.
+        shape: number of cells along each axis.
+        cells: (N,) flat indices of the cells inside the hull.
+    """
+
+    lower: Array
+    side: float
+    shape: tuple[int, int, int]
+    cells: NDArray[np.int64]
+
+    def centres(self, cells: NDArray[np.int64]) -> Floats:
+        """Centres (M, 3) of the cells with the flat indices (M,)."""
+        index = np.stack(np.unravel_index(cells, self.shape), axis=1)
+        return (self.lower + index * self.side).astype(np.float32)
+
+    def smoothed(self, cells: NDArray[np.int64], sigma_cells: float) -> Floats:
+        """The occupancy by ``cells`` (M,), smoothed with a Gaussian, as an array of the grid's shape in [0, 1]."""
+        occupied = np.zeros(self.shape, np.float32)
+        occupied.ravel()[cells] = 1
+        return ndimage.gaussian_filter(occupied, sigma_cells, truncate=3.0, mode="constant")
+
+
+def replace_excess(
+    views: Silhouettes, lower: Array, upper: Array, xyz: Floats, normals: Floats, size: float
+) -> tuple[Floats, Floats]:
+    """Replace the surface points of the hull's excess parts by points on the surface that remains without these parts.
+
+    Args:
+        views: the silhouettes.
+        lower, upper: (3,) search box, relative to the origin of ``views``.
+        xyz: (N, 3) points on the hull's surface, relative to the origin of ``views``.
+        normals: (N, 3) outward unit normals of the hull at the points.
+        size: distance between the points in world units.
+
+    Returns:
+        points (M, 3) and their outward unit normals (M, 3). The new points have the same distance from each other.
+    """
+    thickness = float(np.einsum("ni,ni->n", xyz - xyz.mean(axis=0), normals).mean()) / 3
+    if thickness <= 0:
+        return xyz, normals
+    hull = fill_hull(views, lower, upper, thickness / CELLS_PER_THICKNESS)
+    remaining = remove_excess(views, hull)
+    removed = np.setdiff1d(hull.cells, remaining, assume_unique=True)
+    if len(removed) == 0:
+        return xyz, normals
+    near = NEAR_CELLS * hull.side
+    is_excess = _is_near(xyz, hull.centres(removed), near) & ~_is_near(xyz, hull.centres(remaining), near)
+    new_xyz, new_normals = _surface_inside_hull(views, hull, remaining, size)
+    is_new = ~_is_near(new_xyz, xyz[~is_excess], size)
+    return np.concatenate([xyz[~is_excess], new_xyz[is_new]]), np.concatenate(
+        [normals[~is_excess], new_normals[is_new]]
+    )
+
+
+def fill_hull(views: Silhouettes, lower: Array, upper: Array, side: float) -> FilledHull:
+    """Fill the hull inside a box with cells of side ``side``, or larger ones if the grid would have too many cells."""
+    levels = max(0, int(np.log2(max(float((upper - lower).max()) / side / 6, 1))))
+    coarse = side * 2**levels
+    cells = root_cells(lower, upper, coarse)
+    for _ in range(levels):
+        finer, finer_side = refine(cells[:, views.may_contain_object(cells, coarse)], coarse)
+        if finer.size == 0 or _grid_cells(finer, finer_side) > MAX_GRID_CELLS:
+            break
+        cells, coarse = finer, finer_side
+    cells = cells[:, views.distance(cells)[0] >= 0]
+    border = int(np.ceil(3 * SMOOTHING_CELLS)) + 1
+    if cells.size == 0:
+        return FilledHull(lower, coarse, (1, 1, 1), np.zeros(0, np.int64))
+    first = cells.min(axis=1).astype(np.float64) - border * coarse
+    index = np.rint((cells - first[:, None]) / coarse).astype(np.int64)
+    x, y, z = (int(length) + border + 1 for length in index.max(axis=1))
+    return FilledHull(first, coarse, (x, y, z), np.ravel_multi_index(tuple(index), (x, y, z)))
+
+
+def _grid_cells(cells: Floats, side: float) -> float:
+    """Number of cells of the smallest grid that contains the cells with the centres (3, N)."""
+    return float(np.prod(np.ptp(cells.astype(np.float64), axis=1) / side + 6 * SMOOTHING_CELLS))
+
+
+def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
+    """Flat indices (M,) of the cells that remain after the excess parts are removed."""
+    centres = np.ascontiguousarray(hull.centres(hull.cells).T)
+    rays = [_ray_of_cell(view, centres, hull.side) for view in views.views]
+    alive = np.arange(len(hull.cells))
+    for _ in range(MAX_ROUNDS):
+        fullness = hull.smoothed(hull.cells[alive], SMOOTHING_CELLS).ravel()[hull.cells[alive]]
+        is_kept = fullness >= MIN_FULLNESS
+        for ray in rays:
+            seen = np.flatnonzero(ray[alive] >= 0)
+            ray_of_seen = ray[alive[seen]]
+            best = np.zeros(int(ray.max(initial=0)) + 1, np.float32)
+            np.maximum.at(best, ray_of_seen, fullness[seen])
+            is_kept[seen] |= fullness[seen] >= best[ray_of_seen]
+        if is_kept.mean() > 0.9995:
+            break
+        alive = alive[is_kept]
+    return hull.cells[alive]
+
+
+def _ray_of_cell(view: SilhouetteView, centres: Floats, side: float) -> NDArray[np.int64]:
+    """For each cell centre (3, N), the number of the ray that passes the cell, or -1 if the view does not see the cell
+    inside its silhouette."""
+    x, y, z = view.project(centres)
+    is_inside = view.sees(x, y, z)
+    is_inside[is_inside] = sample(view.distance, x[is_inside], y[is_inside], cv2.INTER_LINEAR) >= 0
+    rays = np.full(centres.shape[1], -1, np.int64)
+    if not is_inside.any():
+        return rays
+    step_px = RAY_CELLS * side * view.focal / float(np.median(z[is_inside]))
+    columns = np.floor(x[is_inside] / step_px).astype(np.int64)
+    rows = np.floor(y[is_inside] / step_px).astype(np.int64)
+    columns -= columns.min()
+    rows -= rows.min()
+    rays[is_inside] = rows * (int(columns.max()) + 1) + columns
+    return rays
+
+
+def _surface_inside_hull(
+    views: Silhouettes, hull: FilledHull, remaining: NDArray[np.int64], size: float
+) -> tuple[Floats, Floats]:
+    """Points (M, 3) and outward normals (M, 3) on the surface of the remaining cells, without points near the hull's
+    surface. ``size`` is the distance between the points."""
+    volume = hull.smoothed(remaining, SURFACE_SMOOTHING_CELLS)
+    if float(volume.max(initial=0)) <= 0.5:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
+    vertices, faces, _, _ = marching_cubes(volume, 0.5, gradient_direction="descent")
+    mesh = trimesh.Trimesh(vertices * hull.side + hull.lower, faces, process=False)
+    count = max(1, round(float(mesh.area) / size**2))
+    xyz, face = trimesh.sample.sample_surface(mesh, count, seed=0)
+    xyz = np.ascontiguousarray(xyz, np.float32)
+    is_inside = views.distance(np.ascontiguousarray(xyz.T))[0] > NEAR_CELLS * hull.side
+    return xyz[is_inside], np.ascontiguousarray(mesh.face_normals[face][is_inside], np.float32)
+
+
+def _is_near(xyz: Floats, others: Floats, distance: float) -> NDArray[np.bool_]:
+    """(N,) bool: whether each point (N, 3) is within ``distance`` of one of the points ``others`` (M, 3)."""
+    if len(others) == 0 or len(xyz) == 0:
+        return np.zeros(len(xyz), np.bool_)
+    return np.isfinite(np.asarray(cKDTree(others).query(xyz, distance_upper_bound=distance)[0]))
