@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
@@ -29,7 +28,8 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, SilhouetteView, sample
 
 CELLS_PER_THICKNESS = 6
-"""Number of cells per mean thickness. The mean thickness is the hull's volume divided by its area."""
+"""Number of cells per mean thickness, if the points are dense enough. The mean thickness is the hull's volume divided
+by its area. Cells are at least as large as the distance between points."""
 
 MAX_GRID_CELLS = 1 << 24
 """Maximum number of cells of the grid around the hull. The cells of a larger grid are enlarged."""
@@ -40,7 +40,7 @@ SMOOTHING_CELLS = 3.0
 MIN_FULLNESS = 0.48
 """Cells whose neighbourhood is less full are removed. The neighbourhood of a cell on a flat surface is half full."""
 
-MAX_ROUNDS = 25
+MAX_ROUNDS = 12
 
 RAY_CELLS = 0.7
 """Distance between neighbouring rays of a silhouette, in cells. With larger distances, the contours would shrink."""
@@ -75,9 +75,15 @@ class FilledHull:
 
     def smoothed(self, cells: NDArray[np.int64], sigma_cells: float) -> Floats:
         """The occupancy by ``cells`` (M,), smoothed with a Gaussian, as an array of the grid's shape in [0, 1]."""
-        occupied = np.zeros(self.shape, np.float32)
-        occupied.ravel()[cells] = 1
-        return ndimage.gaussian_filter(occupied, sigma_cells, truncate=3.0, mode="constant")
+        values = np.zeros(self.shape, np.float32)
+        values.ravel()[cells] = 1
+        reach = int(3 * sigma_cells + 0.5)
+        weights = cv2.getGaussianKernel(2 * reach + 1, sigma_cells, cv2.CV_32F)
+        unit = np.ones(1, np.float32)
+        for plane in values:
+            cv2.sepFilter2D(plane, -1, weights, weights, dst=plane, borderType=cv2.BORDER_CONSTANT)
+        rows = values.reshape(self.shape[0], -1)
+        return cv2.sepFilter2D(rows, -1, unit, weights, borderType=cv2.BORDER_CONSTANT).reshape(self.shape)
 
 
 def replace_excess(
@@ -98,7 +104,7 @@ def replace_excess(
     thickness = float(np.einsum("ni,ni->n", xyz - xyz.mean(axis=0), normals).mean()) / 3
     if thickness <= 0:
         return xyz, normals
-    hull = fill_hull(views, lower, upper, thickness / CELLS_PER_THICKNESS)
+    hull = fill_hull(views, lower, upper, max(thickness / CELLS_PER_THICKNESS, size))
     remaining = remove_excess(views, hull)
     removed = np.setdiff1d(hull.cells, remaining, assume_unique=True)
     if len(removed) == 0:
