@@ -45,6 +45,10 @@ MAX_ROUNDS = 12
 RAY_CELLS = 0.7
 """Distance between neighbouring rays of a silhouette, in cells. With larger distances, the contours would shrink."""
 
+CRUMB_FULLNESS = 0.5
+"""A cell is not needed if its neighbourhood is less full than this share of the fullest neighbourhood on the rays next
+to its own. Such a cell is a crumb of an excess part, on a ray that passes between the centres of the object's cells."""
+
 NEAR_CELLS = 1.3
 """A point within this distance of a cell's centre, in cells, belongs to the cell."""
 
@@ -146,39 +150,42 @@ def _grid_cells(cells: Floats, side: float) -> float:
 def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
     """Flat indices (M,) of the cells that remain after the excess parts are removed."""
     centres = np.ascontiguousarray(hull.centres(hull.cells).T)
-    rays = [_ray_of_cell(view, centres, hull.side) for view in views.views]
+    rays = [_rays_of_cells(view, centres, hull.side) for view in views.views]
     alive = np.arange(len(hull.cells))
     for _ in range(MAX_ROUNDS):
         fullness = hull.smoothed(hull.cells[alive], SMOOTHING_CELLS).ravel()[hull.cells[alive]]
         is_kept = fullness >= MIN_FULLNESS
-        for ray in rays:
+        for ray, shape in rays:
             seen = np.flatnonzero(ray[alive] >= 0)
             ray_of_seen = ray[alive[seen]]
-            best = np.zeros(int(ray.max(initial=0)) + 1, np.float32)
-            np.maximum.at(best, ray_of_seen, fullness[seen])
-            is_kept[seen] |= fullness[seen] >= best[ray_of_seen]
+            best = np.zeros(shape, np.float32)
+            np.maximum.at(best.ravel(), ray_of_seen, fullness[seen])
+            nearby = cv2.dilate(best, np.ones((3, 3), np.uint8))
+            least = np.maximum(best, CRUMB_FULLNESS * nearby).ravel()
+            is_kept[seen] |= fullness[seen] >= least[ray_of_seen]
         if is_kept.mean() > 0.9995:
             break
         alive = alive[is_kept]
     return hull.cells[alive]
 
 
-def _ray_of_cell(view: SilhouetteView, centres: Floats, side: float) -> NDArray[np.int64]:
-    """For each cell centre (3, N), the number of the ray that passes the cell, or -1 if the view does not see the cell
-    inside its silhouette."""
+def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """For each cell centre (3, N), the flat index of the ray that passes the cell, or -1 if the view does not see the
+    cell inside its silhouette; and the shape (rows, columns) of the image of rays."""
     x, y, z = view.project(centres)
     is_inside = view.sees(x, y, z)
     is_inside[is_inside] = sample(view.distance, x[is_inside], y[is_inside], cv2.INTER_LINEAR) >= 0
     rays = np.full(centres.shape[1], -1, np.int64)
     if not is_inside.any():
-        return rays
+        return rays, (1, 1)
     step_px = RAY_CELLS * side * view.focal / float(np.median(z[is_inside]))
     columns = np.floor(x[is_inside] / step_px).astype(np.int64)
     rows = np.floor(y[is_inside] / step_px).astype(np.int64)
     columns -= columns.min()
     rows -= rows.min()
-    rays[is_inside] = rows * (int(columns.max()) + 1) + columns
-    return rays
+    shape = int(rows.max()) + 1, int(columns.max()) + 1
+    rays[is_inside] = rows * shape[1] + columns
+    return rays, shape
 
 
 def _surface_inside_hull(
