@@ -87,7 +87,8 @@ class FilledHull:
         for plane in values:
             cv2.sepFilter2D(plane, -1, weights, weights, dst=plane, borderType=cv2.BORDER_CONSTANT)
         rows = values.reshape(self.shape[0], -1)
-        return cv2.sepFilter2D(rows, -1, unit, weights, borderType=cv2.BORDER_CONSTANT).reshape(self.shape)
+        smooth = cv2.sepFilter2D(rows, -1, unit, weights, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(smooth, np.float32).reshape(self.shape)
 
 
 def replace_excess(
