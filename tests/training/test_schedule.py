@@ -51,9 +51,11 @@ def test_source_weights_are_those_of_rendering() -> None:
             np.testing.assert_allclose(sample.source_weights, [expected[index] for index in sample.sources])
 
 
-def test_views_are_not_faded_by_default() -> None:
+def test_without_fading_all_views_have_equal_weights() -> None:
     """Catches view weights in training for a model that is rendered without view weights."""
-    assert sampler().sample(0).source_weights.tolist() == [1, 1, 1, 1]
+    config = TrainConfig(model=ModelConfig(fade_views=False))
+    drawn = StepSampler(config, ring(10), [0, 1, 2, 4, 5, 6, 7, 9], 5, np.zeros(3))
+    assert drawn.sample(0).source_weights.tolist() == [1, 1, 1, 1]
 
 
 def test_an_epoch_draws_every_view_of_every_frame_once() -> None:
