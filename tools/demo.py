@@ -9,12 +9,24 @@ import json
 import shlex
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+
+import tyro
 
 from fourd.cli.main import main as fourd
 
-FOLDER = Path("demo")
 TEST_VIEWS = "03,09"
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options of the demonstration."""
+
+    folder: Path = Path("demo")
+    """Folder for all files. Finished stages in this folder are skipped."""
+    seconds: int = 320
+    """Time limit of training in seconds."""
 
 
 def step(*words: object) -> None:
@@ -27,13 +39,15 @@ def step(*words: object) -> None:
 
 
 def main() -> None:
-    """Make all files in demo/, and skip stages that are already finished."""
+    """Make all files of the demonstration, and skip stages that are already finished."""
+    arguments = tyro.cli(Arguments, description=__doc__)
     started = time.monotonic()
-    capture, scene, video = FOLDER / "capture", FOLDER / "scene.4dv", FOLDER / "orbit.mp4"
-    figures, run = FOLDER / "eval.json", FOLDER / "scene.work" / "run"
+    folder = arguments.folder
+    capture, scene, video = folder / "capture", folder / "scene.4dv", folder / "orbit.mp4"
+    figures, run = folder / "eval.json", folder / "scene.work" / "run"
     if not (capture / "intri.yml").exists():
         step("synth", capture, "--frames", 16, "--cameras", 16, "--size", 320)
-    step("make", capture, "-o", scene, "--test-views", TEST_VIEWS, "--max-seconds", 320)
+    step("make", capture, "-o", scene, "--test-views", TEST_VIEWS, "--max-seconds", arguments.seconds)
     step("eval", run, "--json", figures)
     step("render", scene, "--path", "orbit", "--out", video, "--size", 512, 512)
     scores = json.loads(figures.read_text())
