@@ -13,12 +13,12 @@ from fourd.carving.bounds import Bounds, empty_hull_error
 from fourd.carving.excess import replace_excess
 from fourd.carving.hull import Silhouettes
 from fourd.carving.silhouette import Floats
-from fourd.carving.surface import choose_cell_side, project_to_surface, surface_cells, thin_evenly
+from fourd.carving.surface import choose_cell_side, move_inwards, project_to_surface, surface_cells, thin_evenly
 
 
 @dataclass(frozen=True, eq=False)
 class CarvedFrame:
-    """Points on the surface of one frame's visual hull.
+    """Points on the surface of one frame's visual hull, or slightly below the surface.
 
     The points are in random order, so that the first M points are a uniform sample of the surface for every M.
 
@@ -44,6 +44,7 @@ def carve_frame(
     agreement: float = 0.95,
     least_views: float = 1 / 2,
     trim: bool = True,
+    inset: float = 0.0,
     seed: int = 0,
     names: Sequence[str] | None = None,
     label: str = "masks",
@@ -65,17 +66,21 @@ def carve_frame(
         least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
             and in at least 3 views. With only 2 views, a hull point must project inside both images.
         trim: remove protruding parts of the hull that no silhouette needs; see :mod:`fourd.carving.excess`.
+        inset: distance by which points are moved into the hull, in multiples of ``spacing``. Points in thin parts of
+            the hull are moved less.
         seed: random seed of the points' order. Equal inputs and seeds give bitwise equal results.
         names: camera names for messages.
         label: name of the masks for messages.
 
     Raises:
         UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
-        ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, or a share is
-            outside (0, 1].
+        ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, a share is
+            outside (0, 1], or ``inset`` is negative.
     """
     if points < 1:
         raise ValueError(f"points: expected at least 1, got {points}")
+    if inset < 0:
+        raise ValueError(f"inset: expected 0 or more, got {inset}")
     origin = bounds.centre
     views = Silhouettes.from_masks(masks, cameras, origin, agreement=agreement, least_views=least_views)
     lower, upper = bounds.lower - origin, bounds.upper - origin
@@ -88,8 +93,10 @@ def carve_frame(
     rng = np.random.default_rng(seed)
     chosen = thin_evenly(xyz, points, rng)
     spacing = float(size * np.sqrt(len(xyz) / max(len(chosen), 1)))
-    world = (xyz[chosen] + origin).astype(np.float32)
-    return CarvedFrame(world, normals[chosen], size, spacing)
+    xyz, normals = xyz[chosen], normals[chosen]
+    if inset > 0:
+        xyz = move_inwards(views, xyz, normals, inset * spacing)
+    return CarvedFrame((xyz + origin).astype(np.float32), normals, size, spacing)
 
 
 def _surface_candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:

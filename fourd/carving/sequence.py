@@ -31,7 +31,7 @@ from fourd.progress import Track, untracked
 Corners = tuple[NDArray[np.float32], NDArray[np.float32]]
 
 BOUNDS_NAME = "bounds.json"
-VERSION = 2
+VERSION = 3
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
@@ -50,6 +50,7 @@ class CarveSettings:
     agreement: float = 0.95
     least_views: float = 1 / 2
     trim: bool = True
+    inset: float = 0.0
     seed: int = 0
 
 
@@ -61,6 +62,7 @@ def carve_capture(
     agreement: float = 0.95,
     least_views: float = 1 / 2,
     trim: bool = True,
+    inset: float = 0.0,
     seed: int = 0,
     track: Track = untracked,
     workers: int = 1,
@@ -80,6 +82,7 @@ def carve_capture(
         least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
             and in at least 3 views. With only 2 views, a hull point must project inside both images.
         trim: remove protruding parts of the hull that no silhouette needs.
+        inset: distance by which points are moved into the hull, in point spacings.
         seed: random seed of the points' order.
         track: progress callback.
         workers: number of worker processes. Worker processes are started only if they save time, which is estimated
@@ -92,7 +95,7 @@ def carve_capture(
     Raises:
         UserError: if a frame's hull is empty or a file cannot be written.
     """
-    settings = CarveSettings(points, agreement, least_views, trim, seed)
+    settings = CarveSettings(points, agreement, least_views, trim, inset, seed)
     folder = Path(out_folder)
     key = settings_key(capture, settings)
     refuse_symlinks(capture.path, folder)

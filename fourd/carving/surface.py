@@ -14,6 +14,9 @@ from fourd.carving.silhouette import Floats, sample
 CANDIDATES = 1.3
 """Number of candidate cells per requested point. More candidates make the points' density more even but take more
 time."""
+MIN_DEPTH = 0.7
+"""Minimum distance to the surface of a point that was moved into the hull, as a share of the length of its move. At
+creases of the surface, this distance is shorter than the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
@@ -53,6 +56,22 @@ def project_to_surface(
     slope = distance_gradient(views, xyz, deciding[converged])
     length = np.maximum(np.sqrt((slope**2).sum(axis=0)), np.float32(1e-6))
     return xyz, -slope / length
+
+
+def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float) -> Floats:
+    """Move surface points (N, 3) into the hull, against their outward normals (N, 3).
+
+    In a part of the hull that is too thin for the whole move, the points move by 3, 2 or 1 quarters of ``inset``, or
+    stay where they are. A move is short enough if the point is afterwards about as far from the surface as it moved.
+    """
+    moved, remaining = xyz.copy(), np.arange(len(xyz))
+    for quarters in (4, 3, 2, 1):
+        length = np.float32(inset * quarters / 4)
+        tried = xyz[remaining] - length * normals[remaining]
+        fits = views.distance(np.ascontiguousarray(tried.T))[0] >= MIN_DEPTH * length
+        moved[remaining[fits]] = tried[fits]
+        remaining = remaining[~fits]
+    return moved
 
 
 def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int16]) -> Floats:

@@ -60,9 +60,8 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
     if adjusted:
         stages.append(adjust_stage(capture, run, AdjustSettings.of(selection, train.refine)))
     if request.points_from is None:
-        stages.append(
-            carve_run_stage(capture, run, CarveStageSettings(selection, train.points, trim=train.trim_hull), adjusted)
-        )
+        carving = CarveStageSettings(selection, train.points, trim=train.trim_hull, inset=train.hull_inset)
+        stages.append(carve_run_stage(capture, run, carving, adjusted))
     else:
         given = GivenPointSettings(selection, train.points, train.seed)
         stages.append(given_points_stage(capture, request.points_from, run, given))

@@ -211,6 +211,10 @@ class TrainConfig:
     """Maximum number of points in each frame."""
     trim_hull: bool = True
     """Remove protruding parts of the visual hull that no matte needs, before the initial points are placed."""
+    hull_inset: float = 0.9
+    """Distance by which the initial points are moved into the visual hull, as a multiple of the point spacing. Discs
+    extend beyond their points. Without an inset, the initial silhouettes are too large, and training must first shrink
+    them."""
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
@@ -233,6 +237,9 @@ class TrainConfig:
     keep_in_hull: bool = True
     """Move a point back if a step moves the point out of the silhouette in the target view or in a source view. This
     option prevents stray points."""
+    smoothing: float = 0.5
+    """Strength with which points are pulled towards the surface on which their neighbours lie. Distances of less than a
+    quarter of the point spacing remain. With 0, points are not pulled."""
     neighbour_pool: int = 5
     """Number of views in the pool from which each step samples its source views. The pool contains the views nearest to
     the target view. A larger pool includes wider baselines, which also occur between a novel view and its source
@@ -264,6 +271,8 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")
+        require(self.smoothing >= 0, f"smoothing: expected 0 or more, got {self.smoothing}")
+        require(self.hull_inset >= 0, f"hull_inset: expected 0 or more, got {self.hull_inset}")
         require(1 <= self.layers <= 64, f"layers: expected 1 to 64, got {self.layers}")
         require(self.encoder_every >= 1, f"encoder_every: expected at least 1, got {self.encoder_every}")
         require(self.least_layers >= 1, f"least_layers: expected at least 1, got {self.least_layers}")

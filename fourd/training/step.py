@@ -19,6 +19,7 @@ from fourd.training.points.densification import accumulate_gradient_magnitudes
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.selective_adam import BETAS, EPSILON
 from fourd.training.points.silhouette import revert_moves_out_of_silhouettes
+from fourd.training.points.smoothing import smooth_surface
 from fourd.training.rendering import composite
 from fourd.training.scenes.scene import OptimizedPoints, Target, TrainingScene
 from fourd.training.schedule import StepSample
@@ -86,6 +87,9 @@ class Stepper:
         before = evaluated[0].parameters["xyz"].detach()
         self._update(evaluated, terms, rate_factor)
         with torch.no_grad():
+            if self.config.smoothing > 0 and target.matte is not None:
+                rates = self.scene.xyz_rate(evaluated[0], rate_factor)
+                smooth_surface(points, evaluated[0].rows, rates, self.config.smoothing)
             if self.config.keep_in_hull and target.matte is not None:
                 views = _silhouettes(target.camera, target.matte, evaluated[0])
                 revert_moves_out_of_silhouettes(points, evaluated[0].rows, before, views)

@@ -187,3 +187,30 @@ def test_worker_processes_carve_the_same_points(tmp_path: Path, monkeypatch: pyt
     assert np.array_equal(np.stack([alone.lower, alone.upper]), np.stack([together.lower, together.upper]))
     for path in (tmp_path / "alone").glob("*.ply"):
         assert (tmp_path / "together" / path.name).read_bytes() == path.read_bytes()
+
+
+def test_an_inset_moves_points_below_the_surface(one_ball: MemoryCapture) -> None:
+    """Catches an inset in the wrong direction or in the wrong unit: initial discs would extend beyond the mattes."""
+    flat, inset = (
+        carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=4000, inset=spacings) for spacings in (0.0, 0.9)
+    )
+    moved = (flat.xyz - inset.xyz) / flat.spacing
+    np.testing.assert_allclose((moved * flat.normals).sum(axis=1), 0.9, atol=1e-3)
+
+
+def test_points_of_thin_parts_stay_inside() -> None:
+    """Catches an inset that moves the points of a thin part out on its other side."""
+    cameras = tuple(ring_cameras(20, 128))
+    masks = [mask(camera, [ball((0.0, 0.0, 0.0), 0.04)]) for camera in cameras]
+    carved = carve_frame(masks, cameras, box(), points=40, inset=4.0)
+    flat = carve_frame(masks, cameras, box(), points=40)
+    assert flat.spacing * 4.0 > 0.04
+    views = Silhouettes.from_masks(masks, cameras, box().centre, agreement=0.95, least_views=0.5)
+    assert views.distance(np.ascontiguousarray((carved.xyz - box().centre).T.astype(np.float32)))[0].min() > -0.01
+    assert (np.linalg.norm(carved.xyz, axis=1) < np.linalg.norm(flat.xyz, axis=1) + 1e-6).all()
+
+
+def test_a_negative_inset_is_refused(one_ball: MemoryCapture) -> None:
+    """Catches points that are moved out of the hull."""
+    with pytest.raises(ValueError, match="inset: expected 0 or more, got -1"):
+        carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=10, inset=-1.0)

@@ -50,6 +50,9 @@ class Arguments:
     trim: bool = True
     """Remove protruding parts of the visual hull that no matte needs. Without this step, the points cover the whole
     visual hull."""
+    inset: float = 0.0
+    """Distance by which points are moved into the visual hull, in multiples of the mean distance between neighbouring
+    points. Training uses an inset, because discs extend beyond their points."""
     scale: float = 1.0
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     seed: int = 0
@@ -68,6 +71,7 @@ def run(arguments: Arguments) -> None:
         arguments.agreement,
         arguments.least_views,
         arguments.trim,
+        arguments.inset,
         arguments.seed,
     )
     console = Console(stderr=True)
@@ -83,6 +87,8 @@ def run(arguments: Arguments) -> None:
 def _check(arguments: Arguments) -> None:
     if arguments.points < 1:
         raise UserError(f"--points: expected at least 1, got {arguments.points}; the default is 65536")
+    if arguments.inset < 0:
+        raise UserError(f"--inset: expected 0 or more, got {arguments.inset:g}; the default is 0")
     for name in ("agreement", "least_views"):
         share = getattr(arguments, name)
         if not 0 < share <= 1:

@@ -41,6 +41,7 @@ class CarveStageSettings:
             their mattes.
         least_views: minimum share in (0, 1]. At least this share of all views must see a point.
         trim: whether to remove protruding parts of the hull that no silhouette needs.
+        inset: distance by which points are moved into the hull, in point spacings.
         seed: random seed for the order of the points.
     """
 
@@ -49,6 +50,7 @@ class CarveStageSettings:
     agreement: float = 0.95
     least_views: float = 1 / 2
     trim: bool = True
+    inset: float = 0.0
     seed: int = 0
 
 
@@ -97,6 +99,7 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
         agreement=settings.agreement,
         least_views=settings.least_views,
         trim=settings.trim,
+        inset=settings.inset,
         seed=settings.seed,
         track=context.track,
         workers=context.workers,

@@ -40,6 +40,8 @@ class FramePoints:
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of steps in which the cloud was trained.
         initial_count: scalar, number of points before training.
+        local_planes: (N, 4) planes through the neighbours of each point, see ``fit_planes``; None before the first
+            fit, and after points were added or removed.
     """
 
     spacing: Tensor
@@ -53,6 +55,7 @@ class FramePoints:
     is_permanent: Tensor
     age: Tensor
     initial_count: Tensor
+    local_planes: Tensor | None = None
 
     @property
     def xyz(self) -> Tensor:
@@ -111,11 +114,14 @@ class FramePoints:
             setattr(self, name, tensor_outside_heap(torch.cat([getattr(self, name)[kept], zeros])))
         self.created_at = torch.cat([self.created_at[kept], zeros + self.age])
         self.is_permanent = torch.cat([self.is_permanent[kept], self.is_permanent[first]])
+        self.local_planes = None
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors of the points, with their names in files as keys."""
         named = {name: getattr(self, name) for name in ("spacing", "radius", "density")}
         named["steps"] = self.optimizer.steps
+        if self.local_planes is not None:
+            named["local_planes"] = self.local_planes
         named.update({stored: getattr(self, name) for name, stored in HISTORY.items()})
         named.update({f"free.{name}": value for name, value in self.parameters.items()})
         named.update({f"moments.{name}": value for name, value in self.optimizer.moments.items()})
@@ -133,6 +139,7 @@ class FramePoints:
             density=named["density"],
             parameters=_strip_prefix("free.", named),
             optimizer=SelectiveAdam(_strip_prefix("moments.", named), named["steps"]),
+            local_planes=named.get("local_planes"),
             **history,
         )
 

@@ -1,0 +1,71 @@
+"""Surface smoothing: pulls points towards the surface on which their neighbours lie.
+
+The images constrain a point well along the surface, but hardly across the surface. Across the surface, training moves
+points by about half a point spacing at random. In training views the colours make up for these moves. In other views,
+they make contours ragged.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from fourd.training.memory import tensor_outside_heap
+from fourd.training.points.frame_points import FramePoints
+
+NEIGHBOURS = 16
+"""Number of points, including the point itself, to which a point's plane is fitted."""
+TOLERANCE = 0.25
+"""Distance from the plane, as a share of the point spacing, up to which a point is not pulled. Creases and details
+remain as the images determine them."""
+REFIT_STEPS = 40
+"""Number of training steps of a frame after which its planes are fitted again."""
+MAX_SHARE = 0.5
+"""Largest share of the excess distance that is removed in one step."""
+
+
+def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:
+    """Pull the points ``rows`` towards the planes of their neighbours, in place.
+
+    The distance from the plane beyond the tolerance is reduced by the share ``strength`` times the learning rate in
+    point spacings. The balance between smoothing and the images therefore does not depend on the learning rate.
+
+    Args:
+        points: the cloud. Its planes are fitted again every REFIT_STEPS steps.
+        rows: (M,) indices of the points to pull.
+        rates: (M, 1) learning rates of the positions in world units.
+        strength: share of the excess distance that is removed if the learning rate is one point spacing.
+    """
+    if len(points.xyz) < NEIGHBOURS:
+        return
+    if points.local_planes is None or int(points.age) % REFIT_STEPS == 0:
+        points.local_planes = tensor_outside_heap(fit_planes(points.xyz))
+    xyz, planes, spacing = points.xyz[rows], points.local_planes[rows], points.spacing[rows]
+    height = (planes[:, :3] * xyz).sum(dim=1) - planes[:, 3]
+    excess = height - height.clamp(-TOLERANCE * spacing, TOLERANCE * spacing)
+    share = (strength * rates[:, 0] / spacing).clamp(max=MAX_SHARE)
+    points.parameters["xyz"][rows] = xyz - (share * excess)[:, None] * planes[:, :3]
+
+
+def fit_planes(xyz: Tensor) -> Tensor:
+    """Fit a plane to the nearest neighbours of each of the points (N, 3), which are at least NEIGHBOURS.
+
+    Near neighbours have larger weights than far neighbours. The plane minimises the weighted sum of squared distances
+    (principal component analysis).
+
+    Returns:
+        (N, 4) float32: unit normal n of either sign, and offset d. Points x of the plane satisfy n . x = d.
+    """
+    data = xyz.detach().numpy()
+    distance, near = cKDTree(data).query(data, k=NEIGHBOURS, workers=torch.get_num_threads())
+    farthest = np.maximum(np.asarray(distance)[:, -1:], np.finfo(np.float32).tiny)
+    weight = np.exp(-2 * (np.asarray(distance) / farthest) ** 2).astype(np.float32)[..., None]
+    offsets = data[np.asarray(near)] - data[:, None]
+    mean = (weight * offsets).sum(axis=1, keepdims=True) / weight.sum(axis=1, keepdims=True)
+    centred = torch.from_numpy((offsets - mean) / farthest[..., None].astype(np.float32))
+    covariance = (torch.from_numpy(weight) * centred).transpose(1, 2) @ centred
+    normal = torch.linalg.eigh(covariance).eigenvectors[:, :, 0]
+    base = torch.from_numpy(data + mean[:, 0])
+    return torch.cat([normal, (normal * base).sum(dim=1, keepdim=True)], dim=1)
