@@ -1,4 +1,4 @@
-"""Surface smoothing: pulls points towards the surface on which their neighbours lie.
+"""Surface smoothing: pulls points towards the surface on which their neighbours lie, and returns isolated points to it.
 
 The images constrain a point well along the surface, but hardly across the surface. Across the surface, training moves
 points by about half a point spacing at random. In training views the colours make up for these moves. In other views,
@@ -6,6 +6,8 @@ they make contours ragged.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -22,12 +24,20 @@ TOLERANCE = 0.25
 remain as the images determine them."""
 REFIT_STEPS = 40
 """Number of training steps of a frame after which its planes are fitted again."""
+ISOLATION_RANK = 8
+"""A point is isolated if even its neighbour of this rank, counted from the nearest, is far away."""
+ISOLATION_SPACINGS = 4.0
+"""Distance to the neighbour of rank ISOLATION_RANK, in point spacings, beyond which a point is isolated. On an even
+surface, this distance is about 2 spacings."""
 MAX_SHARE = 0.5
 """Largest share of the excess distance that is removed in one step."""
 
 
 def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:
     """Pull the points ``rows`` towards the planes of their neighbours, in place.
+
+    Whenever the planes are fitted again, isolated points move to the middle of their neighbours. Isolated points appear
+    as specks beside the subject in new views, and no image moves them back, because each image shows only few of them.
 
     The distance from the plane beyond the tolerance is reduced by the share ``strength`` times the learning rate in
     point spacings. The balance between smoothing and the images therefore does not depend on the learning rate.
@@ -41,7 +51,10 @@ def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: f
     if len(points.xyz) < NEIGHBOURS:
         return
     if points.local_planes is None or int(points.age) % REFIT_STEPS == 0:
-        points.local_planes = tensor_outside_heap(fit_planes(points.xyz))
+        fit = fit_planes(points.xyz)
+        points.local_planes = tensor_outside_heap(fit.planes)
+        isolated = fit.reach > ISOLATION_SPACINGS * points.spacing
+        points.parameters["xyz"][isolated] = fit.middle[isolated]
     xyz, planes, spacing = points.xyz[rows], points.local_planes[rows], points.spacing[rows]
     height = (planes[:, :3] * xyz).sum(dim=1) - planes[:, 3]
     excess = height - height.clamp(-TOLERANCE * spacing, TOLERANCE * spacing)
@@ -49,23 +62,38 @@ def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: f
     points.parameters["xyz"][rows] = xyz - (share * excess)[:, None] * planes[:, :3]
 
 
-def fit_planes(xyz: Tensor) -> Tensor:
+@dataclass(frozen=True)
+class LocalFit:
+    """Planes and distances of N points.
+
+    Attributes:
+        planes: (N, 4) float32: unit normal n of either sign, and offset d. Points x of the plane satisfy n . x = d.
+        reach: (N,) float32 distance to the neighbour of rank ISOLATION_RANK.
+        middle: (N, 3) float32 mean position of the neighbours without the point itself.
+    """
+
+    planes: Tensor
+    reach: Tensor
+    middle: Tensor
+
+
+def fit_planes(xyz: Tensor) -> LocalFit:
     """Fit a plane to the nearest neighbours of each of the points (N, 3), which are at least NEIGHBOURS.
 
     Near neighbours have larger weights than far neighbours. The plane minimises the weighted sum of squared distances
     (principal component analysis).
-
-    Returns:
-        (N, 4) float32: unit normal n of either sign, and offset d. Points x of the plane satisfy n . x = d.
     """
     data = xyz.detach().numpy()
-    distance, near = cKDTree(data).query(data, k=NEIGHBOURS, workers=torch.get_num_threads())
-    farthest = np.maximum(np.asarray(distance)[:, -1:], np.finfo(np.float32).tiny)
-    weight = np.exp(-2 * (np.asarray(distance) / farthest) ** 2).astype(np.float32)[..., None]
-    offsets = data[np.asarray(near)] - data[:, None]
+    found = cKDTree(data).query(data, k=NEIGHBOURS, workers=torch.get_num_threads())
+    distance, near = np.asarray(found[0], dtype=np.float32), np.asarray(found[1])
+    farthest = np.maximum(distance[:, -1:], np.finfo(np.float32).tiny)
+    weight = np.exp(-2 * (distance / farthest) ** 2)[..., None]
+    offsets = data[near] - data[:, None]
     mean = (weight * offsets).sum(axis=1, keepdims=True) / weight.sum(axis=1, keepdims=True)
-    centred = torch.from_numpy((offsets - mean) / farthest[..., None].astype(np.float32))
+    centred = torch.from_numpy((offsets - mean) / farthest[..., None])
     covariance = (torch.from_numpy(weight) * centred).transpose(1, 2) @ centred
     normal = torch.linalg.eigh(covariance).eigenvectors[:, :, 0]
     base = torch.from_numpy(data + mean[:, 0])
-    return torch.cat([normal, (normal * base).sum(dim=1, keepdim=True)], dim=1)
+    planes = torch.cat([normal, (normal * base).sum(dim=1, keepdim=True)], dim=1)
+    middle = torch.from_numpy(data + offsets[:, 1:].mean(axis=1))
+    return LocalFit(planes, torch.from_numpy(distance[:, ISOLATION_RANK]), middle)
