@@ -90,13 +90,17 @@ def carve_frame(
         raise empty_hull_error(views, float(bounds.extent.max()) / 2, names, label)
     if trim:
         xyz, normals = replace_excess(views, lower, upper, xyz, normals, size)
-    rng = np.random.default_rng(seed)
-    chosen = thin_evenly(xyz, points, rng)
-    spacing = float(size * np.sqrt(len(xyz) / max(len(chosen), 1)))
-    xyz, normals = xyz[chosen], normals[chosen]
+    xyz, normals, spacing = _thin(xyz, normals, size, points, seed)
     if inset > 0:
         xyz = move_inwards(views, xyz, normals, inset * spacing)
     return CarvedFrame((xyz + origin).astype(np.float32), normals, size, spacing)
+
+
+def _thin(xyz: Floats, normals: Floats, size: float, points: int, seed: int) -> tuple[Floats, Floats, float]:
+    """Choose at most ``points`` evenly spread candidates, in random order, and compute their mean spacing."""
+    chosen = thin_evenly(xyz, points, np.random.default_rng(seed))
+    spacing = float(size * np.sqrt(len(xyz) / max(len(chosen), 1)))
+    return xyz[chosen], normals[chosen], spacing
 
 
 def _surface_candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:
