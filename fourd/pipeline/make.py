@@ -9,6 +9,7 @@ from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
+from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.train import start_run
@@ -59,6 +60,7 @@ def make_scene(
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
+    context.log(describe_plan(source, train, context.workers, points_from is not None))
     runner = Runner(context, work / RECORD)
     imports = stages_to_capture(source, work / CAPTURE)
     runner.run(imports)
