@@ -80,7 +80,8 @@ def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_p
     if facts.needs_import:
         sampled = min(SAMPLED_FRAMES, frames)
         stages.append(("import", IMPORT_S_PER_MP * facts.cameras * sampled * facts.megapixels))
-    stages.append(("check", 0.0))
+    repair_mp = facts.cameras * min(SAMPLED_FRAMES, frames) * facts.megapixels
+    stages += [("check", 0.0), ("repair", IMPORT_S_PER_MP * repair_mp)]
     is_full = train.scene == "full"
     if not facts.has_mattes:
         stages += [("mattes", MATTE_S_PER_MP * pictures_mp / workers), ("plates", 0.0)]
