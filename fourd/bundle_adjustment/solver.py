@@ -21,9 +21,10 @@ from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 
-ROTATION, POSITION, LOG_FOCAL = slice(0, 3), slice(3, 6), 6
-"""Indices of a camera's rotation, position and logarithmic focal length in the vector of its 7 parameters."""
-PARAMETERS = 7
+ROTATION, POSITION, LOG_FOCAL, PRINCIPAL = slice(0, 3), slice(3, 6), 6, slice(7, 9)
+"""Indices of a camera's rotation, position, logarithmic focal length and principal point in the vector of its 9
+parameters."""
+PARAMETERS = 9
 """Number of parameters per camera."""
 MAX_STEPS = 40
 MIN_RELATIVE_DECREASE = 1e-5
@@ -43,12 +44,14 @@ class Prior:
         pixel: standard deviation of a feature's position in pixels. The measured standard deviation is a third of a
             pixel. The default is larger than this measurement, because errors of features on one surface are
             correlated. With a small value, the features outweigh the prior, and the adjustment bends rings of cameras.
+        principal_px: standard deviation of the principal point in pixels; 0 keeps all principal points fixed.
     """
 
     rotation: float
     position: Array
     focal: float
     pixel: float = 2.0
+    principal_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +105,10 @@ class _System:
     """The normal equations of V cameras and P points, stored as blocks.
 
     Attributes:
-        cameras: (V, 7, 7) diagonal blocks of the cameras.
+        cameras: (V, 9, 9) diagonal blocks of the cameras.
         points: (P, 3, 3) diagonal blocks of the points.
-        coupling: (M, 7, 3) blocks, one per feature, that couple the camera and the point of the feature.
-        rhs_cameras: (V, 7) right-hand side of the cameras' equations.
+        coupling: (M, 9, 3) blocks, one per feature, that couple the camera and the point of the feature.
+        rhs_cameras: (V, 9) right-hand side of the cameras' equations.
         rhs_points: (P, 3) right-hand side of the points' equations.
         tracks: the M observed features.
     """
@@ -180,7 +183,7 @@ def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
 
 
 def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[Array, Array]:
-    """Jacobians of the projections with respect to the cameras (M, 2, 7) and to the points (M, 2, 3)."""
+    """Jacobians of the projections with respect to the cameras (M, 2, 9) and to the points (M, 2, 3)."""
     k, rotation = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("intrinsics", "rotation")
@@ -194,30 +197,35 @@ def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[A
     # -p.
     cross_matrix = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1), np.stack([y, -x, zero], -1)], 1)
     by_log_focal = np.einsum("mij,mj->mi", k[:, :2, :2], in_camera[:, :2] / z[:, None])[..., None]
-    return np.concatenate([by_position @ cross_matrix, -by_position, by_log_focal], axis=2), by_position @ rotation
+    by_principal = np.broadcast_to(np.eye(2), (len(in_camera), 2, 2))
+    by_camera = [by_position @ cross_matrix, -by_position, by_log_focal, by_principal]
+    return np.concatenate(by_camera, axis=2), by_position @ rotation
 
 
 def _update_camera(camera: Camera, change: Array) -> Camera:
-    """Translate a camera along its own axes, rotate it about its centre, and scale its focal length."""
+    """Translate a camera along its own axes, rotate it about its centre, scale its focal length and shift its
+    principal point."""
     rotation = cv2.Rodrigues(change[ROTATION])[0] @ camera.rotation
     centre = camera.centre + camera.rotation.T @ change[POSITION]
     intrinsics = camera.intrinsics.copy()
     intrinsics[:2, :2] *= np.exp(change[LOG_FOCAL])
+    intrinsics[:2, 2] += change[PRINCIPAL]
     return replace(camera, intrinsics=intrinsics, rotation=rotation, translation=-rotation @ centre)
 
 
 def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
-    """Parameter changes (V, 7) from the given cameras ``given`` to the cameras ``cameras``."""
+    """Parameter changes (V, 9) from the given cameras ``given`` to the cameras ``cameras``."""
     rows = []
     for camera, before in zip(cameras, given, strict=True):
         rotation = cv2.Rodrigues(camera.rotation @ before.rotation.T)[0].ravel()
         position = camera.rotation @ (camera.centre - before.centre)
-        rows.append([*rotation, *position, np.log(camera.intrinsics[1, 1] / before.intrinsics[1, 1])])
+        zoom = np.log(camera.intrinsics[1, 1] / before.intrinsics[1, 1])
+        rows.append([*rotation, *position, zoom, *(camera.intrinsics[:2, 2] - before.intrinsics[:2, 2])])
     return np.array(rows)
 
 
 def _prior_precision(prior: Prior, views: int) -> Array:
-    """Inverse variances (V, 7) of the prior.
+    """Inverse variances (V, 9) of the prior.
 
     The inverse variance of fixed parameters is 1, because 0 would make the normal equations singular.
     """
@@ -225,18 +233,16 @@ def _prior_precision(prior: Prior, views: int) -> Array:
     deviation[:, ROTATION] = prior.rotation
     deviation[:, POSITION] = prior.position[:, None]
     deviation[:, LOG_FOCAL] = prior.focal
+    deviation[:, PRINCIPAL] = prior.principal_px
     deviation[:, ~_free(prior)] = 1
     return deviation**-2
 
 
 def _free(prior: Prior) -> NDArray[np.bool_]:
-    """(7,) bool: whether each of the 7 camera parameters is optimised."""
+    """(9,) bool: whether each of the 9 camera parameters is optimised."""
     free = np.zeros(PARAMETERS, bool)
-    free[ROTATION], free[POSITION], free[LOG_FOCAL] = (
-        prior.rotation > 0,
-        bool((prior.position > 0).all()),
-        prior.focal > 0,
-    )
+    free[ROTATION], free[POSITION] = prior.rotation > 0, bool((prior.position > 0).all())
+    free[LOG_FOCAL], free[PRINCIPAL] = prior.focal > 0, prior.principal_px > 0
     return free
 
 

@@ -8,7 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from fourd.calibration.camera_matching import match_cameras
-from fourd.calibration.residuals import MAX_GOOD_PX, compute_residuals
+from fourd.calibration.match_score import MatchScore, score_matches
+from fourd.calibration.matching import Matches, distort_points
+from fourd.calibration.residuals import MAX_GOOD_PX, Pair, compute_residuals
+from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME
 from fourd.capture.layout import sample_indices
 from fourd.capture.reader import open_capture
@@ -23,6 +26,23 @@ MAX_FRAME_PIXELS = 12e6
 
 Because of this limit on pixels, the check of a ring of cameras takes only seconds.
 """
+MIN_SHARE = 0.5
+"""Minimum share of matches within 3 pixels. With a correct calibration, a third of the matches can still be wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureMatches:
+    """Feature matches between the cameras of a capture.
+
+    Attributes:
+        names: the cameras' names.
+        cameras: the cameras of the stored images, with distortion.
+        matches: matches of each camera pair, in pixels of the stored images.
+    """
+
+    names: tuple[str, ...]
+    cameras: tuple[Camera, ...]
+    matches: dict[Pair, Matches]
 
 
 @dataclass(frozen=True)
@@ -30,8 +50,7 @@ class Agreement:
     """Result of the check of a calibration.
 
     Attributes:
-        mean_px: mean over the camera pairs of their median residuals, in pixels of the full-size images, or None if no
-            camera pair has enough matches.
+        score: median residual and share of agreeing matches, or None if no camera pair has enough matches.
         worst: name of the camera with the largest residual, and its residual in pixels, or None if no camera pair has
             enough matches.
         pairs: number of camera pairs with enough matches.
@@ -39,17 +58,17 @@ class Agreement:
         warnings: one line for each camera that disagrees with the others, or one line if all cameras disagree.
     """
 
-    mean_px: float | None
+    score: MatchScore | None
     worst: tuple[str, float] | None
     pairs: int
     matches: int
     warnings: tuple[str, ...]
 
 
-def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
-    """Compute the epipolar residuals of a capture's calibration.
+def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatches:
+    """Match the cameras of a capture.
 
-    With up to 5 cameras, the check uses 3 frames. With more cameras, it uses only the middle frame.
+    With up to 5 cameras, 3 frames are matched. With more cameras, only the middle frame is matched.
 
     Args:
         path: the capture's folder.
@@ -66,22 +85,45 @@ def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
     has_few = len(capture.cameras) <= FEW_CAMERAS
     frames = sample_indices(capture.frame_count, FEW_CAMERAS_FRAMES) if has_few else [capture.frame_count // 2]
     pictures = [[capture.image(camera, frame) for camera in range(len(capture.cameras))] for frame in frames]
-    matches = match_cameras(pictures, capture.cameras, track)
-    found = compute_residuals(matches, capture.cameras)
-    count = sum(map(len, matches.values()))
-    if not found.pairs:
-        return Agreement(None, None, 0, count, ())
-    by_camera = [(name, px / scale) for name, px in zip(capture.names, found.cameras, strict=True) if px is not None]
-    medians = list(found.pairs.values())
-    file, mean = Path(path) / EXTRINSICS_NAME, float(np.mean(medians)) / scale
-    warnings = [
-        f"{file}: camera '{capture.names[index]}' disagrees with the others "
-        f"by {(found.cameras[index] or 0) / scale:.1f} px; calibrate it again, or exclude it with --views"
-        for index in found.bad
-    ]
-    if not warnings and len(medians) > 1 and float(np.median(medians)) > MAX_GOOD_PX:
-        warnings.append(
-            f"{file}: all cameras disagree by similar amounts, on average by {mean:.1f} px; calibrate again, or run "
-            "fourd import again to check for resized images and mirrored principal points"
+    cameras = capture.distorted_cameras
+    matches = {}
+    for (i, j), found in match_cameras(pictures, capture.cameras, track).items():
+        first, second = (
+            distort_points(cameras[index], xy * (cameras[index].width / capture.cameras[index].width))
+            for index, xy in ((i, found.first_px), (j, found.second_px))
         )
-    return Agreement(mean, max(by_camera, key=lambda camera: camera[1]), len(medians), count, tuple(warnings))
+        matches[i, j] = Matches(first, second)
+    return CaptureMatches(tuple(capture.names), cameras, matches)
+
+
+def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
+    """Compute the epipolar residuals of a capture's calibration; see :func:`match_capture` for the arguments."""
+    return assess_agreement(path, match_capture(path, track))
+
+
+def assess_agreement(path: Path | str, found: CaptureMatches) -> Agreement:
+    """Compute the epipolar residuals of matches of the capture in ``path``."""
+    residuals = compute_residuals(found.matches, found.cameras)
+    count = sum(map(len, found.matches.values()))
+    if not residuals.pairs:
+        return Agreement(None, None, 0, count, ())
+    by_camera = [(name, px) for name, px in zip(found.names, residuals.cameras, strict=True) if px is not None]
+    score = score_matches(found.matches, found.cameras)
+    file = Path(path) / EXTRINSICS_NAME
+    warnings = [
+        f"{file}: camera '{found.names[index]}' disagrees with the others by {residuals.cameras[index] or 0:.1f} px; "
+        "calibrate it again, or exclude it with --views"
+        for index in residuals.bad
+    ]
+    if not warnings and is_disagreeing(score) and len(residuals.pairs) > 1:
+        warnings.append(
+            f"{file}: the cameras disagree with each other ({score}); fourd make tries to refine the calibration; if "
+            "that fails, calibrate again, or run fourd import again to check for resized images and mirrored "
+            "principal points"
+        )
+    return Agreement(score, max(by_camera, key=lambda camera: camera[1]), len(residuals.pairs), count, tuple(warnings))
+
+
+def is_disagreeing(score: MatchScore) -> bool:
+    """Whether most matches contradict the calibration."""
+    return score.median_px > MAX_GOOD_PX or score.share < MIN_SHARE

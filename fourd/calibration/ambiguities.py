@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.calibration.agreement import MIN_SHARE
 from fourd.calibration.camera_matching import match_cameras
 from fourd.calibration.image_sizes import SizeChoice, choose_size, measure_black_borders, size_hypotheses
 from fourd.calibration.matching import Matches
@@ -63,13 +64,13 @@ def resolve_ambiguities(
             :func:`fourd.calibration.image_sizes.size_hypotheses`. ``auto`` chooses the name that best fits the images'
             black borders and feature matches.
         centres: ``as-given`` skips the check of principal points. ``auto`` warns if mirrored principal points have
-            clearly smaller residuals. ``mirrored`` uses the mirrored principal points. The check of principal points
-            needs 2 to 5 cameras.
+            clearly smaller residuals. ``mirrored`` uses the mirrored principal points if they have smaller residuals.
+            The check of principal points needs 2 to 5 cameras.
         track: progress callback.
 
     Raises:
         UserError: if the evidence for a size hypothesis is not clear, ``resize`` does not explain the images' sizes,
-            or ``centres`` is ``mirrored`` and the evidence for mirrored principal points is not clear.
+            or ``centres`` is ``mirrored`` and the principal points cannot be checked.
     """
     sizes = [(picture.shape[1], picture.shape[0]) for picture in pictures_by_frame[0]]
     is_checkable = len(cameras) >= 2 and 4 ** len(cameras) <= MAX_COMBINATIONS
@@ -204,32 +205,29 @@ def _resolve_principal_points(
         note = f"residuals: too few matches between the cameras ({count}) to check the calibration"
         return ResolvedCalibration(cameras, (*notes, note), ())
     is_given = set(found.names) == {"as given"}
-    is_good = found.given_px <= MAX_GOOD_PX
+    is_good = found.given_score.median_px <= MAX_GOOD_PX and found.given_score.share >= MIN_SHARE
     mirrored = _describe_mirrors(names, found)
     numbers = (
-        f"residuals of {count} matches: {found.given_px:.1f} px as given, {found.chosen_px:.1f} px mirrored, "
-        f"{found.next_px:.1f} px for the second best choice"
+        f"as given: {found.given_score}; mirrored: {found.chosen_score}; mean over the camera pairs "
+        f"{found.given_px:.1f} px as given, {found.chosen_px:.1f} px mirrored, {found.next_px:.1f} px for the second "
+        "best choice"
     )
-    summary = f"residuals: {found.given_px:.1f} px mean over {count} matches"
+    summary = f"residuals: {found.given_score} of their epipolar lines"
     if centres == "mirrored":
-        if found.is_clear and not is_given:
-            note = f"principal points mirrored: {mirrored} ({numbers})"
-            return ResolvedCalibration(found.cameras, (*notes, note), ())
-        if not (is_given or is_good):
-            raise UserError(
-                f"--centres mirrored: expected clear evidence, got {mirrored} with {numbers}; correct the calibration "
-                "file"
-            )
-        note = f"{summary}; no principal point is mirrored"
-        return ResolvedCalibration(cameras, (*notes, note), ())
-    if is_good:
-        return ResolvedCalibration(cameras, (*notes, summary), ())
+        if is_given or found.chosen_score.median_px >= found.given_score.median_px:
+            note = f"--centres mirrored: {summary}; no mirrored principal point fits better"
+            return ResolvedCalibration(cameras, (*notes, note), ())
+        note = f"principal points mirrored: {mirrored} ({numbers})"
+        doubts = () if found.is_clear else (f"mirrored principal points are applied without clear evidence: {numbers}",)
+        return ResolvedCalibration(found.cameras, (*notes, note), doubts)
     if found.is_clear and not is_given:
         warning = f"principal points look mirrored: {mirrored} ({numbers}); not changed; apply with --centres mirrored"
+    elif is_good:
+        return ResolvedCalibration(cameras, (*notes, summary), ())
     else:
         warning = (
-            f"cameras disagree: {summary}; mirrored principal points do not explain the residuals; recalibrate or use "
-            "--calibrate"
+            f"cameras disagree: {summary}; mirrored principal points do not explain the residuals ({numbers}); fourd "
+            "make tries to refine the calibration; recalibrate or use --calibrate if that fails"
         )
     return ResolvedCalibration(cameras, tuple(notes), (warning,))
 

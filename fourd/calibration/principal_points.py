@@ -14,15 +14,17 @@ from itertools import product
 
 import numpy as np
 
+from fourd.calibration.match_score import MatchScore, score_matches
 from fourd.calibration.matching import Matches
 from fourd.calibration.residuals import Pair, Residuals, compute_residuals
 from fourd.cameras import Camera
 
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
-MIN_GAIN = 3.0
-"""Minimum ratio of the given calibration's residual to the residual with mirrored principal points."""
-MIN_LEAD = 1.5
+MIN_GAIN = 2.0
+"""Minimum decrease of the mean residual by mirrored principal points, as a multiple of the typical residual."""
+MIN_LEAD = 0.5
+"""Minimum lead over the second best combination, as a multiple of the typical residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +39,13 @@ class MirrorChoice:
         given_px: mean over the camera pairs of their median residuals with the given calibration, in pixels.
         chosen_px: mean over the camera pairs of their median residuals with the chosen combination, in pixels.
         next_px: mean over the camera pairs of their median residuals with the second best combination, in pixels.
-        is_clear: whether the evidence is clear. Clear evidence requires that ``chosen_px`` is at most 3 and that
-            ``next_px`` is at least 1.5 times ``chosen_px``. If a principal point is mirrored, ``given_px`` must also be
-            at least 3 times ``chosen_px``.
+        given_score: median residual and share of agreeing matches with the given calibration.
+        chosen_score: the same with the chosen combination.
+        is_clear: whether the evidence is clear. Let r be the median over the camera pairs of their median residuals
+            with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds
+            ``chosen_px`` by at least 0.5 r. If a principal point is mirrored, ``given_px`` must also exceed
+            ``chosen_px`` by at least 2 r. A pair of cameras whose matches are wrong increases all means by about the
+            same amount, so the differences are compared, not the ratios.
     """
 
     names: tuple[str, ...]
@@ -49,6 +55,8 @@ class MirrorChoice:
     given_px: float
     chosen_px: float
     next_px: float
+    given_score: MatchScore
+    chosen_score: MatchScore
     is_clear: bool
 
 
@@ -102,12 +110,12 @@ def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[C
     best, names = ranked[0]
     chosen = tuple(option[name] for option, name in zip(options, names, strict=True))
     given_px = float(np.mean(list(given.pairs.values())))
-    leads = ranked[1][0] >= MIN_LEAD * best
-    is_given = set(names) == {"as given"}
-    is_clear = leads and best <= MAX_GOOD_PX and (is_given or given_px >= MIN_GAIN * best)
-    return MirrorChoice(
-        names, chosen, given, compute_residuals(matches, chosen), given_px, best, ranked[1][0], is_clear
-    )
+    after, next_px = compute_residuals(matches, chosen), ranked[1][0]
+    typical = float(np.median(list(after.pairs.values())))
+    gains = set(names) == {"as given"} or given_px - best >= MIN_GAIN * typical
+    is_clear = next_px - best >= MIN_LEAD * typical and typical <= MAX_GOOD_PX and gains
+    scores = score_matches(matches, cameras), score_matches(matches, chosen)
+    return MirrorChoice(names, chosen, given, after, given_px, best, next_px, *scores, is_clear)
 
 
 def _pair_median(

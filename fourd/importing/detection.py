@@ -1,9 +1,9 @@
-"""The supported formats, and detection of a source's format."""
+"""The supported formats, and detection of a source's format and layout."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from fourd.errors import UserError
 from fourd.importing.formats import (
     actorshq,
     anipose,
+    caliscope,
     colmap,
     dna_rendering,
     easymocap,
@@ -20,6 +21,7 @@ from fourd.importing.formats import (
     videos,
 )
 from fourd.importing.imported import Imported
+from fourd.importing.layouts import CalibrationFormat, Frames, Layout, describe_refused, find_layout
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,10 @@ class Format:
 
 FORMATS = (
     Format("qualisys", "NAME.qca.txt and one video per camera", qualisys.looks_like, qualisys.read),
-    Format("anipose", "a calibration TOML of Anipose or Pose2Sim, and videos", anipose.looks_like, anipose.read),
+    Format("caliscope", "camera_array.toml of Caliscope, and videos", caliscope.looks_like, caliscope.read),
+    Format(
+        "anipose", "a calibration TOML of Anipose, Pose2Sim or FreeMoCap, and videos", anipose.looks_like, anipose.read
+    ),
     Format("neural3dv", "poses_bounds.npy and camNN.mp4", neural3dv.looks_like, neural3dv.read),
     Format("actorshq", "calibration.csv, rgbs/ and masks/", actorshq.looks_like, actorshq.read),
     Format("dna-rendering", "NAME.smc and NAME_annots.smc", dna_rendering.looks_like, dna_rendering.read),
@@ -53,9 +58,21 @@ FORMATS = (
 )
 """All formats in the order of detection: the most specific formats first."""
 
+CALIBRATION_FORMATS = (
+    CalibrationFormat("qualisys", qualisys.is_calibration, qualisys.read),
+    CalibrationFormat("caliscope", caliscope.is_calibration, caliscope.read),
+    CalibrationFormat("anipose", anipose.is_calibration, anipose.read),
+    CalibrationFormat("easymocap", easymocap.is_calibration, easymocap.read),
+)
+"""Formats whose calibration may be in another folder than the frames, in the order of preference."""
+VIDEOS = "videos"
+
 
 def pick_format(name: str | None, source: Path) -> Format:
     """Find the format called ``name``, or the first format that the source matches if ``name`` is None.
+
+    If the calibration and the frames of the source are in different folders, the result's ``read`` reads both; see
+    :func:`~fourd.importing.layouts.find_layout`.
 
     Raises:
         UserError: when the source is missing, the name is unknown, or the source matches no format.
@@ -67,10 +84,31 @@ def pick_format(name: str | None, source: Path) -> Format:
         near = get_close_matches(name, by_name, 1)
         hint = f"did you mean '{near[0]}'?" if near else "omit it for automatic detection"
         raise UserError(f"FORMAT: expected one of {', '.join(by_name)}, got '{name}'; {hint}")
-    found = by_name[name] if name is not None else next((each for each in FORMATS if each.looks_like(source)), None)
-    if found is None:
-        raise UserError(
-            f"{source}: expected {', or '.join(f'{each.summary} ({each.name})' for each in FORMATS)}, "
-            "got none of these; name the folder that contains such files"
-        )
-    return found
+    calibrated = [each.name for each in CALIBRATION_FORMATS]
+    if name is not None and name not in calibrated:
+        return by_name[name]
+    direct = next((each for each in FORMATS if name in (None, each.name) and each.looks_like(source)), None)
+    if direct is not None and direct.name != VIDEOS and (direct.name not in calibrated or _has_frames(source)):
+        return direct
+    found = find_layout(source, [each for each in CALIBRATION_FORMATS if name in (None, each.name)])
+    if isinstance(found, Layout):
+        return replace(by_name[found.format.name], read=found.read)
+    if name is not None:
+        return by_name[name]
+    if isinstance(found, Frames):
+        return replace(by_name[VIDEOS], read=lambda _: _read_videos(source, found))
+    refused = describe_refused(source, CALIBRATION_FORMATS)
+    raise UserError(
+        f"{source}: expected {', or '.join(f'{each.summary} ({each.name})' for each in FORMATS)}, "
+        f"got none of these{f' ({refused})' if refused else ''}; name the folder that contains such files"
+    )
+
+
+def _has_frames(source: Path) -> bool:
+    """Whether the folder of a calibration also contains frames."""
+    return videos.looks_like(source if source.is_dir() else source.parent)
+
+
+def _read_videos(source: Path, found: Frames) -> Imported:
+    imported = videos.read(found.folder)
+    return Imported(imported.cameras, (*found.notes(source), *imported.notes))

@@ -20,9 +20,11 @@ Array = NDArray[np.float64]
 MAX_VALUE = 1e100
 """Maximum magnitude of a number in a calibration file. Larger numbers are treated as infinite, because their products
 may overflow."""
-FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw")
-"""Folders of a source that may contain the cameras' frames, in order of preference. The last two folders are used by
-Anipose."""
+FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw", "synchronized_videos")
+"""Folders of a source that may contain the cameras' frames, in order of preference. Anipose uses raw-2d and videos-raw;
+FreeMoCap uses synchronized_videos."""
+CALIBRATION_FOLDER = re.compile("calib|intri|extri", re.IGNORECASE)
+"""Pattern in the names of folders with calibrations. Their images and videos show boards, not the recording."""
 
 
 def list_entries(folder: Path) -> list[str]:
@@ -65,6 +67,8 @@ def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[st
             return {name: VideoFile(path) for name, path in videos.items()}
         found: dict[str, Frames] = {}
         for name in camera_folders(folder):
+            if CALIBRATION_FOLDER.search(name):
+                continue
             frames = picture_files(folder / name)
             if frames is not None:
                 found[name] = frames
@@ -117,10 +121,11 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
     """Match the names of the cameras that have frames to the names in the calibration.
 
     Two equal names match. If no names are equal, names with equal last numbers match, provided that the last numbers
-    are unique. Returns the calibration's name for each camera in ``found`` that has a calibration.
+    are unique. Otherwise, a camera matches if its name ends with the calibration's name after a separator, as in
+    2019-08-02-vid01-camA and A. Returns the calibration's name for each camera in ``found`` that has a calibration.
 
     Raises:
-        UserError: when no camera has a calibration.
+        UserError: when no camera has a calibration, or several videos have the same calibration.
     """
     names = list(found)
     pairs = {name: name for name in names if name in calibrated}
@@ -130,6 +135,15 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
             pairs = {name: by_number[_last_number(name)] for name in names if _last_number(name) in by_number}
         if len(set(pairs.values())) != len(pairs):
             pairs = {}
+    if not pairs:
+        pairs = {name: own for name in names for own in calibrated if _ends_with(name, own)}
+        repeated = [own for own in calibrated if list(pairs.values()).count(own) > 1]
+        if repeated:
+            videos = [name for name, own in pairs.items() if own == repeated[0]]
+            raise UserError(
+                f"{calibration}: expected one video of camera '{repeated[0]}', got {', '.join(videos)}; import a "
+                "folder with one recording"
+            )
     if not pairs:
         raise UserError(
             f"{calibration}: expected calibrations with the names of the cameras ({', '.join(names)}), "
@@ -215,6 +229,11 @@ def make_camera(
         return Camera(intrinsics, rotation, translation, round(size[0]), round(size[1]), distortion)
     except ValueError as error:
         raise UserError(f"{where}: {error}; calibrate that camera again") from error
+
+
+def _ends_with(name: str, camera: str) -> bool:
+    """Whether a video's name ends with a camera's name, optionally after "cam", that follows a separator."""
+    return re.search(rf"(?:^|[-_. ])(?:cam)?{re.escape(camera)}$", name) is not None
 
 
 def _last_number(name: str) -> int | None:

@@ -1,7 +1,8 @@
 """The graph of stages: the selection of the stages that an input needs, in the order of their dependencies.
 
-The order of the stages is import, check, mattes, plates, adjust, carve (or points), background, train, bake. The config
-(object or full scene, adjusted cameras, given points) and the contents of the capture decide which stages are needed.
+The order of the stages is import, check, repair, mattes, plates, adjust, carve (or points), background, train, bake.
+The config (object or full scene, adjusted cameras, given points) and the contents of the capture decide which stages
+are needed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage
 from fourd.pipeline.stages.background import BackgroundFiles, BackgroundSettings, background_stage
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
 from fourd.pipeline.stages.carve import CarveStageSettings, carve_run_stage
-from fourd.pipeline.stages.check import check_stage
 from fourd.pipeline.stages.given_points import GivenPointSettings, given_points_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings
 from fourd.pipeline.stages.plates import run_plates_stage
@@ -81,13 +81,12 @@ def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage
 
 
 def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> tuple[AnyStage, ...]:
-    """Stages that produce the scene file ``scene`` from a capture."""
+    """Stages that produce the scene file ``scene`` from a capture whose files were checked."""
     train = request.train
     made: tuple[AnyStage, ...] = ()
     if not has_masks(request.capture):
         made = stages_to_mattes(request.capture, MatteStageSettings(train.views, train.frames, mattes))
     return (
-        check_stage(request.capture),
         *made,
         *stages_to_run(request, plates=not made),
         bake_stage(BakeFiles(request.run, scene), BakeSettings()),

@@ -9,8 +9,11 @@ from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
+from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.check import check_stage
+from fourd.pipeline.stages.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.train import start_run
 from fourd.training.config import TrainConfig
 from fourd.training.run import Run
@@ -18,6 +21,7 @@ from fourd.training.run_layout import CONFIG_NAME, PREPARATION
 
 RECORD = "stages.json"
 CAPTURE = "capture"
+REPAIRED = "repaired"
 RUN = "run"
 
 
@@ -34,8 +38,10 @@ def make_scene(
     """Run every stage from ``source`` to the scene file ``out``.
 
     Intermediate results are kept in a folder beside ``out``. For ``scene.4dv``, this folder is ``scene.work/``. The
-    folder contains ``run/``, ``stages.json`` and, if ``source`` needs an import, ``capture/``. After a change of an
-    input or a setting, the next call repeats the stages that depend on the changed value. An interrupted stage resumes.
+    folder contains ``run/``, ``stages.json`` and, if ``source`` needs an import, ``capture/``. If the images disagree
+    with the calibration and a correction is confirmed, ``repaired/`` contains the capture with the correction. After a
+    change of an input or a setting, the next call repeats the stages that depend on the changed value. An interrupted
+    stage resumes.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read.
@@ -59,11 +65,14 @@ def make_scene(
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
+    context.log(describe_plan(source, train, context.workers, points_from is not None))
     runner = Runner(context, work / RECORD)
     imports = stages_to_capture(source, work / CAPTURE)
     runner.run(imports)
     # The other stages depend on the contents of the imported capture.
     capture = work / CAPTURE if imports else source
+    runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
+    capture = repaired_capture(capture, work / REPAIRED)
     request = RunRequest(capture, work / RUN, train, points_from, lpips_weights)
     runner.run(stages_to_scene(request, mattes, out))
 

@@ -164,7 +164,7 @@ def test_good_calibration_is_unchanged(tmp_path: Path, capsys: pytest.CaptureFix
     output = imported_log(capsys, "easymocap", source, tmp_path / "out", "--scale", "a,b=3")
     assert "easymocap: " in output
     assert "warning" not in output
-    assert "px mean over" in output
+    assert "matches within 3 px of their epipolar lines" in output
     centres = [camera.centre for camera in open_capture(tmp_path / "out").cameras]
     assert np.isclose(np.linalg.norm(centres[0] - centres[1]), 3)
 
@@ -180,7 +180,7 @@ def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: py
     source = write_room(tmp_path / "source", list("abcde"), true, displaced)
     assert main(["check", str(source)]) == 0
     output = capsys.readouterr().out
-    assert "px from epipolar lines on average over" in output
+    assert "matches within 3 px" in output
     assert "extri.yml: camera 'd' disagrees with the others by" in output
     assert output.count("disagrees with the others") == 1
     write_calibration(source, list("abcde"), true)

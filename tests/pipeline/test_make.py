@@ -24,7 +24,7 @@ from tests.captures import sphere
 from tests.matting.captures import write_capture_without_masks, write_video
 from tests.training.small import SMALL, full_config, with_steps
 
-NAMES = ("import", "check", "mattes", "plates", "adjust", "carve", "points", "background", "train", "bake")
+NAMES = ("import", "check", "repair", "mattes", "plates", "adjust", "carve", "points", "background", "train", "bake")
 
 
 def make(capture: Path, out: Path, config: TrainConfig, points_from: Path | None = None) -> dict[str, bool]:
@@ -42,13 +42,13 @@ def test_changed_inputs_and_settings_rerun_dependent_stages(ball_capture: Path, 
     capture, out = tmp_path / "capture", tmp_path / "scene.4dv"
     shutil.copytree(ball_capture, capture)
     config = with_steps(SMALL, 2)
-    assert make(capture, out, config) == dict.fromkeys(("check", "carve", "train", "bake"), True)
+    assert make(capture, out, config) == dict.fromkeys(("check", "repair", "carve", "train", "bake"), True)
     assert not any(make(capture, out, config).values())
     now = make(capture, out, replace(config, seed=5))
-    assert now == {"check": False, "carve": False, "train": True, "bake": True}
+    assert now == {"check": False, "repair": False, "carve": False, "train": True, "bake": True}
     out.unlink()
     now = make(capture, out, replace(config, seed=5))
-    assert now == {"check": False, "carve": False, "train": False, "bake": True}
+    assert now == {"check": False, "repair": False, "carve": False, "train": False, "bake": True}
     os.utime(capture / "images" / "00" / "000001.png", (1, 1))
     assert all(make(capture, out, replace(config, seed=5)).values())
 
@@ -60,13 +60,13 @@ def test_cameras_are_adjusted_before_carving(ball_capture: Path, tmp_path: Path)
     shutil.copytree(ball_capture, capture)
     refine = RefineConfig(poses=True)
     config = replace(with_steps(SMALL, 2), refine=refine)
-    assert make(capture, out, config) == dict.fromkeys(("check", "adjust", "carve", "train", "bake"), True)
+    assert make(capture, out, config) == dict.fromkeys(("check", "repair", "adjust", "carve", "train", "bake"), True)
     now = make(capture, out, replace(config, refine=replace(refine, pose_rate=1e-3)))
-    assert now == {"check": False, "adjust": False, "carve": False, "train": True, "bake": True}
+    assert now == {"check": False, "repair": False, "adjust": False, "carve": False, "train": True, "bake": True}
     now = make(capture, out, replace(config, refine=replace(refine, rotation_deg=1.0)))
-    assert now == {"check": False, "adjust": True, "carve": True, "train": True, "bake": True}
+    assert now == {"check": False, "repair": False, "adjust": True, "carve": True, "train": True, "bake": True}
     now = make(capture, out, with_steps(SMALL, 2))
-    assert now == {"check": False, "carve": True, "train": True, "bake": True}
+    assert now == {"check": False, "repair": False, "carve": True, "train": True, "bake": True}
 
 
 def test_videos_become_a_scene(tmp_path: Path) -> None:
@@ -82,13 +82,13 @@ def test_videos_become_a_scene(tmp_path: Path) -> None:
     for folder in (capture / "images").iterdir():
         write_video(source / f"{folder.name}.mp4", sorted(folder.iterdir()))
     config = with_steps(SMALL, 2)
-    stages = ["import", "check", "mattes", "plates", "carve", "train", "bake"]
+    stages = ["import", "check", "repair", "mattes", "plates", "carve", "train", "bake"]
     assert make(source, out, config) == dict.fromkeys(stages, True)
     assert make(source, out, config) == dict.fromkeys(stages, False)
     assert not (source / ".fourd").exists(), "the folder of videos belongs to the user"
     matte = tmp_path / "scene.work" / "capture" / ".fourd" / "mattes" / "00" / "000002.png"
     matte.write_bytes((matte.parent / "000001.png").read_bytes())
-    assert make(source, out, config) == dict.fromkeys(stages[:3], False) | dict.fromkeys(stages[3:], True)
+    assert make(source, out, config) == dict.fromkeys(stages[:4], False) | dict.fromkeys(stages[4:], True)
 
 
 def test_other_folders_are_not_used_for_results(ball_capture: Path, tmp_path: Path) -> None:
@@ -104,7 +104,7 @@ def test_stages_of_a_full_scene_depend_on_what_they_read(ball_capture: Path, tmp
     points."""
     capture, out = Path(shutil.copytree(ball_capture, tmp_path / "capture")), tmp_path / "scene.4dv"
     config = with_steps(full_config(tmp_path / "seeds.ply"), 2)
-    names = ("check", "carve", "plates", "background", "train", "bake")
+    names = ("check", "repair", "carve", "plates", "background", "train", "bake")
 
     def stages_run(config: TrainConfig) -> list[str]:
         done = make(capture, out, config)
@@ -132,10 +132,19 @@ def test_given_points_replace_carving(ball_capture: Path, tmp_path: Path) -> Non
     for frame in range(3):
         write_ply(points / f"{frame:06d}.ply", sphere(600) * 0.3, np.full((600, 3), 90, np.uint8))
     config = with_steps(SMALL, 2)
-    assert make(ball_capture, out, config, points) == dict.fromkeys(("check", "points", "train", "bake"), True)
+    assert make(ball_capture, out, config, points) == dict.fromkeys(
+        ("check", "repair", "points", "train", "bake"), True
+    )
     assert not any(make(ball_capture, out, config, points).values())
     os.utime(points / "000001.ply", (1, 1))
-    assert make(ball_capture, out, config, points) == {"check": False, "points": True, "train": True, "bake": True}
+    assert make(ball_capture, out, config, points) == {
+        "check": False,
+        "repair": False,
+        "repair": False,
+        "points": True,
+        "train": True,
+        "bake": True,
+    }
 
 
 def test_interrupted_training_resumes_to_the_same_scene(
@@ -159,7 +168,7 @@ def test_interrupted_training_resumes_to_the_same_scene(
     with pytest.raises(KeyboardInterrupt):
         make(ball_capture, tmp_path / "stopped.4dv", config)
     done = make(ball_capture, tmp_path / "stopped.4dv", config)
-    assert done == {"check": False, "carve": False, "train": True, "bake": True}
+    assert done == {"check": False, "repair": False, "carve": False, "train": True, "bake": True}
     assert steps == [0, 1, 2, 3, 4, 5]
     assert (tmp_path / "whole.4dv").read_bytes() == (tmp_path / "stopped.4dv").read_bytes()
 

@@ -69,7 +69,7 @@ def test_every_stage_of_the_graph_pickles(ball_capture: Path, tmp_path: Path) ->
         assert pickle.loads(pickle.dumps(stages)) == stages
         assert len({stage.name for stage in stages}) == len(stages)
     assert [stage.name for stage in stages] == [
-        "check", "mattes", "plates", "adjust", "carve", "background", "train", "bake",
+        "mattes", "plates", "adjust", "carve", "background", "train", "bake",
     ]  # fmt: skip
 
 

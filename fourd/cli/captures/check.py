@@ -78,10 +78,10 @@ def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:
 
 
 def _residuals(agreement: Agreement) -> str:
-    if agreement.mean_px is None or agreement.worst is None:
+    if agreement.score is None or agreement.worst is None:
         return f"unknown: only {agreement.matches} points match between the cameras, which are too few"
     name, worst_px = agreement.worst
     return (
-        f"{agreement.mean_px:.2f} px from epipolar lines on average over {agreement.pairs} camera pairs "
-        f"({agreement.matches} matches); worst camera: {name}, {worst_px:.2f} px"
+        f"{agreement.score} of their epipolar lines, over {agreement.pairs} camera pairs; "
+        f"worst camera: {name}, {worst_px:.2f} px"
     )

@@ -1,4 +1,4 @@
-"""Anipose and Pose2Sim: a calibration TOML beside the videos. The TOML contains one table per camera.
+"""Anipose, Pose2Sim and FreeMoCap: a calibration TOML with one table per camera.
 
 Each table contains a world-to-camera pose. Anipose and Pose2Sim calibrate with OpenCV, in which the origin of pixel
 coordinates is the centre of the first pixel. In fourd, the origin is the corner of the first pixel, so half a pixel is
@@ -42,8 +42,17 @@ def looks_like(source: Path) -> bool:
     return bool(_find_files(source))
 
 
-def read(source: Path) -> Imported:
-    """Read the cameras of ``source``: a folder with the TOML and videos, or the TOML file beside the videos.
+def is_calibration(path: Path) -> bool:
+    """Whether ``path`` is a calibration TOML of Anipose, Pose2Sim or FreeMoCap."""
+    return path.suffix.lower() == ".toml" and _has_cameras(read_head(path, HEAD_BYTES))
+
+
+def read(source: Path, frames: Path | None = None) -> Imported:
+    """Read the cameras of ``source``: a folder with the TOML, or the TOML file itself.
+
+    Args:
+        source: the folder or the TOML.
+        frames: folder that contains the cameras' videos; with None, the folder of the TOML.
 
     Raises:
         UserError: when there is no calibration TOML or more than one, the TOML does not parse, a value is missing or
@@ -55,7 +64,7 @@ def read(source: Path) -> Imported:
         raise UserError(f"{source}: expected one TOML with the cameras' calibration, got {got}; name the file itself")
     path = files[0]
     calibrations, notes = read_cameras(path)
-    cameras, more = join_calibrations(find_frames(path.parent), calibrations, path)
+    cameras, more = join_calibrations(find_frames(frames or path.parent), calibrations, path)
     return Imported(cameras, (*notes, *more))
 
 
@@ -133,8 +142,8 @@ def _find_files(source: Path) -> list[Path]:
     A calibration file is recognised by the keys of its first table.
     """
     candidates = [source / name for name in list_entries(source)] or [source]
-    return [path for path in candidates if path.suffix.lower() == ".toml" and _has_cameras(read_head(path, HEAD_BYTES))]
+    return [path for path in candidates if is_calibration(path)]
 
 
 def _has_cameras(head: bytes) -> bool:
-    return all(re.search(rb"(?m)^\s*%s\s*=" % key, head) for key in (b"matrix", b"rotation", b"translation"))
+    return all(re.search(rb"(?m)^\s*%s\s*=" % key, head) for key in (b"name", b"matrix", b"rotation", b"translation"))

@@ -26,21 +26,33 @@ def looks_like(source: Path) -> bool:
     return {INTRINSICS_NAME, EXTRINSICS_NAME} <= set(list_entries(source))
 
 
-def read(source: Path) -> Imported:
-    """Read the cameras of ``source``. Lengths are in the calibration's unit.
+def is_calibration(path: Path) -> bool:
+    """Whether ``path`` is an intri.yml beside an extri.yml."""
+    return path.name == INTRINSICS_NAME and (path.parent / EXTRINSICS_NAME).is_file()
+
+
+def read(source: Path, frames: Path | None = None) -> Imported:
+    """Read the cameras of ``source``: a folder with intri.yml and extri.yml, or intri.yml itself.
+
+    Lengths are in the calibration's unit.
+
+    Args:
+        source: the folder or intri.yml.
+        frames: folder that contains images/, videos/ and masks/; with None, the folder of the calibration.
 
     Raises:
         UserError: when the calibration files are invalid, no camera with frames has a calibration, or an image has no
             matte.
     """
-    path = source / INTRINSICS_NAME
-    calibrations = read_calibration(source)
-    frames = find_frames(source, FRAME_FOLDERS)
-    found = {name: frames[camera] for camera, name in match_names(list(calibrations), frames, path).items()}
+    folder = source.parent if source.name == INTRINSICS_NAME else source
+    path, data = folder / INTRINSICS_NAME, frames or folder
+    calibrations = read_calibration(folder)
+    found_frames = find_frames(data, FRAME_FOLDERS)
+    found = {name: found_frames[camera] for camera, name in match_names(list(calibrations), found_frames, path).items()}
     cameras_by_name = {}
     for name, calibration in calibrations.items():
         cameras_by_name[name] = _make_camera(path, name, calibration, found.get(name))
-    cameras, notes = join_calibrations(frames, cameras_by_name, path, [source / folder for folder in MASK_FOLDERS])
+    cameras, notes = join_calibrations(found_frames, cameras_by_name, path, [data / name for name in MASK_FOLDERS])
     return Imported(cameras, ("lengths and pixel coordinates are kept as in the calibration", *notes))
 
 

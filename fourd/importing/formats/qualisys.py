@@ -28,8 +28,17 @@ def looks_like(source: Path) -> bool:
     return _find_file(source) is not None
 
 
-def read(source: Path) -> Imported:
-    """Read the cameras of ``source``: a folder with NAME.qca.txt and videos, or NAME.qca.txt itself beside the videos.
+def is_calibration(path: Path) -> bool:
+    """Whether ``path`` has the name of a calibration of Qualisys."""
+    return path.name.endswith(SUFFIX) and path.is_file()
+
+
+def read(source: Path, frames: Path | None = None) -> Imported:
+    """Read the cameras of ``source``: a folder with NAME.qca.txt, or NAME.qca.txt itself.
+
+    Args:
+        source: the folder or the file.
+        frames: folder that contains the cameras' videos; with None, the folder of NAME.qca.txt.
 
     Raises:
         UserError: when the XML does not parse, a value is missing, or no camera in the XML has a video.
@@ -38,11 +47,11 @@ def read(source: Path) -> Imported:
     if path is None:
         raise UserError(f"{source}: expected a folder with NAME{SUFFIX}, got none; export it from Qualisys")
     calibrations = read_cameras(path)
-    frames = find_frames(path.parent)
-    pairs = match_names(list(calibrations), frames, path)
+    found_frames = find_frames(frames or path.parent)
+    pairs = match_names(list(calibrations), found_frames, path)
     cameras = tuple(
         ImportedCamera(name, calibrations[pairs[name]] if name in pairs else None, found)
-        for name, found in frames.items()
+        for name, found in found_frames.items()
     )
     notes = [
         "lengths are converted from millimetres to metres; the world's z axis still points up",

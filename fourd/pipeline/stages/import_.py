@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.importing.detection import pick_format
+from fourd.importing.detection import CALIBRATION_FORMATS, pick_format
 from fourd.importing.importer import ImportOptions, import_source
+from fourd.importing.layouts import calibration_outside
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 
 PATTERNS = ("*", "*/*", "*/*/*")
@@ -22,12 +23,13 @@ class ImportFiles:
 
 def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOptions]:
     """Create the stage that imports ``source`` into the folder ``capture``."""
+    outside = calibration_outside(source, CALIBRATION_FORMATS)
     return Stage(
         "import",
         run_import,
         ImportFiles(source, capture),
         ImportOptions(),
-        inputs=(Artefact(source, PATTERNS),),
+        inputs=(Artefact(source, PATTERNS), *(() if outside is None else (Artefact(outside),))),
         outputs=(capture,),
         leftovers=(Leftovers(capture),),
     )

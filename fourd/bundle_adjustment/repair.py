@@ -1,0 +1,192 @@
+"""Repair of a given calibration: corrections that are kept only if held-out matches agree better with them.
+
+The matches are split by feature tracks: the cameras are fitted to two thirds of the tracks, and judged by the rest. The
+corrections are mirrored principal points (see :mod:`fourd.calibration.principal_points`), and bundle adjustments that
+free the poses, then also the focal lengths, then also the principal points.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from fourd.background.shell import viewing_centre
+from fourd.background.stereo.features import Features
+from fourd.bundle_adjustment.adjust import adjust_to_matches
+from fourd.bundle_adjustment.solver import Prior
+from fourd.bundle_adjustment.tracks import FrameMatches
+from fourd.calibration.match_score import MatchScore, score_matches
+from fourd.calibration.matching import Matches, undistort_points
+from fourd.calibration.principal_points import MAX_COMBINATIONS, choose_principal_points
+from fourd.calibration.residuals import Pair, compute_residuals
+from fourd.cameras import Camera
+
+HELD_OUT = 3
+"""Every third track is held out."""
+MIN_MATCHES = 60
+"""Minimum number of matches for a repair."""
+MIN_GAIN = 0.9
+"""Maximum ratio of the held-out median with a correction to the median without it."""
+BAND = 0.03
+"""Maximum distance of a match from its epipolar line, as a share of the longer image side."""
+ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
+"""Assumed standard deviations of the given calibration: rotations in degrees, positions as a share of the distance to
+the scene's centre, focal lengths as a share, and principal points as a share of the longer image side."""
+DISTORTION_ROUNDS = 3
+"""Number of bundle adjustments with changed intrinsics. Each of them undistorts the matches with the new intrinsics."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One correction that was tried.
+
+    Attributes:
+        name: what was corrected.
+        score: score of the held-out matches.
+        is_kept: whether the correction is part of the result.
+    """
+
+    name: str
+    score: MatchScore
+    is_kept: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Repair:
+    """Result of :func:`repair_cameras`.
+
+    Attributes:
+        cameras: the cameras with the kept corrections.
+        before: score of the held-out matches with the given cameras.
+        after: score of the held-out matches with ``cameras``.
+        trials: the corrections in the order in which they were tried.
+    """
+
+    cameras: tuple[Camera, ...]
+    before: MatchScore
+    after: MatchScore
+    trials: tuple[Trial, ...]
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether any correction is kept."""
+        return any(trial.is_kept for trial in self.trials)
+
+
+def repair_cameras(cameras: Sequence[Camera], matches: Mapping[Pair, Matches]) -> Repair:
+    """Try corrections of ``cameras`` and keep those with which held-out matches agree better.
+
+    Args:
+        cameras: the given cameras, with distortion.
+        matches: matches of each camera pair, in pixels of the distorted images.
+    """
+    fitted, held_out = split_matches(matches, len(cameras))
+    given = tuple(cameras)
+    before = score_matches(held_out, given)
+    trials: list[Trial] = []
+    if before.count * HELD_OUT < MIN_MATCHES:
+        return Repair(given, before, before, ())
+    base = best = given
+    score = before
+    if 4 ** len(given) <= MAX_COMBINATIONS and compute_residuals(fitted, given).pairs:
+        found = choose_principal_points(fitted, given)
+        if set(found.names) != {"as given"}:
+            now = score_matches(held_out, found.cameras)
+            is_kept = found.is_clear and _is_better(now, score)
+            trials.append(Trial("mirrored principal points", now, is_kept))
+            if is_kept:
+                base, best, score = found.cameras, found.cameras, now
+    for name, has_focal, has_principal in (
+        ("poses", False, False),
+        ("poses and focal lengths", True, False),
+        ("poses, focal lengths and principal points", True, True),
+    ):
+        adjusted = _adjust(base, fitted, has_focal, has_principal)
+        now = score_matches(held_out, adjusted)
+        is_kept = _is_better(now, score)
+        trials.append(Trial(name, now, is_kept))
+        if is_kept:
+            best, score = adjusted, now
+    return Repair(best, before, score, tuple(trials))
+
+
+def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[Pair, Matches], dict[Pair, Matches]]:
+    """Split matches into those to fit and those that are held out. Matches of one track are never separated."""
+    frame, rows = _index_features(matches, cameras)
+    counts = [len(features.xy) for features in frame.features]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
+    edges = np.concatenate([np.zeros((0, 2), np.intp), *(rows[i, j] + (offsets[i], offsets[j]) for i, j in rows)])
+    size = int(offsets[-1])
+    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(size, size))
+    _, label = connected_components(graph, directed=False)
+    # A random order, because tracks that were found one after the other are neighbours in the image.
+    order = np.random.default_rng(0).permutation(size)
+    fitted, held_out = {}, {}
+    for (i, j), found in matches.items():
+        is_held = order[label[rows[i, j][:, 0] + offsets[i]]] % HELD_OUT == 0
+        fitted[i, j] = Matches(found.first_px[~is_held], found.second_px[~is_held])
+        held_out[i, j] = Matches(found.first_px[is_held], found.second_px[is_held])
+    return fitted, held_out
+
+
+def _is_better(now: MatchScore, before: MatchScore) -> bool:
+    return now.median_px <= MIN_GAIN * before.median_px and now.share >= before.share
+
+
+def _adjust(
+    given: Sequence[Camera], matches: Mapping[Pair, Matches], has_focal: bool, has_principal: bool
+) -> tuple[Camera, ...]:
+    """Bundle-adjust ``given`` with the matches."""
+    straight = [replace(camera, distortion=None) for camera in given]
+    focus = viewing_centre(straight)
+    distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])
+    longest = max(max(camera.width, camera.height) for camera in given)
+    principal_px = PRINCIPAL * longest if has_principal else 0.0
+    focal = FOCAL if has_focal else 0.0
+    prior = Prior(np.radians(ROTATION_DEG), POSITION * distance, focal, principal_px=principal_px)
+    now = tuple(given)
+    for _ in range(DISTORTION_ROUNDS if has_focal or has_principal else 1):
+        frame = _undistorted_frame(matches, now)
+        found = adjust_to_matches(straight, [frame], prior, BAND)
+        now = tuple(
+            replace(camera, distortion=lens.distortion) for camera, lens in zip(found.cameras, given, strict=True)
+        )
+    return now
+
+
+def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> FrameMatches:
+    """The matches as features that are undistorted with ``cameras``."""
+    frame, rows = _index_features(matches, len(cameras))
+    features = tuple(
+        Features(undistort_points(camera, each.xy), each.descriptors)
+        for camera, each in zip(cameras, frame.features, strict=True)
+    )
+    return FrameMatches(features, rows)
+
+
+def _index_features(matches: Mapping[Pair, Matches], cameras: int) -> tuple[FrameMatches, dict[Pair, NDArray[np.intp]]]:
+    """Number the features of each camera. Equal positions in one camera are one feature."""
+    positions = []
+    for camera in range(cameras):
+        parts = [found.first_px for (i, _), found in matches.items() if i == camera]
+        parts += [found.second_px for (_, j), found in matches.items() if j == camera]
+        positions.append(np.concatenate([np.zeros((0, 2)), *parts]))
+    features, numbers = [], []
+    for xy in positions:
+        unique, inverse = np.unique(np.round(xy, 2), axis=0, return_inverse=True)
+        features.append(Features(unique, np.zeros((len(unique), 0), np.float32)))
+        numbers.append(inverse.reshape(-1).astype(np.intp))
+    used = [0] * cameras
+    rows: dict[Pair, list[NDArray[np.intp]]] = {pair: [] for pair in matches}
+    for side in (0, 1):
+        for pair, found in matches.items():
+            camera = pair[side]
+            rows[pair].append(numbers[camera][used[camera] : used[camera] + len(found)])
+            used[camera] += len(found)
+    stacked = {pair: np.column_stack(both) for pair, both in rows.items()}
+    return FrameMatches(tuple(features), stacked), stacked

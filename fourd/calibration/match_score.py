@@ -1,0 +1,42 @@
+"""Robust summary of epipolar residuals: the median, and the share of matches that agree with the calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fourd.calibration.matching import Matches
+from fourd.calibration.residuals import MAX_GOOD_PX, Pair, epipolar_distances
+from fourd.cameras import Camera
+
+
+@dataclass(frozen=True)
+class MatchScore:
+    """Summary of the distances of matches from their epipolar lines.
+
+    With cameras 90 degrees apart, a third of the feature matches can be wrong. A mean of the distances then says
+    nothing about the calibration.
+
+    Attributes:
+        median_px: median distance in pixels, or NaN without matches.
+        share: share of the matches within 3 pixels of their epipolar lines, in [0, 1], or 0 without matches.
+        count: number of matches.
+    """
+
+    median_px: float
+    share: float
+    count: int
+
+    def __str__(self) -> str:
+        return f"median {self.median_px:.2f} px, {self.share:.0%} of {self.count} matches within {MAX_GOOD_PX:g} px"
+
+
+def score_matches(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MatchScore:
+    """Score ``cameras`` with matches that are given in pixels of the distorted images."""
+    parts = [np.abs(epipolar_distances(found, cameras[i], cameras[j])) for (i, j), found in matches.items()]
+    distances = np.concatenate([np.zeros(0), *parts])
+    if not len(distances):
+        return MatchScore(float("nan"), 0.0, 0)
+    return MatchScore(float(np.median(distances)), float(np.mean(distances <= MAX_GOOD_PX)), len(distances))

@@ -1,0 +1,136 @@
+"""Plan of ``fourd make``: the stages that will run, and a rough estimate of their durations, before they start."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+
+from fourd.capture.decoding import picture_size
+from fourd.capture.layout import parse_frame_range
+from fourd.errors import UserError
+from fourd.importing.detection import pick_format
+from fourd.importing.imported import EncodedPictures, Frames, Imported, PictureFiles, VideoFile
+from fourd.pipeline.capture_graph import has_masks, is_usable
+from fourd.training.config import TrainConfig
+
+IMPORT_S_PER_MP = 1.2
+"""Seconds to index, sample and match one megapixel of the sampled images. Measured: 32 s for 3 x 8.3 megapixels."""
+MATTE_S_PER_MP = 0.66
+"""Core seconds to make the mattes of one megapixel. Measured: 273 s on 2 cores for 400 images of 2.1 megapixels."""
+CARVE_S_PER_FRAME = 0.7
+"""Core seconds to carve one frame. Measured: 0.70 s for 20 cameras and 65,536 points."""
+BACKGROUND_S = 170.0
+"""Seconds to compute the background points of a full scene. Measured: 171 s for 20 plates of 512 x 512 pixels."""
+TRAIN_S_PER_STEP = 0.3
+"""Seconds per training step. Measured: 821 steps in 246 s with 20,000 points on 2 cores."""
+SAMPLED_FRAMES = 3
+"""Number of frames of each camera that an import matches; see :mod:`fourd.importing.importer`."""
+
+
+@dataclass(frozen=True)
+class SourceFacts:
+    """What the plan needs to know about a source.
+
+    Attributes:
+        cameras: number of cameras.
+        frames: number of selected frames of each camera, or None if the videos do not tell.
+        megapixels: size of one image.
+        has_mattes: whether the source has mattes for all cameras.
+        needs_import: whether the source must be imported as a capture.
+    """
+
+    cameras: int
+    frames: int | None
+    megapixels: float
+    has_mattes: bool
+    needs_import: bool
+
+
+def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bool = False) -> str:
+    """One line with the stages from ``source`` to a scene, and the expected duration.
+
+    Args:
+        source: a capture, or a source that :mod:`fourd.importing` can read.
+        train: the training config.
+        workers: number of processes.
+        has_points: whether the user gives the initial points.
+
+    Raises:
+        UserError: if the source needs an import and no format matches.
+    """
+    facts = _read_facts(source, train)
+    stages = _stage_durations(facts, train, max(workers, 1), has_points)
+    listed = ", ".join(name if seconds < 30 else f"{name} ({_minutes(seconds)})" for name, seconds in stages)
+    frames = "an unknown number of frames" if facts.frames is None else f"{facts.frames} frames"
+    total = sum(seconds for _, seconds in stages)
+    return (
+        f"plan: {listed}; about {_minutes(total)} for {facts.cameras} cameras and {frames}, "
+        "less for stages that are up to date"
+    )
+
+
+def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_points: bool) -> list[tuple[str, float]]:
+    """Names and expected seconds of the stages in their order."""
+    frames = facts.frames or 1
+    pictures_mp = facts.cameras * frames * facts.megapixels
+    stages = []
+    if facts.needs_import:
+        sampled = min(SAMPLED_FRAMES, frames)
+        stages.append(("import", IMPORT_S_PER_MP * facts.cameras * sampled * facts.megapixels))
+    repair_mp = facts.cameras * min(SAMPLED_FRAMES, frames) * facts.megapixels
+    stages += [("check", 0.0), ("repair", IMPORT_S_PER_MP * repair_mp)]
+    is_full = train.scene == "full"
+    if not facts.has_mattes:
+        stages += [("mattes", MATTE_S_PER_MP * pictures_mp / workers), ("plates", 0.0)]
+    if train.refine.cameras:
+        stages.append(("adjust", 0.0))
+    carving = 0.0 if has_points else CARVE_S_PER_FRAME * frames / workers
+    stages.append(("points" if has_points else "carve", carving))
+    if is_full:
+        stages += ([("plates", 0.0)] if facts.has_mattes else []) + [("background", BACKGROUND_S)]
+    steps_s = float("inf") if train.max_steps is None else TRAIN_S_PER_STEP * train.max_steps
+    budget_s = float("inf") if train.max_seconds is None else train.max_seconds
+    return [*stages, ("train", min(steps_s, budget_s)), ("bake", 0.0)]
+
+
+def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
+    needs_import = not is_usable(source)
+    if needs_import:
+        imported = pick_format(None, source).read(source)
+    else:
+        # The check stage reports the errors of a capture.
+        imported = Imported((), ())
+        with suppress(UserError):
+            imported = pick_format(None, source).read(source)
+    cameras = imported.cameras
+    if not cameras:
+        return SourceFacts(0, None, 0.0, has_masks(source), needs_import)
+    count, size = _measure(cameras[0].frames)
+    with suppress(UserError):
+        count = None if count is None else len(parse_frame_range(train.frames, count))
+    views = len(cameras) if train.views is None else len(train.views)
+    has_mattes = all(camera.masks is not None for camera in cameras) if needs_import else has_masks(source)
+    return SourceFacts(views, count, size[0] * size[1] / 1e6, has_mattes, needs_import)
+
+
+def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:
+    """Number of frames, or None if the header does not tell, and (width, height) of a camera's images."""
+    if isinstance(frames, PictureFiles):
+        return len(frames.paths), picture_size(frames.paths[0])
+    if isinstance(frames, EncodedPictures):
+        return frames.count, (0, 0)
+    assert isinstance(frames, VideoFile)
+    try:
+        with av.open(str(frames.path)) as container:
+            stream = container.streams.video[0]
+            seconds = (stream.duration or 0) * (stream.time_base or 0)
+            return stream.frames or round(seconds * (stream.average_rate or 0)) or None, (stream.width, stream.height)
+    except (av.FFmpegError, OSError, ValueError, IndexError, TypeError):
+        return None, (0, 0)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,98 @@
+"""Repair: correct a calibration with which the images disagree, if held-out matches confirm the correction.
+
+The given capture is not changed. A corrected capture is a folder with links to the files of the given capture and with
+corrected calibration files.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.bundle_adjustment.repair import Repair, repair_cameras
+from fourd.calibration.agreement import CaptureMatches, assess_agreement, match_capture
+from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
+from fourd.capture.layout import DERIVED, MATTES
+from fourd.files import write_text_atomically
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stages.check import INPUT_PATTERNS
+
+RESULT = "repair.json"
+MAX_MEDIAN_PX = 1.0
+"""Median residual in pixels above which corrections are tried."""
+MIN_SHARE = 0.5
+"""Share of matches within 3 pixels below which corrections are tried."""
+
+
+@dataclass(frozen=True)
+class RepairFiles:
+    """The given capture, and the folder for the corrected capture and for repair.json."""
+
+    capture: Path
+    repaired: Path
+
+
+@dataclass(frozen=True)
+class RepairSettings:
+    """Empty class, because the repair stage has no settings."""
+
+
+def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, RepairSettings]:
+    """Create the stage that corrects the calibration of ``capture`` in the new folder ``repaired``."""
+    return Stage(
+        "repair",
+        run_repair,
+        RepairFiles(capture, repaired),
+        RepairSettings(),
+        inputs=(Artefact(capture, INPUT_PATTERNS),),
+        outputs=(repaired / RESULT,),
+        leftovers=(Leftovers(repaired),),
+    )
+
+
+def repaired_capture(capture: Path, repaired: Path) -> Path:
+    """The corrected capture if :func:`run_repair` wrote one, else ``capture``."""
+    is_changed = json.loads((repaired / RESULT).read_text(encoding="utf-8"))["changed"]
+    return repaired if is_changed else capture
+
+
+def run_repair(files: RepairFiles, settings: RepairSettings, context: Context) -> None:
+    """Match the images, and write a corrected capture if the calibration disagrees and a correction is confirmed."""
+    found = match_capture(files.capture, context.track)
+    agreement = assess_agreement(files.capture, found)
+    log, is_changed = context.log, False
+    score = agreement.score
+    if score is None:
+        log(f"calibration: not checked, because only {agreement.matches} points match between the cameras")
+    elif score.median_px <= MAX_MEDIAN_PX and score.share >= MIN_SHARE:
+        log(f"calibration: {score} of their epipolar lines; no correction is needed")
+    else:
+        log(f"calibration: {score} of their epipolar lines; trying corrections")
+        repair = repair_cameras(found.cameras, found.matches)
+        is_changed = repair.is_changed
+        for trial in repair.trials:
+            kept = "kept" if trial.is_kept else "not kept"
+            log(f"calibration: {trial.name}: {trial.score} (held-out matches), {kept}")
+        if is_changed:
+            _write_repaired(files, found, repair)
+            log(f"calibration: before {repair.before}; after {repair.after}; corrected: {files.repaired}")
+            if (files.capture / MATTES).is_dir():
+                log(f"calibration: mattes in {files.capture / MATTES} do not fit the correction and are made again")
+        else:
+            log("calibration: no correction agrees better with held-out matches; the given calibration is used")
+        for line in () if is_changed else agreement.warnings:
+            log(f"warning: {line}")
+    write_text_atomically(files.repaired / RESULT, json.dumps({"changed": is_changed}) + "\n")
+
+
+def _write_repaired(files: RepairFiles, found: CaptureMatches, repair: Repair) -> None:
+    """Link the files of the capture, and write the corrected calibration."""
+    files.repaired.mkdir(parents=True, exist_ok=True)
+    own = {INTRINSICS_NAME, EXTRINSICS_NAME, DERIVED.name, RESULT}
+    for name in sorted(os.listdir(files.capture)):
+        target = files.repaired / name
+        if name not in own and not target.is_symlink():
+            target.symlink_to((files.capture / name).resolve())
+    write_calibration(files.repaired, list(found.names), list(repair.cameras))
