@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +14,7 @@ from rich.text import Text
 from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
-from fourd.cli.options import describe, option
+from fourd.cli.options import describe, option, parse_offsets
 from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.importer import ImportOptions, import_source
@@ -105,7 +104,7 @@ def _options(arguments: Arguments) -> ImportOptions:
     return ImportOptions(
         copy=arguments.copy,
         unpack=arguments.unpack,
-        offsets=_offsets(arguments.offset),
+        offsets=parse_offsets(arguments.offset),
         sync=arguments.sync,
         apply_sync=arguments.apply_sync,
         resize=arguments.resize,
@@ -114,20 +113,6 @@ def _options(arguments: Arguments) -> ImportOptions:
         distance=None if arguments.scale is None else _distance(arguments.scale),
         board=None if arguments.board is None else _board(arguments.board),
     )
-
-
-def _offsets(words: Sequence[str]) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
-        name, _, frames = part.rpartition("=")
-        try:
-            value = int(frames)
-        except ValueError:
-            value, name = 0, ""
-        if not name or name in found:
-            raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
-        found[name] = value
-    return found
 
 
 def _distance(text: str) -> Distance:
