@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.board_calibration.saddle_points import refine_corners
 from fourd.boards import CalibrationBoard, charuco_board
 from fourd.calibration.chessboard import find_corners
 
@@ -19,6 +20,10 @@ MIN_CORNERS = 6
 MIN_SPREAD = 0.5
 """Minimum standard deviation of a view's corners across their main direction, in squares. Corners on one line do not
 determine a pose."""
+MARKER_CLEARANCE = 0.95
+"""Half side of the patch around a corner, as a share of the distance to the nearest marker."""
+CHESSBOARD_PATCH = 0.2
+"""Half side of the patch around a corner of a chessboard, in squares."""
 MAX_CHESSBOARD_PX = 1000
 """Longer side of the reduced image in which a chessboard is searched first. Images without a chessboard are the slowest
 to search."""
@@ -67,16 +72,29 @@ class BoardDetector:
 
     def _detect_side(self, grey: Grey) -> tuple[NDArray[np.intp], Array] | None:
         """Ids and positions of the corners in OpenCV's pixel coordinates."""
-        if self._charuco is None:
-            return self._detect_chessboard(grey)
-        pixels, ids, _, _ = self._charuco.detectBoard(grey)
+        found = self._detect_chessboard(grey) if self._charuco is None else self._detect_charuco(grey, self._charuco)
+        if found is None:
+            return None
+        corners, rough = found
+        flat = self.board.corners[corners, :2] / self.board.square_m
+        if not _is_spread(flat):
+            return None
+        pixels, is_saddle = refine_corners(grey, flat, rough, self._patch_squares)
+        kept = corners[is_saddle]
+        return (kept, pixels[is_saddle]) if _is_spread(flat[is_saddle]) else None
+
+    @property
+    def _patch_squares(self) -> float:
+        """Half side of the patch around a corner, in squares. It ends before the markers."""
+        if self.board.marker_m is None:
+            return CHESSBOARD_PATCH
+        return MARKER_CLEARANCE * (1 - self.board.marker_m / self.board.square_m) / 2
+
+    def _detect_charuco(self, grey: Grey, detector: cv2.aruco.CharucoDetector) -> tuple[NDArray[np.intp], Array] | None:
+        pixels, ids, _, _ = detector.detectBoard(grey)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
-        corners = np.ravel(ids).astype(np.intp)
-        flat = self.board.corners[corners, :2] / self.board.square_m
-        if np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[1] < MIN_SPREAD * np.sqrt(len(flat)):
-            return None
-        return corners, np.asarray(pixels, np.float64).reshape(-1, 2)
+        return np.ravel(ids).astype(np.intp), np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def _detect_chessboard(self, grey: Grey) -> tuple[NDArray[np.intp], Array] | None:
         columns, rows = self.board.columns - 1, self.board.rows - 1
@@ -87,6 +105,13 @@ class BoardDetector:
                 return None
         found = find_corners(grey, columns, rows)
         return None if found is None else (np.arange(columns * rows), found.reshape(-1, 2))
+
+
+def _is_spread(flat: Array) -> bool:
+    """Whether corners (N, 2) in squares are numerous and not nearly on one line."""
+    if len(flat) < MIN_CORNERS:
+        return False
+    return bool(np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[1] >= MIN_SPREAD * np.sqrt(len(flat)))
 
 
 def _make_charuco_detector(board: CalibrationBoard) -> cv2.aruco.CharucoDetector:

@@ -73,7 +73,7 @@ def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> f
     places = _marker_places(board)
     ratios = []
     for picture, mirrored in product(pictures, (False, True) if board.double_sided else (False,)):
-        found = _find_markers(_transform(picture, board.inverted, mirrored), board.dictionary)
+        found = _find_markers(_transform(picture, board.inverted, mirrored), board.dictionary, precise=True)
         known = found.ids < len(places)
         if known.sum() < MIN_MARKERS:
             continue
@@ -163,8 +163,13 @@ def _marker_places(board: CalibrationBoard) -> Array:
     return np.asarray(places / board.square_m, np.float64)
 
 
-def _find_markers(picture: Grey, name: str) -> MarkerImage:
-    corners, ids, _ = cv2.aruco.ArucoDetector(load_dictionary(name)).detectMarkers(picture)
+def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImage:
+    """Find the markers whose ids occur once. ``precise`` fits lines to the edges of the markers, which is slower."""
+    parameters = cv2.aruco.DetectorParameters()
+    if precise:
+        # Without this refinement, blurred markers appear up to 7% too small.
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
+    corners, ids, _ = cv2.aruco.ArucoDetector(load_dictionary(name), parameters).detectMarkers(picture)
     if ids is None:
         return MarkerImage(np.zeros(0, np.intp), np.zeros((0, 4, 2)))
     unique = [index for index, count in Counter(np.ravel(ids).tolist()).items() if count == 1]

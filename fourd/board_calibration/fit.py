@@ -32,7 +32,7 @@ from fourd.board_calibration.rig import (
     collect_corners,
     reprojection_errors,
 )
-from fourd.board_calibration.solver import solve_rig
+from fourd.board_calibration.solver import Loss, solve_rig
 from fourd.boards import CalibrationBoard
 from fourd.cameras import Camera
 from fourd.errors import UserError
@@ -52,6 +52,15 @@ KEPT_PAIRS = 4
 """A frame is not kept out of the fit if two cameras in it would share fewer frames in the fit."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales of the Huber loss in the successive adjustments, in pixels."""
+MEDIAN_PER_STD = 1.177
+"""Median length of a two-dimensional normal vector, in standard deviations."""
+CORRELATION = 2.5
+"""Factor by which the standard deviation of the corners is increased where they are weighed against the prior. The
+errors of corners in one image are correlated: by motion blur, by a board that is not flat, and by cameras that do not
+expose at exactly the same time."""
+OUTLIER_MEDIANS = 6.0
+"""Corners with errors above this multiple of their camera's median error are left out of the last adjustment."""
+MIN_OUTLIER_PX = 0.3
 MAX_MEDIAN = 0.004
 """Maximum median error of a camera, as a share of the image's longer side. Larger errors mean that the cameras do not
 see one rigid board at the same time."""
@@ -199,20 +208,25 @@ def _adjust(
     lens = free.copy()
     lens[[each is None for each in rig.lenses], LENS] = True
     stages = [(free, SCALES_PX[0]), *((lens, scale) for scale in SCALES_PX)]
-    std = np.zeros(free.shape)
-    for mask, scale in track(stages, len(stages), "bundle adjustment"):
-        solution = solve_rig(state, corners, mask, scale)
+    std, corner_px = np.zeros(free.shape), np.ones(len(cameras))
+    inliers = np.ones(len(corners.camera), bool)
+    for number, (mask, scale) in enumerate(track(stages, len(stages), "bundle adjustment")):
+        solution = solve_rig(state, corners.select(inliers), mask, Loss(scale, corner_px))
         state, std = solution.state, solution.std
-    _check_agreement(rig, state, corners)
+        errors = reprojection_errors(state, corners)
+        medians = np.array([np.median(errors[corners.camera == index]) for index in range(len(cameras))])
+        if number > 0:
+            corner_px = CORRELATION * np.minimum(medians / MEDIAN_PER_STD, 1.0)
+        if number == len(stages) - 2:
+            _check_agreement(rig, medians)
+            inliers = errors <= np.maximum(OUTLIER_MEDIANS * medians, MIN_OUTLIER_PX)[corners.camera]
     return state, std
 
 
-def _check_agreement(rig: RigInput, state: RigState, corners: Corners) -> None:
-    """Raise UserError if a camera does not agree with the others at all."""
-    errors = reprojection_errors(state, corners)
-    medians = [float(np.median(errors[corners.camera == index])) for index in range(len(rig.names))]
+def _check_agreement(rig: RigInput, medians: Array) -> None:
+    """Raise UserError if a camera does not agree with the others at all; ``medians`` (C,) are its errors in pixels."""
     limits = [MAX_MEDIAN * max(size) for size in rig.sizes]
-    worst = int(np.argmax(np.array(medians) / limits))
+    worst = int(np.argmax(medians / limits))
     if medians[worst] > limits[worst]:
         raise UserError(
             f"{rig.where}: {rig.names[worst]}: expected one rigid board of {1e3 * rig.board.square_m:g} mm squares in "
@@ -262,5 +276,5 @@ def locate_boards(
     corners = collect_corners(board, [each.view for each in located], frames)
     fixed = np.zeros((len(cameras), PARAMETERS), bool)
     for scale in SCALES_PX:
-        state = solve_rig(state, corners, fixed, scale).state
+        state = solve_rig(state, corners, fixed, Loss(scale, np.ones(len(cameras)))).state
     return state.boards

@@ -38,10 +38,6 @@ DAMPING = 1e-3
 """Initial damping factor of the Levenberg-Marquardt algorithm."""
 MIN_RELATIVE_DECREASE = 1e-7
 """The solver stops when a step decreases the cost by less than this fraction of the cost."""
-CORNER_PX = 1.0
-"""Standard deviation of a corner's position in pixels that weighs the corners against the prior. It is larger than the
-measured standard deviation, because the errors of corners in one image are correlated: by motion blur, by a board that
-is not flat, and by cameras that do not expose at exactly the same time."""
 PRIOR_ASPECT = 0.005
 """Standard deviation of the logarithm of fx / fy around 0: pixels are square."""
 PRIOR_CENTRE = 0.015
@@ -49,6 +45,20 @@ PRIOR_CENTRE = 0.015
 PRIOR_DISTORTION = np.array([0.3, 0.3, 0.002, 0.002, 0.3])
 """Standard deviations of k1, k2, p1, p2 and k3 around 0. The prior matters where corners cover a small part of the
 image or few directions of the board, which leaves combinations of coefficients undetermined."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loss:
+    """Weights of the terms of the cost.
+
+    Attributes:
+        scale_px: scale of the Huber loss in pixels.
+        corner_px: (C,) standard deviation of a corner's position in each camera, in pixels, that weighs the corners
+            against the prior.
+    """
+
+    scale_px: float
+    corner_px: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +75,7 @@ class Solution:
     std: Array
 
 
-def solve_rig(start: RigState, corners: Corners, free: Mask, scale_px: float) -> Solution:
+def solve_rig(start: RigState, corners: Corners, free: Mask, loss: Loss) -> Solution:
     """Minimise the Huber loss of the reprojection errors, with a weak prior on the lenses that are free.
 
     Args:
@@ -73,16 +83,16 @@ def solve_rig(start: RigState, corners: Corners, free: Mask, scale_px: float) ->
         corners: observations.
         free: (C, 15) parameters that are adjusted. One camera's pose should be fixed, because turning all cameras and
             boards together would not change the cost.
-        scale_px: scale of the Huber loss in pixels.
+        loss: scale of the Huber loss, and weight of the prior.
     """
     state, damping = start, DAMPING
-    cost = _cost(state, corners, free, scale_px)
+    cost = _cost(state, corners, free, loss)
     for _ in range(MAX_STEPS):
-        system = _linearize(state, corners, free, scale_px)
+        system = _linearize(state, corners, free, loss)
         gain = 0.0
         for _ in range(MAX_TRIALS):
             trial = _move(state, *system.step(damping))
-            after = _cost(trial, corners, free, scale_px)
+            after = _cost(trial, corners, free, loss)
             if after < cost:
                 gain = (cost - after) / max(cost, 1e-300)
                 state, cost, damping = trial, after, max(damping / 10, 1e-10)
@@ -90,7 +100,7 @@ def solve_rig(start: RigState, corners: Corners, free: Mask, scale_px: float) ->
             damping *= 10
         if gain < MIN_RELATIVE_DECREASE:
             break
-    return Solution(state, _standard_deviations(state, corners, free, scale_px))
+    return Solution(state, _standard_deviations(state, corners, free, loss))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +142,12 @@ class _System:
         return whole.reshape(size, size) - left @ right.T, eliminated
 
 
-def _linearize(state: RigState, corners: Corners, free: Mask, scale_px: float) -> _System:
+def _linearize(state: RigState, corners: Corners, free: Mask, loss: Loss) -> _System:
     """Build the normal equations at ``state``."""
     count, boards = len(state.cameras), len(state.boards)
     found = project(state, corners)
     residual = found.pixels - corners.pixels
-    weight = _weights(residual, scale_px)[:, None, None]
+    weight = _weights(residual, loss.scale_px)[:, None, None]
     by_camera = found.by_camera * free[corners.camera][:, None]
     weighted_camera, weighted_board = by_camera * weight, found.by_board * weight
     camera_blocks = np.zeros((count, PARAMETERS, PARAMETERS))
@@ -153,7 +163,7 @@ def _linearize(state: RigState, corners: Corners, free: Mask, scale_px: float) -
     np.add.at(rhs_boards, corners.board, -np.einsum("nij,ni->nj", weighted_board, residual))
     coupling = np.zeros((boards, count, PARAMETERS, BOARD_PARAMETERS))
     np.add.at(coupling, (corners.board, corners.camera), np.swapaxes(weighted_camera, 1, 2) @ found.by_board)
-    precision, offset = _prior(state, free)
+    precision, offset = _prior(state, free, loss.corner_px)
     camera_blocks += precision + ~free[:, :, None] * np.eye(PARAMETERS)
     rhs_cameras -= np.einsum("cij,cj->ci", precision, offset)
     # A board without observations would make its block singular.
@@ -161,13 +171,14 @@ def _linearize(state: RigState, corners: Corners, free: Mask, scale_px: float) -
     return _System(camera_blocks, board_blocks, coupling.reshape(boards, -1, BOARD_PARAMETERS), rhs_cameras, rhs_boards)
 
 
-def _cost(state: RigState, corners: Corners, free: Mask, scale_px: float) -> float:
+def _cost(state: RigState, corners: Corners, free: Mask, loss: Loss) -> float:
     found = project(state, corners)
     if (found.depth < MIN_DEPTH).any():
         return float("inf")
     error = np.linalg.norm(found.pixels - corners.pixels, axis=1)
+    scale_px = loss.scale_px
     huber = np.where(error <= scale_px, error**2, 2 * scale_px * error - scale_px**2)
-    precision, offset = _prior(state, free)
+    precision, offset = _prior(state, free, loss.corner_px)
     return float(huber.sum() + np.einsum("ci,cij,cj->", offset, precision, offset))
 
 
@@ -177,7 +188,7 @@ def _weights(residual: Array, scale_px: float) -> Array:
     return np.where(error <= scale_px, 1.0, scale_px / np.maximum(error, scale_px))
 
 
-def _prior(state: RigState, free: Mask) -> tuple[Array, Array]:
+def _prior(state: RigState, free: Mask, corner_px: Array) -> tuple[Array, Array]:
     """Precision (C, 15, 15) of the prior in units of the cost, and distances (C, 15) from the prior's mean."""
     count = len(state.cameras)
     precision, offset = np.zeros((count, PARAMETERS, PARAMETERS)), np.zeros((count, PARAMETERS))
@@ -191,27 +202,28 @@ def _prior(state: RigState, free: Mask) -> tuple[Array, Array]:
         centre = PRIOR_CENTRE * max(camera.width, camera.height)
         diagonal = np.zeros(PARAMETERS)
         diagonal[LENS][2:] = 1 / np.concatenate([[centre, centre], PRIOR_DISTORTION]) ** 2
-        precision[index] = CORNER_PX**2 * (np.diag(diagonal) + np.outer(aspect, aspect))
+        precision[index] = corner_px[index] ** 2 * (np.diag(diagonal) + np.outer(aspect, aspect))
         offset[index, LENS] = lens
         offset[index, LENS][2:4] -= (camera.width / 2, camera.height / 2)
     return precision, offset
 
 
-def _standard_deviations(state: RigState, corners: Corners, free: Mask, scale_px: float) -> Array:
+def _standard_deviations(state: RigState, corners: Corners, free: Mask, loss: Loss) -> Array:
     """Standard deviations (C, 15) of the cameras' parameters.
 
     The covariance is H^-1 G H^-1, where H are the reduced normal equations and G is the sum over the frames of the
-    squared gradients (the sandwich estimate with clusters, Liang and Zeger 1986), and of the prior. It allows for errors that are
-    correlated within a frame, for example because the board moved between the exposures of two cameras.
+    squared gradients (the sandwich estimate with clusters, Liang and Zeger 1986), and of the prior. It allows for
+    errors that are correlated within a frame, for example because the board moved between the exposures of two
+    cameras.
     """
-    system = _linearize(state, corners, free, scale_px)
+    system = _linearize(state, corners, free, loss)
     reduced, eliminated = system.reduce(0.0)
     # Scaling to a unit diagonal keeps parameters of different units comparable.
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     found = project(state, corners)
     residual = found.pixels - corners.pixels
-    weighted = _weights(residual, scale_px)[:, None] * residual
+    weighted = _weights(residual, loss.scale_px)[:, None] * residual
     gradients = np.zeros((len(state.boards), len(state.cameras), PARAMETERS))
     by_camera = found.by_camera * free[corners.camera][:, None]
     np.add.at(gradients, (corners.board, corners.camera), np.einsum("nij,ni->nj", by_camera, weighted))
@@ -219,8 +231,8 @@ def _standard_deviations(state: RigState, corners: Corners, free: Mask, scale_px
     np.add.at(by_board, corners.board, np.einsum("nij,ni->nj", found.by_board, weighted))
     scores = gradients.reshape(len(gradients), -1) - np.einsum("fij,fj->fi", eliminated, by_board)
     # The mean of the prior is as uncertain as the prior says, which adds to the gradients' variance.
-    precision, _ = _prior(state, free)
-    variance = scores.T @ scores + CORNER_PX**2 * block_diag(*precision)
+    precision, _ = _prior(state, free, loss.corner_px)
+    variance = scores.T @ scores + block_diag(*(loss.corner_px[:, None, None] ** 2 * precision))
     covariance = inverse @ variance @ inverse
     return np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0)).reshape(free.shape) * free, np.float64)
 

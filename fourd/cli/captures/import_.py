@@ -17,6 +17,7 @@ from fourd.calibration.scale import Distance
 from fourd.cli.options import describe, option, parse_offsets
 from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
+from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import Tracker
 
@@ -26,6 +27,10 @@ WORDS_HELP = (
 )
 
 OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
+CALIBRATION_HELP = (
+    "Calibration of the videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes. SRC is then "
+    "read as videos."
+)
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
     "world's origin and axes. If two cameras see the chessboard, it also sets the unit."
@@ -72,6 +77,7 @@ class Arguments:
             "mirrored: correct mirrored principal points.",
         ),
     ] = "auto"
+    calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     calibrate: bool = False
     """Calibrate the cameras from the images, and ignore a calibration in SRC."""
     scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
@@ -94,7 +100,8 @@ def run(arguments: Arguments) -> None:
         console.print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
 
     options = _options(arguments)
-    picked = pick_format(name[0] if name else None, Path(source))
+    given = None if arguments.calibration is None else VIDEOS_FORMAT
+    picked = pick_format(name[0] if name else given, Path(source))
     log(f"{picked.name}: {picked.summary}")
     import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
     Console().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
@@ -110,6 +117,7 @@ def _options(arguments: Arguments) -> ImportOptions:
         resize=arguments.resize,
         centres=arguments.centres,
         calibrate=arguments.calibrate,
+        calibration=None if arguments.calibration is None else str(arguments.calibration.resolve()),
         distance=None if arguments.scale is None else _distance(arguments.scale),
         board=None if arguments.board is None else _board(arguments.board),
     )

@@ -5,11 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.importing.detection import pick_format
+from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 
 PATTERNS = ("*", "*/*", "*/*/*")
+CALIBRATION = (INTRINSICS_NAME, EXTRINSICS_NAME)
 
 
 @dataclass(frozen=True)
@@ -20,14 +23,17 @@ class ImportFiles:
     capture: Path
 
 
-def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOptions]:
-    """Create the stage that imports ``source`` into the folder ``capture``."""
+def import_stage(source: Path, capture: Path, calibration: Path | None = None) -> Stage[ImportFiles, ImportOptions]:
+    """Create the stage that imports ``source`` into the folder ``capture``.
+
+    With a folder ``calibration``, which has intri.yml and extri.yml, ``source`` is read as videos.
+    """
     return Stage(
         "import",
         run_import,
         ImportFiles(source, capture),
-        ImportOptions(),
-        inputs=(Artefact(source, PATTERNS),),
+        ImportOptions(calibration=None if calibration is None else str(calibration.resolve())),
+        inputs=(Artefact(source, PATTERNS), *([] if calibration is None else [Artefact(calibration, CALIBRATION)])),
         outputs=(capture,),
         leftovers=(Leftovers(capture),),
     )
@@ -36,7 +42,7 @@ def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOption
 def run_import(files: ImportFiles, options: ImportOptions, context: Context) -> None:
     """Detect the format of the source and import the source."""
     log = context.log
-    picked = pick_format(None, files.source)
+    picked = pick_format(None if options.calibration is None else VIDEOS_FORMAT, files.source)
     log(f"{files.source}: {picked.name}, {picked.summary}")
     import_source(
         picked,
