@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import glob
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -45,6 +46,30 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def atomic_folder(target: Path) -> Iterator[Path]:
+    """Yield a temporary folder beside ``target``. On success, the temporary folder replaces the folder ``target``.
+
+    If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. An existing
+    ``target`` is moved aside before it is replaced and then removed, so that ``target`` is missing only for a moment.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f"{UNFINISHED}{target.name}-"))
+    old = temporary.with_name(f"{temporary.name}-old")
+    try:
+        yield temporary
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o777 & ~umask)
+        if target.exists():
+            os.replace(target, old)
+        os.replace(temporary, target)
+        _fsync_folder(target.parent)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
 def write_bytes_atomically(target: Path | str, content: bytes) -> None:
     """Write ``content`` to ``target`` in one indivisible step (see :func:`atomic_path`)."""
     with atomic_path(target) as temporary:
@@ -62,8 +87,11 @@ def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
     Do not call this function while another process writes to ``folder``: the temporary files of that process are
     removed too.
     """
-    for path in Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*"):
-        path.unlink(missing_ok=True)
+    for path in list(Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*")):
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def remove_unfinished_file(target: Path | str) -> None:

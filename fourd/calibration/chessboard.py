@@ -57,7 +57,12 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
             f"{columns} x {rows} and {square_m:g} m; count the points where four squares meet"
         )
     grey = np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), np.uint8)
-    pixels = _detect_corners(grey, columns, rows)
+    pixels = find_corners(grey, columns, rows)
+    if pixels is None:
+        raise UserError(
+            f"board: expected a chessboard of {columns} x {rows} inner corners, got none in the image; take an image "
+            "of the whole flat board with a white margin, in focus and without glare"
+        )
     j, i = np.meshgrid(np.arange(columns), np.arange(rows))
     xyz = square_m * np.stack([j, i, np.zeros_like(i)], axis=-1).reshape(-1, 3)
     # The centre of the first pixel has the coordinate 0 in OpenCV and 0.5 in fourd.
@@ -68,15 +73,15 @@ def board_pose(picture: Picture, camera: Camera, board: Board) -> Camera:
     return replace(camera, rotation=rotation, translation=np.asarray(tvec, np.float64).ravel())
 
 
-def _detect_corners(grey: Picture, columns: int, rows: int) -> Array:
-    """Detect the inner corners (rows, columns, 2) in OpenCV's pixel coordinates, in the order of :func:`board_pose`."""
+def find_corners(grey: Picture, columns: int, rows: int) -> Array | None:
+    """Detect the inner corners (rows, columns, 2) in OpenCV's pixel coordinates, in the order of :func:`board_pose`.
+
+    Returns None if the image does not show all inner corners.
+    """
     flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     found, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=flags)
     if not found:
-        raise UserError(
-            f"board: expected a chessboard of {columns} x {rows} inner corners, got none in the image; take an image "
-            "of the whole flat board with a white margin, in focus and without glare"
-        )
+        return None
     pixels = corners.reshape(rows, columns, 2).astype(np.float64)
     along, across = pixels[0, -1] - pixels[0, 0], pixels[-1, 0] - pixels[0, 0]
     if along[0] * across[1] - along[1] * across[0] > 0:

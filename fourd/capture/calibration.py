@@ -120,6 +120,28 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
         return CalibrationReport(tuple(names), calibrations, tuple(errors))
 
 
+def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
+    """Read the lenses in ``folder``/intri.yml by camera name. extri.yml is not needed; the poses are the identity.
+
+    Raises:
+        UserError: like :func:`read_calibration`, or if a camera has no image size.
+    """
+    lenses = {}
+    with _Storage(Path(folder) / INTRINSICS_NAME) as intri:
+        for name in intri.names():
+            width, height = intri.count(f"W_{name}"), intri.count(f"H_{name}")
+            if width is None or height is None:
+                raise UserError(f"{intri.path}: expected W_{name} and H_{name} in pixels, got none; add the image size")
+            lens = Calibration(
+                intri.matrix(f"K_{name}", (3, 3)), np.eye(3), np.zeros(3), _read_distortion(name, intri), width, height
+            )
+            try:
+                lenses[name] = lens.camera(width, height)
+            except ValueError as error:
+                raise UserError(f"{intri.path}: camera '{name}': {error}; calibrate that camera again") from error
+    return lenses
+
+
 def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:
     """Write intri.yml and extri.yml for ``cameras`` into ``folder``; each file is written atomically."""
     folder = Path(folder)
@@ -160,7 +182,7 @@ def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
         intrinsics,
         _read_rotation(name, extri),
         extri.matrix(f"T_{name}", (3,)),
-        next((intri.matrix(key, None) for key in (f"D_{name}", f"dist_{name}") if intri.has(key)), None),
+        _read_distortion(name, intri),
         intri.count(f"W_{name}"),
         intri.count(f"H_{name}"),
     )
@@ -170,6 +192,10 @@ def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:
         path = extri.path if str(error).startswith("rotation") else intri.path
         raise UserError(f"{path}: camera '{name}': {error}; calibrate that camera again") from error
     return calibration
+
+
+def _read_distortion(name: str, intri: _Storage) -> Array | None:
+    return next((intri.matrix(key, None) for key in (f"D_{name}", f"dist_{name}") if intri.has(key)), None)
 
 
 def _read_rotation(name: str, extri: _Storage) -> Array:

@@ -14,6 +14,7 @@ from fourd.errors import UserError
 
 COMMANDS = {
     "make": "runs.make",
+    "calibrate": "captures.calibrate",
     "import": "captures.import_",
     "synth": "captures.synth",
     "check": "captures.check",
@@ -50,6 +51,8 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
 
   fourd make VIDEOS|CAPTURE -o scene.4dv
                                     run every stage from videos to a scene; cached and resumable
+  fourd calibrate VIDEOS --board BOARD.toml -o CALIBRATION
+                                    calibrate a rig from videos of a moving board
   fourd import [FORMAT] SRC OUT     import another program's calibration and videos
   fourd synth OUT                   make a synthetic capture with ground truth
   fourd check CAPTURE               list a capture's contents and problems

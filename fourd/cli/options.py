@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -77,6 +78,21 @@ def check_rendering(
 def split_names(text: str | None) -> tuple[str, ...] | None:
     """Split names at commas; None stays None."""
     return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def parse_offsets(words: Sequence[str]) -> dict[str, int]:
+    """Parse the values of --offset, CAM=FRAMES separated by commas, to frames by camera name."""
+    found: dict[str, int] = {}
+    for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
+        name, _, frames = part.rpartition("=")
+        try:
+            value = int(frames)
+        except ValueError:
+            value, name = 0, ""
+        if not name or name in found:
+            raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
+        found[name] = value
+    return found
 
 
 def worker_count(workers: int | None) -> int:

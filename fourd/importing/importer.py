@@ -17,6 +17,7 @@ from fourd.capture.video_index import cached_indices
 from fourd.errors import UserError
 from fourd.files import remove_unfinished
 from fourd.importing.detection import Format
+from fourd.importing.given_calibration import apply_calibration
 from fourd.importing.imported import Imported, video_files
 from fourd.importing.record import (
     ImportRecord,
@@ -54,6 +55,7 @@ class ImportOptions:
         calibrate: calibrate from the images even if the source has a calibration.
         distance: known distance between two cameras, which sets the unit.
         board: chessboard in the first frames, which sets the world's origin and axes.
+        calibration: folder with intri.yml and extri.yml for videos without a calibration.
     """
 
     copy: bool = False
@@ -66,6 +68,7 @@ class ImportOptions:
     calibrate: bool = False
     distance: Distance | None = None
     board: Board | None = None
+    calibration: str | None = None
 
 
 def import_source(
@@ -90,6 +93,8 @@ def import_source(
     if before is not None:
         check_same_source(out, before, source, source_format.name)
     imported = source_format.read(source)
+    if options.calibration is not None:
+        imported = apply_calibration(imported, source_format.name, Path(options.calibration))
     needs_calibration = _check_options(imported, source, options)
     for note in imported.notes:
         log(note)
@@ -128,6 +133,8 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
     """Check the options before the import starts. Returns whether the cameras must be calibrated from their images."""
     if options.sync and options.apply_sync:
         raise UserError("--apply-sync: expected no --sync, got both options; choose one")
+    if options.calibrate and options.calibration is not None:
+        raise UserError("--calibrate: expected no --calibration, got both options; choose one")
     if options.apply_sync and options.offsets:
         raise UserError("--apply-sync: expected no --offset, got both options; choose one")
     check_import(imported, ImportSettings(options.copy, options.unpack, options.offsets))

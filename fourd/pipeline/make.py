@@ -34,6 +34,7 @@ def make_scene(
     *,
     points_from: Path | None = None,
     lpips_weights: Path | None = None,
+    calibration: Path | None = None,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
@@ -52,6 +53,7 @@ def make_scene(
         points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
+        calibration: folder with intri.yml and extri.yml, if ``source`` is a folder of videos.
 
     Raises:
         UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
@@ -62,12 +64,12 @@ def make_scene(
         raise UserError(
             f"{work}: expected a folder made by fourd make, got a folder with other files; move it or choose another -o"
         )
+    imports = stages_to_capture(source, work / CAPTURE, calibration)
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
     context.log(describe_plan(source, train, context.workers, points_from is not None))
     runner = Runner(context, work / RECORD)
-    imports = stages_to_capture(source, work / CAPTURE)
     runner.run(imports)
     # The other stages depend on the contents of the imported capture.
     capture = work / CAPTURE if imports else source

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -15,9 +14,10 @@ from rich.text import Text
 from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
-from fourd.cli.options import describe, option
+from fourd.cli.options import describe, option, parse_offsets
 from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
+from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import Tracker
 
@@ -27,6 +27,10 @@ WORDS_HELP = (
 )
 
 OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
+CALIBRATION_HELP = (
+    "Calibration of the videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes. SRC is then "
+    "read as videos."
+)
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
     "world's origin and axes. If two cameras see the chessboard, it also sets the unit."
@@ -73,6 +77,7 @@ class Arguments:
             "mirrored: correct mirrored principal points.",
         ),
     ] = "auto"
+    calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     calibrate: bool = False
     """Calibrate the cameras from the images, and ignore a calibration in SRC."""
     scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
@@ -95,7 +100,8 @@ def run(arguments: Arguments) -> None:
         console.print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
 
     options = _options(arguments)
-    picked = pick_format(name[0] if name else None, Path(source))
+    given = None if arguments.calibration is None else VIDEOS_FORMAT
+    picked = pick_format(name[0] if name else given, Path(source))
     log(f"{picked.name}: {picked.summary}")
     import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
     Console().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
@@ -105,29 +111,16 @@ def _options(arguments: Arguments) -> ImportOptions:
     return ImportOptions(
         copy=arguments.copy,
         unpack=arguments.unpack,
-        offsets=_offsets(arguments.offset),
+        offsets=parse_offsets(arguments.offset),
         sync=arguments.sync,
         apply_sync=arguments.apply_sync,
         resize=arguments.resize,
         centres=arguments.centres,
         calibrate=arguments.calibrate,
+        calibration=None if arguments.calibration is None else str(arguments.calibration.resolve()),
         distance=None if arguments.scale is None else _distance(arguments.scale),
         board=None if arguments.board is None else _board(arguments.board),
     )
-
-
-def _offsets(words: Sequence[str]) -> dict[str, int]:
-    found: dict[str, int] = {}
-    for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
-        name, _, frames = part.rpartition("=")
-        try:
-            value = int(frames)
-        except ValueError:
-            value, name = 0, ""
-        if not name or name in found:
-            raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
-        found[name] = value
-    return found
 
 
 def _distance(text: str) -> Distance:

@@ -9,8 +9,15 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from fourd.cli.options import option
 from fourd.errors import UserError
+from fourd.progress import Tracker
 from fourd.synth import SynthSettings, is_finished, make_synthetic
+from fourd.synth.board_videos import BoardSettings, make_board_videos
+
+FRAMES_HELP = "Number N of frames. The figure's motion repeats after N frames."
+CAMERAS_HELP = "Number of cameras on the ring, 3 to 100. With --board: on an arc, 2 to 100."
+SIZE_HELP = "Width and height of the images in pixels, 32 to 4096. With --board: from 128."
 
 
 @dataclass(frozen=True)
@@ -19,24 +26,34 @@ class Arguments:
 
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Capture folder to write: a new or empty folder, or a synthetic capture, which is replaced."""
-    frames: Annotated[str, tyro.conf.arg(metavar="0:N|N")] = "0:24"
-    """Number N of frames. The figure's motion repeats after N frames."""
-    cameras: int = 12
-    """Number of cameras on the ring, 3 to 100."""
-    size: int = 256
-    """Width and height of the images in pixels, 32 to 4096."""
+    board: bool = False
+    """Make videos of a moving calibration board for fourd calibrate, with the true calibration in OUT/truth/, instead
+    of a capture."""
+    frames: Annotated[str | None, option("0:N|N", "0:24, with --board 0:60", FRAMES_HELP)] = None
+    cameras: Annotated[int | None, option("INT", "12, with --board 4", CAMERAS_HELP)] = None
+    size: Annotated[int | None, option("INT", "256, with --board 640", SIZE_HELP)] = None
     seed: int = 0
-    """Random seed of the figure's clothes, proportions and gait phase, at least 0."""
+    """Random seed of the figure's clothes, proportions and gait phase, or of the board's motion, at least 0."""
     gloss: float = 0.3
     """Strength of the specular highlights, 0 to 1."""
 
 
 def run(arguments: Arguments) -> None:
     """Make the capture, unless a finished capture with the same options exists."""
-    settings = SynthSettings(
-        _frame_count(arguments.frames), arguments.cameras, arguments.size, arguments.seed, arguments.gloss
-    )
     console = Console(stderr=True)
+    given = {
+        "frames": None if arguments.frames is None else _frame_count(arguments.frames),
+        "cameras": arguments.cameras,
+        "size": arguments.size,
+    }
+    numbers = {name: value for name, value in given.items() if value is not None}
+    if arguments.board:
+        videos = BoardSettings(**numbers, seed=arguments.seed)
+        make_board_videos(arguments.out, videos, Tracker(console).track)
+        line = f"{arguments.out}: {videos.cameras} videos of {videos.frames} frames, {videos.board.describe()}"
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+        return
+    settings = SynthSettings(**numbers, seed=arguments.seed, gloss=arguments.gloss)
     if is_finished(arguments.out, settings):
         console.print(f"{arguments.out}: already finished with these settings", soft_wrap=True)
         return

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.cli.captures.matte import MatteOptions
-from fourd.cli.options import Workers, worker_count
+from fourd.cli.options import Workers, option, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
@@ -18,8 +18,11 @@ from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
 SOURCE_HELP = (
-    "A capture, or any input of fourd import, such as a folder of videos. To set time offsets, the scale or the "
-    "calibration, run fourd import first."
+    "A capture, or any input of fourd import, such as a folder of videos. To set time offsets or the scale, run fourd "
+    "import first."
+)
+CALIBRATION_HELP = (
+    "Calibration of a folder of videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes."
 )
 
 
@@ -32,6 +35,7 @@ class Arguments:
     """The .4dv file to write. Intermediate results of scene.4dv are kept in the folder scene.work/ beside the file."""
     training: TrainingOptions
     mattes: MatteOptions
+    calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     workers: Workers = None
 
 
@@ -51,6 +55,7 @@ def run(arguments: Arguments) -> None:
         Context(console, worker_count(arguments.workers)),
         points_from=options.points_from,
         lpips_weights=options.lpips_weights,
+        calibration=arguments.calibration,
     )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True

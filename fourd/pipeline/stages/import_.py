@@ -5,12 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
 from fourd.importing.detection import CALIBRATION_FORMATS, pick_format
+from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.importing.layouts import calibration_outside
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 
 PATTERNS = ("*", "*/*", "*/*/*")
+CALIBRATION = (INTRINSICS_NAME, EXTRINSICS_NAME)
 
 
 @dataclass(frozen=True)
@@ -21,15 +24,23 @@ class ImportFiles:
     capture: Path
 
 
-def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOptions]:
-    """Create the stage that imports ``source`` into the folder ``capture``."""
+def import_stage(source: Path, capture: Path, calibration: Path | None = None) -> Stage[ImportFiles, ImportOptions]:
+    """Create the stage that imports ``source`` into the folder ``capture``.
+
+    With a folder ``calibration``, which has intri.yml and extri.yml, ``source`` is read as videos.
+    """
+    inputs = [Artefact(source, PATTERNS)]
     outside = calibration_outside(source, CALIBRATION_FORMATS)
+    if calibration is not None:
+        inputs.append(Artefact(calibration, CALIBRATION))
+    elif outside is not None:
+        inputs.append(Artefact(outside))
     return Stage(
         "import",
         run_import,
         ImportFiles(source, capture),
-        ImportOptions(),
-        inputs=(Artefact(source, PATTERNS), *(() if outside is None else (Artefact(outside),))),
+        ImportOptions(calibration=None if calibration is None else str(calibration.resolve())),
+        inputs=tuple(inputs),
         outputs=(capture,),
         leftovers=(Leftovers(capture),),
     )
@@ -38,7 +49,7 @@ def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOption
 def run_import(files: ImportFiles, options: ImportOptions, context: Context) -> None:
     """Detect the format of the source and import the source."""
     log = context.log
-    picked = pick_format(None, files.source)
+    picked = pick_format(None if options.calibration is None else VIDEOS_FORMAT, files.source)
     log(f"{files.source}: {picked.name}, {picked.summary}")
     import_source(
         picked,

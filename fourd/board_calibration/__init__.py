@@ -1,0 +1,1 @@
+"""Calibration of a rig from videos of a moving calibration board."""

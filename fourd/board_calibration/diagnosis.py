@@ -1,0 +1,211 @@
+"""Why a board is not found: other marker dictionaries, other numbers of squares, negative and mirrored images."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.board_calibration.detection import BoardDetector
+from fourd.boards import CalibrationBoard, charuco_board, dictionary_names, load_dictionary
+
+Array = NDArray[np.float64]
+Grey = NDArray[np.uint8]
+
+MIN_MARKERS = 4
+"""Minimum number of markers in one image. Fewer markers may be false detections."""
+MAX_TRIED_SQUARES = 14
+"""Largest number of columns and rows that is tried."""
+INLIER_SQUARES = 0.25
+"""Maximum distance of a marker from its place on a board, in squares."""
+MAX_PX = 800
+"""Longer side of the reduced images in which other chessboards are searched."""
+MAX_CHESSBOARD_PICTURES = 3
+"""Maximum number of images in which chessboards of other sizes are searched, which is slow."""
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerImage:
+    """Markers in one image.
+
+    Attributes:
+        ids: (M,) ids in the dictionary.
+        corners: (M, 4, 2) corners in pixels, clockwise from the upper left, in the image that was searched.
+    """
+
+    ids: NDArray[np.intp]
+    corners: Array
+
+
+def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
+    """The change of a board's file with which the board is found in some of the images (H, W) uint8.
+
+    Dictionaries, numbers of squares, the inverted board and the mirrored board are tried. Returns None if nothing is
+    found.
+    """
+    for inverted, mirrored in product((board.inverted, not board.inverted), (False, True)):
+        turned = [_transform(picture, inverted, mirrored) for picture in pictures]
+        changed = replace(board, inverted=inverted, double_sided=board.double_sided or mirrored)
+        fix = _suggest_markers(changed, turned)
+        if fix is not None or _is_found(replace(changed, inverted=False, double_sided=False), turned):
+            changes = [] if fix is None else [fix]
+            if inverted != board.inverted:
+                changes.append(f"inverted = {str(inverted).lower()}")
+            if mirrored and not board.double_sided:
+                changes.append("double_sided = true")
+            if changes:
+                return ", ".join(changes)
+    return _suggest_chessboard(board, pictures[:MAX_CHESSBOARD_PICTURES])
+
+
+def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> float | None:
+    """Measure the side of a marker in squares from images of a ChArUco board, or None if too few markers are found.
+
+    The centres of the markers give the homography from the board to the image, so the result does not depend on
+    ``board.marker_m``.
+    """
+    assert board.dictionary is not None
+    places = _marker_places(board)
+    ratios = []
+    for picture, mirrored in product(pictures, (False, True) if board.double_sided else (False,)):
+        found = _find_markers(_transform(picture, board.inverted, mirrored), board.dictionary, precise=True)
+        known = found.ids < len(places)
+        if known.sum() < MIN_MARKERS:
+            continue
+        centres = found.corners[known].mean(axis=1)
+        homography, inliers = cv2.findHomography(centres, places[found.ids[known]], cv2.RANSAC, INLIER_SQUARES)
+        if homography is None or inliers.sum() < MIN_MARKERS:
+            continue
+        kept = found.corners[known][inliers.ravel() > 0]
+        flat = cv2.perspectiveTransform(kept.reshape(-1, 1, 2), homography).reshape(-1, 4, 2)
+        sides = np.linalg.norm(flat - np.roll(flat, 1, axis=1), axis=2)
+        ratios.append(float(np.median(sides)))
+    return float(np.median(ratios)) if ratios else None
+
+
+def _transform(picture: Grey, inverted: bool, mirrored: bool) -> Grey:
+    turned = 255 - picture if inverted else picture
+    return np.ascontiguousarray(turned[:, ::-1]) if mirrored else turned
+
+
+def _is_found(board: CalibrationBoard, pictures: Sequence[Grey]) -> bool:
+    detector = BoardDetector(board)
+    return any(detector.detect(picture, 0, 0) is not None for picture in pictures)
+
+
+def _suggest_markers(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
+    """The dictionary and the numbers of squares that fit the markers in the images, as keys of the board's file."""
+    best, most = None, 0
+    for name in _distinct_dictionaries():
+        found = [_find_markers(picture, name) for picture in pictures]
+        count = sum(len(each.ids) for each in found if len(each.ids) >= MIN_MARKERS)
+        if count > most:
+            best, most = (name, found), count
+    if best is None:
+        return None
+    name, found = best
+    changes = []
+    if board.dictionary is None:
+        changes.append('pattern = "charuco"')
+    largest = max(int(each.ids.max(initial=0)) for each in found)
+    if board.dictionary is None or not _contains(board.dictionary, name, largest):
+        changes.append(f'dictionary = "{name}"')
+    size = _fit_size(board, name, found)
+    if size is not None:
+        columns, rows, legacy = size
+        if (columns, rows) != (board.columns, board.rows):
+            changes.append(f"columns = {columns}, rows = {rows}")
+        if legacy != board.legacy_pattern:
+            changes.append(f"legacy_pattern = {str(legacy).lower()}")
+    return ", ".join(changes) or None
+
+
+def _fit_size(board: CalibrationBoard, name: str, found: Sequence[MarkerImage]) -> tuple[int, int, bool] | None:
+    """Columns, rows and legacy pattern that fit the places of the markers in the images; the board's if possible."""
+    images = sorted((each for each in found if len(each.ids) >= MIN_MARKERS), key=lambda each: -len(each.ids))[:3]
+    largest = max((int(each.ids.max()) for each in images), default=0)
+    sizes = [(board.columns, board.rows, board.legacy_pattern)]
+    tried = range(3, MAX_TRIED_SQUARES + 1)
+    sizes += sorted(product(tried, tried, (False, True)), key=lambda size: size[0] * size[1])
+    best, most = None, 0
+    available = len(load_dictionary(name).bytesList)
+    for columns, rows, legacy in sizes:
+        if not largest < columns * rows // 2 <= available:
+            continue
+        places = _marker_places(CalibrationBoard(columns, rows, 1.0, 0.5, name, legacy_pattern=legacy))
+        count = sum(_count_placed(places, each) for each in images)
+        if count > most:
+            best, most = (columns, rows, legacy), count
+    return best
+
+
+def _count_placed(places: Array, found: MarkerImage) -> int:
+    """Number of markers whose corners' centres lie at their places on a board after a homography."""
+    known = found.ids < len(places)
+    if known.sum() < MIN_MARKERS:
+        return 0
+    centres = found.corners[known].mean(axis=1)
+    homography, inliers = cv2.findHomography(centres, places[found.ids[known]], cv2.RANSAC, INLIER_SQUARES)
+    return 0 if homography is None else int(inliers.sum())
+
+
+def _marker_places(board: CalibrationBoard) -> Array:
+    """Centres (M, 2) of the board's markers by id, in squares."""
+    description = charuco_board(board)
+    centres = np.stack([np.asarray(corners)[:, :2].mean(axis=0) for corners in description.getObjPoints()])
+    places = np.zeros_like(centres)
+    places[np.ravel(description.getIds())] = centres
+    return np.asarray(places / board.square_m, np.float64)
+
+
+def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImage:
+    """Find the markers whose ids occur once. ``precise`` fits lines to the edges of the markers, which is slower."""
+    parameters = cv2.aruco.DetectorParameters()
+    if precise:
+        # Without this refinement, blurred markers appear up to 7% too small.
+        parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
+    corners, ids, _ = cv2.aruco.ArucoDetector(load_dictionary(name), parameters).detectMarkers(picture)
+    if ids is None:
+        return MarkerImage(np.zeros(0, np.intp), np.zeros((0, 4, 2)))
+    unique = [index for index, count in Counter(np.ravel(ids).tolist()).items() if count == 1]
+    kept = np.isin(np.ravel(ids), unique)
+    return MarkerImage(np.ravel(ids)[kept].astype(np.intp), np.concatenate(corners).astype(np.float64)[kept])
+
+
+def _distinct_dictionaries() -> list[str]:
+    """Dictionaries from small to large, so that a small one is preferred to a large one with the same markers."""
+    names = [name for name in dictionary_names() if name == name.upper()]
+    return sorted(names, key=lambda name: (len(load_dictionary(name).bytesList), name))
+
+
+def _contains(name: str, other: str, largest: int) -> bool:
+    """Whether two dictionaries have the same markers up to the id ``largest``."""
+    first, second = load_dictionary(name), load_dictionary(other)
+    if first.markerSize != second.markerSize or min(len(first.bytesList), len(second.bytesList)) <= largest:
+        return False
+    return bool(np.array_equal(first.bytesList[: largest + 1], second.bytesList[: largest + 1]))
+
+
+def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
+    """The numbers of squares of a chessboard in the images, as keys of the board's file."""
+    for picture in pictures:
+        zoom = min(1.0, MAX_PX / max(picture.shape))
+        reduced = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA), np.uint8)
+        for columns, rows in _chessboard_sizes():
+            found, _ = cv2.findChessboardCornersSB(reduced, (columns - 1, rows - 1), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+            if found and (board.dictionary is not None or {columns, rows} != {board.columns, board.rows}):
+                pattern = 'pattern = "chessboard", ' if board.dictionary is not None else ""
+                return f"{pattern}columns = {columns}, rows = {rows}"
+    return None
+
+
+def _chessboard_sizes() -> Iterator[tuple[int, int]]:
+    """Numbers of columns and rows that are tried, larger boards first, as a part of a board is a smaller board."""
+    tried = range(4, MAX_TRIED_SQUARES + 1)
+    sizes = [(columns, rows) for columns in tried for rows in tried if columns > rows]
+    yield from sorted(sizes, key=lambda size: -size[0] * size[1])

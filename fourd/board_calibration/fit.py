@@ -1,0 +1,280 @@
+"""Fit of a rig to the views of a board: initial values, bundle adjustment, and frames that are kept out of the fit."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.board_calibration.detection import BoardView
+from fourd.board_calibration.initial import (
+    CameraPair,
+    LocatedView,
+    chain_poses,
+    initial_boards,
+    initial_lens,
+    join_cameras,
+    locate_views,
+    pair_cameras,
+    views_by_camera,
+)
+from fourd.board_calibration.rig import (
+    LENS,
+    PARAMETERS,
+    POSE,
+    Corners,
+    Poses,
+    RigState,
+    collect_corners,
+    reprojection_errors,
+)
+from fourd.board_calibration.solver import Loss, solve_rig
+from fourd.boards import CalibrationBoard
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.progress import Track
+
+Array = NDArray[np.float64]
+
+KEPT_OUT_EVERY = 5
+"""One of this many frames is kept out of the fit."""
+MIN_LENS_VIEWS = 5
+"""Minimum number of views of a camera whose lens is estimated."""
+MIN_POSE_VIEWS = 3
+"""Minimum number of views of a camera whose lens is known."""
+KEPT_VIEWS = 8
+"""A frame is not kept out of the fit if a camera in it would keep fewer views for the fit."""
+KEPT_PAIRS = 4
+"""A frame is not kept out of the fit if two cameras in it would share fewer frames in the fit."""
+SCALES_PX = (10.0, 1.0, 0.5)
+"""Scales of the Huber loss in the successive adjustments, in pixels."""
+MEDIAN_PER_STD = 1.177
+"""Median length of a two-dimensional normal vector, in standard deviations."""
+CORRELATION = 2.5
+"""Factor by which the standard deviation of the corners is increased where they are weighed against the prior. The
+errors of corners in one image are correlated: by motion blur, by a board that is not flat, and by cameras that do not
+expose at exactly the same time."""
+OUTLIER_MEDIANS = 6.0
+"""Corners with errors above this multiple of their camera's median error are left out of the last adjustment."""
+MIN_OUTLIER_PX = 0.3
+MAX_MEDIAN = 0.004
+"""Maximum median error of a camera, as a share of the image's longer side. Larger errors mean that the cameras do not
+see one rigid board at the same time."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigFit:
+    """A fitted rig.
+
+    Attributes:
+        cameras: C cameras in the coordinates of the first camera, in metres.
+        frames: F frame numbers, in ascending order.
+        boards: F poses from board to world.
+        kept_out: (F,) whether a frame was kept out of the fit. The pose of its board is fitted to it, with the cameras
+            fixed.
+        corners: the corners of all frames.
+        errors: (N,) reprojection errors of the corners in pixels.
+        std: (C, 15) standard deviations of the cameras' parameters; see :mod:`fourd.board_calibration.rig`.
+        pairs: pairs of cameras that see the board in the same frame.
+        estimated: (C,) whether a camera's lens was estimated.
+    """
+
+    cameras: tuple[Camera, ...]
+    frames: tuple[int, ...]
+    boards: Poses
+    kept_out: NDArray[np.bool_]
+    corners: Corners
+    errors: Array
+    std: Array
+    pairs: tuple[CameraPair, ...]
+    estimated: NDArray[np.bool_]
+
+    def rms(self, camera: int, kept_out: bool) -> float | None:
+        """Root mean square error of a camera in pixels, on frames of the fit or kept out; None without any."""
+        rows = (self.corners.camera == camera) & (self.kept_out[self.corners.board] == kept_out)
+        return float(np.sqrt(np.mean(self.errors[rows] ** 2))) if rows.any() else None
+
+
+@dataclass(frozen=True, eq=False)
+class RigInput:
+    """The observations of a rig.
+
+    Attributes:
+        where: path of the videos, for error messages.
+        names: names of the C cameras.
+        sizes: width and height of each camera's images.
+        lenses: known lens of each camera, or None where it is estimated. The poses are ignored.
+        board: the board.
+        views: views of the board.
+    """
+
+    where: str
+    names: tuple[str, ...]
+    sizes: tuple[tuple[int, int], ...]
+    lenses: tuple[Camera | None, ...]
+    board: CalibrationBoard
+    views: tuple[BoardView, ...]
+
+
+def fit_rig(rig: RigInput, track: Track) -> RigFit:
+    """Calibrate a rig in the coordinates of its first camera.
+
+    Raises:
+        UserError: if a camera has too few views, cameras are not joined by common frames, or the views do not agree.
+    """
+    _check_views(rig)
+    frames = sorted({view.frame for view in rig.views})
+    kept_out = choose_kept_out(rig.views, frames)
+    fitted = [frame for frame in frames if frame not in kept_out]
+    views = [view for view in rig.views if view.frame not in kept_out]
+    by_camera = views_by_camera(views, len(rig.names))
+    cameras = tuple(
+        replace(lens, rotation=np.eye(3), translation=np.zeros(3))
+        if lens is not None
+        else initial_lens(rig.board, by_camera[index], *rig.sizes[index])
+        for index, lens in enumerate(track(rig.lenses, len(rig.lenses), "initial lenses"))
+    )
+    located = locate_views(rig.board, cameras, rig.views)
+    pairs = pair_cameras([each for each in located if each.view.frame not in kept_out])
+    groups = join_cameras(len(cameras), pairs)
+    if len(groups) > 1:
+        raise _not_joined(rig, groups)
+    poses = chain_poses(len(cameras), pairs)
+    cameras = tuple(
+        replace(camera, rotation=poses.rotation[index], translation=poses.translation[index])
+        for index, camera in enumerate(cameras)
+    )
+    state, std = _adjust(rig, cameras, located, fitted, track)
+    return _evaluate(rig, state, std, frames, kept_out, located, tuple(pairs))
+
+
+def choose_kept_out(views: Sequence[BoardView], frames: Sequence[int]) -> set[int]:
+    """Choose every fifth frame, unless the fit needs the frame for a camera or a pair of cameras."""
+    seen: dict[int, list[int]] = {frame: [] for frame in frames}
+    for view in views:
+        seen[view.frame].append(view.camera)
+    count = Counter(camera for cameras in seen.values() for camera in cameras)
+    pairs = Counter(pair for cameras in seen.values() for pair in combinations(sorted(cameras), 2))
+    chosen = set()
+    for frame in frames[KEPT_OUT_EVERY // 2 :: KEPT_OUT_EVERY]:
+        cameras = seen[frame]
+        shared = list(combinations(sorted(cameras), 2))
+        if any(count[camera] <= KEPT_VIEWS for camera in cameras) or any(pairs[pair] <= KEPT_PAIRS for pair in shared):
+            continue
+        chosen.add(frame)
+        count.subtract(cameras)
+        pairs.subtract(shared)
+    return chosen
+
+
+def _check_views(rig: RigInput) -> None:
+    """Raise UserError if a camera has too few views."""
+    count = Counter(view.camera for view in rig.views)
+    if len(count) == 1 and len(rig.names) > 1:
+        name = rig.names[next(iter(count))]
+        raise UserError(
+            f"{rig.where}: expected two cameras that see the board, got {name} alone; hold the board where several "
+            "cameras see it, or correct the board's file"
+        )
+    for index, name in enumerate(rig.names):
+        needed = MIN_LENS_VIEWS if rig.lenses[index] is None else MIN_POSE_VIEWS
+        if count[index] < needed:
+            raise UserError(
+                f"{rig.where}: {name}: expected the board in at least {needed} frames, got {count[index]}; film the "
+                "board longer in front of this camera, or remove its video"
+            )
+
+
+def _not_joined(rig: RigInput, groups: Sequence[Sequence[int]]) -> UserError:
+    texts = [" and ".join(rig.names[index] for index in group) for group in groups]
+    return UserError(
+        f"{rig.where}: expected cameras that are joined by frames in which two of them see the board, got separate "
+        f"groups: {'; '.join(texts)}; film the board where cameras of two groups see it at the same time"
+    )
+
+
+def _adjust(
+    rig: RigInput, cameras: tuple[Camera, ...], located: Sequence[LocatedView], frames: Sequence[int], track: Track
+) -> tuple[RigState, Array]:
+    """Run the bundle adjustments: poses alone, then poses and lenses. Returns the rig and standard deviations."""
+    corners = collect_corners(rig.board, [each.view for each in located], frames)
+    state = RigState(cameras, initial_boards(rig.board, cameras, located, frames))
+    free = np.zeros((len(cameras), PARAMETERS), bool)
+    free[1:, POSE] = True
+    lens = free.copy()
+    lens[[each is None for each in rig.lenses], LENS] = True
+    stages = [(free, SCALES_PX[0]), *((lens, scale) for scale in SCALES_PX)]
+    std, corner_px = np.zeros(free.shape), np.ones(len(cameras))
+    inliers = np.ones(len(corners.camera), bool)
+    for number, (mask, scale) in enumerate(track(stages, len(stages), "bundle adjustment")):
+        solution = solve_rig(state, corners.select(inliers), mask, Loss(scale, corner_px))
+        state, std = solution.state, solution.std
+        errors = reprojection_errors(state, corners)
+        medians = np.array([np.median(errors[corners.camera == index]) for index in range(len(cameras))])
+        if number > 0:
+            corner_px = CORRELATION * np.minimum(medians / MEDIAN_PER_STD, 1.0)
+        if number == len(stages) - 2:
+            _check_agreement(rig, medians)
+            inliers = errors <= np.maximum(OUTLIER_MEDIANS * medians, MIN_OUTLIER_PX)[corners.camera]
+    return state, std
+
+
+def _check_agreement(rig: RigInput, medians: Array) -> None:
+    """Raise UserError if a camera does not agree with the others at all; ``medians`` (C,) are its errors in pixels."""
+    limits = [MAX_MEDIAN * max(size) for size in rig.sizes]
+    worst = int(np.argmax(medians / limits))
+    if medians[worst] > limits[worst]:
+        raise UserError(
+            f"{rig.where}: {rig.names[worst]}: expected one rigid board of {1e3 * rig.board.square_m:g} mm squares in "
+            f"all cameras, got a median error of {medians[worst]:.1f} px; check that all boards have squares of "
+            "the same size, that the videos are synchronised (--offset), and that no camera was moved"
+        )
+
+
+def _evaluate(
+    rig: RigInput,
+    state: RigState,
+    std: Array,
+    frames: Sequence[int],
+    kept_out: set[int],
+    located: Sequence[LocatedView],
+    pairs: tuple[CameraPair, ...],
+) -> RigFit:
+    """Locate the board in the frames that were kept out, and compute the errors of all frames."""
+    mask = np.array([frame in kept_out for frame in frames])
+    frames = [frame for frame in frames if any(each.view.frame == frame for each in located)]
+    rotation, translation = np.zeros((len(frames), 3, 3)), np.zeros((len(frames), 3))
+    rotation[~mask], translation[~mask] = state.boards.rotation, state.boards.translation
+    if mask.any():
+        others = [frame for frame in frames if frame in kept_out]
+        found = locate_boards(rig.board, state.cameras, located, others)
+        rotation[mask], translation[mask] = found.rotation, found.translation
+    boards = Poses(rotation, translation)
+    corners = collect_corners(rig.board, [each.view for each in located], frames)
+    return RigFit(
+        state.cameras,
+        tuple(frames),
+        boards,
+        mask,
+        corners,
+        reprojection_errors(RigState(state.cameras, boards), corners),
+        std,
+        pairs,
+        np.array([lens is None for lens in rig.lenses]),
+    )
+
+
+def locate_boards(
+    board: CalibrationBoard, cameras: tuple[Camera, ...], located: Sequence[LocatedView], frames: Sequence[int]
+) -> Poses:
+    """Fit the poses of the board in ``frames`` to the views of all cameras, with the cameras fixed."""
+    state = RigState(cameras, initial_boards(board, cameras, located, frames))
+    corners = collect_corners(board, [each.view for each in located], frames)
+    fixed = np.zeros((len(cameras), PARAMETERS), bool)
+    for scale in SCALES_PX:
+        state = solve_rig(state, corners, fixed, Loss(scale, np.ones(len(cameras)))).state
+    return state.boards

@@ -1,0 +1,97 @@
+"""Known lenses of cameras, read from files of Caliscope, Anipose, Pose2Sim and EasyMocap."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fourd.cameras import Camera
+from fourd.capture.calibration import read_intrinsics
+from fourd.errors import UserError
+from fourd.importing.folders import make_camera, match_names, parse_numbers, read_file
+
+MAX_PIXELS = 1 << 20
+MAX_ASPECT_DIFFERENCE = 0.01
+"""Maximum relative difference between the aspect ratios of a lens's images and of a video."""
+
+
+def read_lenses(path: Path) -> dict[str, Camera]:
+    """Read lenses by camera name; the cameras' poses are the identity.
+
+    Args:
+        path: a folder with intri.yml, or a TOML file of Caliscope (camera_array.toml), Anipose or Pose2Sim, in which
+            each camera is a table with ``size``, ``matrix`` and ``distortions``. The pixel coordinates of TOML files
+            start at the centre of the first pixel, so half a pixel is added to the principal points.
+
+    Raises:
+        UserError: if the file is missing or damaged, contains no camera, or a value is invalid.
+    """
+    if path.is_dir():
+        return read_intrinsics(path)
+    try:
+        data = tomllib.loads(read_file(path).decode())
+    except (ValueError, RecursionError) as error:
+        raise UserError(
+            f"--intrinsics: {path}: expected TOML or a folder with intri.yml, got '{error}'; calibrate again"
+        ) from error
+    lenses = {}
+    for key, table in _camera_tables(data):
+        where = f"{path}: [{key}]"
+        for needed in ("size", "matrix", "distortions"):
+            if needed not in table:
+                raise UserError(f"{where}: expected size, matrix and distortions, got no {needed}; calibrate again")
+        if table.get("fisheye", False):
+            raise UserError(f"{where}: expected a lens without fisheye, got fisheye = true; undistort the videos first")
+        name = str(table.get("name", key.rpartition(".")[2]))
+        width, height = (float(side) for side in parse_numbers(f"{where}: size", table["size"], (2,)))
+        if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
+            raise UserError(f"{where}: size: expected width and height in pixels, got {width:g} x {height:g}")
+        intrinsics = parse_numbers(f"{where}: matrix", table["matrix"], (3, 3))
+        intrinsics[:2, 2] += 0.5
+        distortion = parse_numbers(f"{where}: distortions", table["distortions"], (-1,))
+        lenses[name] = make_camera(where, intrinsics, np.eye(3), np.zeros(3), (width, height), distortion)
+    if not lenses:
+        raise UserError(f"{path}: expected a table with size, matrix and distortions for each camera, got none")
+    return lenses
+
+
+def match_lenses(
+    path: Path, lenses: dict[str, Camera], names: Sequence[str], sizes: Sequence[tuple[int, int]]
+) -> tuple[Camera | None, ...]:
+    """Choose the lens of each camera by name, scaled to the size of its images, or None for cameras without a lens.
+
+    Raises:
+        UserError: if the file contains a camera without a video, or images have another aspect ratio.
+    """
+    pairs = match_names(list(lenses), names, path)
+    for unknown in sorted(set(lenses) - set(pairs.values())):
+        raise UserError(
+            f"--intrinsics: {path}: expected cameras among {', '.join(names)}, got '{unknown}'; rename or remove it"
+        )
+    found = []
+    for name, (width, height) in zip(names, sizes, strict=True):
+        lens = lenses[pairs[name]] if name in pairs else None
+        if lens is not None and (lens.width, lens.height) != (width, height):
+            if abs(np.log(lens.width / lens.height * height / width)) > MAX_ASPECT_DIFFERENCE:
+                raise UserError(
+                    f"--intrinsics: {path}: {name}: expected a lens for images of {width} x {height}, got "
+                    f"{lens.width} x {lens.height}, which has another shape; calibrate that lens again"
+                )
+            lens = lens.resize(width, height)
+        found.append(lens)
+    return tuple(found)
+
+
+def _camera_tables(data: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Tables with a ``matrix``, at the top level or one level below."""
+    for key, table in data.items():
+        if not isinstance(table, dict) or key == "metadata":
+            continue
+        if "matrix" in table:
+            yield prefix + key, table
+        elif not prefix:
+            yield from _camera_tables(table, f"{key}.")

@@ -1,0 +1,193 @@
+"""Quality of a rig's calibration: errors, coverage of the images, and values that are badly determined."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.board_calibration.fit import RigFit
+from fourd.board_calibration.initial import CameraPair
+from fourd.board_calibration.rig import LENS, POSE
+from fourd.cameras import Camera
+
+Array = NDArray[np.float64]
+
+CELLS = (8, 6)
+"""Columns and rows of the cells into which an image is divided for its coverage."""
+FEW_VIEWS = 15
+LOW_COVERAGE = 0.5
+MIN_TILT_DEGREES = 20.0
+"""Tilt of the board against the image plane that at least a tenth of the views should exceed. Frontal views hardly
+separate the focal length from the distance."""
+MAX_FOCAL_STD = 0.005
+"""Largest standard deviation of a focal length, as a share of it, that is not reported."""
+MAX_CENTRE_STD_DEGREES = 0.3
+"""Largest standard deviation of the viewing direction, from the principal point, that is not reported."""
+MAX_ROTATION_STD_DEGREES = 0.2
+FEW_SHARED_FRAMES = 10
+KEPT_OUT_RATIO = 1.5
+"""Ratio of the errors on frames kept out and in the fit above which the fit is reported as overfitted."""
+
+
+@dataclass(frozen=True)
+class CameraReport:
+    """Quality of one camera's calibration.
+
+    Attributes:
+        name: the camera's name.
+        views: number of frames in which the camera sees the board.
+        corners: number of corners.
+        fit_px: root mean square error on the frames of the fit, in pixels.
+        kept_out_px: the same on frames that were kept out of the fit, or None if there is no such frame.
+        median_px: median error over all frames, in pixels.
+        coverage: share of the image's cells in which corners were seen.
+        max_tilt_degrees: 90th percentile of the angle between the board's normal and the viewing direction.
+        focal_px: focal lengths fx and fy.
+        focal_std: standard deviation of fx as a share of fx; 0 for a known lens.
+        centre_std_px: standard deviations of the principal point; 0 for a known lens.
+        rotation_std_degrees: standard deviation of the orientation relative to the first camera.
+        position_std_m: standard deviation of the position relative to the first camera.
+        estimated: whether the lens was estimated.
+        warnings: what is badly determined, one line each.
+    """
+
+    name: str
+    views: int
+    corners: int
+    fit_px: float
+    kept_out_px: float | None
+    median_px: float
+    coverage: float
+    max_tilt_degrees: float
+    focal_px: tuple[float, float]
+    focal_std: float
+    centre_std_px: tuple[float, float]
+    rotation_std_degrees: float
+    position_std_m: float
+    estimated: bool
+    warnings: tuple[str, ...]
+
+    def line(self) -> str:
+        """The report in one line."""
+        kept = "no frames kept out" if self.kept_out_px is None else f"{self.kept_out_px:.2f} px on frames kept out"
+        return (
+            f"{self.name}: {self.fit_px:.2f} px rms, {kept}; {self.corners} corners in {self.views} frames cover "
+            f"{self.coverage:.0%} of the image; focal length {self.focal_px[0]:.1f} px"
+            + (f" +- {100 * self.focal_std:.2f}%" if self.estimated else " (given)")
+        )
+
+
+def report_cameras(fit: RigFit, names: Sequence[str]) -> list[CameraReport]:
+    """Measure the quality of each camera's calibration."""
+    return [_report_camera(fit, index, name) for index, name in enumerate(names)]
+
+
+def report_content(fit: RigFit, names: Sequence[str], cameras: Sequence[CameraReport]) -> dict[str, Any]:
+    """The content of report.json, apart from the board and the settings."""
+    kept = [frame for frame, out in zip(fit.frames, fit.kept_out, strict=True) if out]
+    return {
+        "cameras": {camera.name: _rounded(camera) for camera in cameras},
+        "pairs": [
+            {
+                "cameras": [names[pair.first], names[pair.second]],
+                "frames": pair.frames,
+                "baseline_m": _baseline(fit, pair),
+            }
+            for pair in fit.pairs
+        ],
+        "frames": {"fit": len(fit.frames) - len(kept), "kept_out": kept},
+    }
+
+
+def coverage(pixels: Array, width: int, height: int) -> float:
+    """Share of the image's 8 x 6 cells that contain at least one of the pixels (N, 2)."""
+    cells = np.floor(pixels / (width, height) * CELLS).astype(int)
+    inside = ((cells >= 0) & (cells < CELLS)).all(axis=1)
+    return len(np.unique(cells[inside], axis=0)) / (CELLS[0] * CELLS[1])
+
+
+def _report_camera(fit: RigFit, index: int, name: str) -> CameraReport:
+    rows = fit.corners.camera == index
+    camera, std = fit.cameras[index], fit.std[index]
+    boards = np.unique(fit.corners.board[rows])
+    focal = float(camera.intrinsics[0, 0]), float(camera.intrinsics[1, 1])
+    tilts = _tilts(fit, camera, boards)
+    report = CameraReport(
+        name,
+        len(boards),
+        int(rows.sum()),
+        fit.rms(index, False) or 0.0,
+        fit.rms(index, True),
+        float(np.median(fit.errors[rows])),
+        coverage(fit.corners.pixels[rows], camera.width, camera.height),
+        float(np.percentile(tilts, 90)),
+        focal,
+        float(std[LENS][0] / focal[0]),
+        (float(std[LENS][2]), float(std[LENS][3])),
+        float(np.degrees(np.linalg.norm(std[POSE][:3]))),
+        float(np.linalg.norm(std[POSE][3:])),
+        bool(fit.estimated[index]),
+        (),
+    )
+    shared = [pair.frames for pair in fit.pairs if index in (pair.first, pair.second)]
+    return replace(report, warnings=tuple(_warnings(report, shared)))
+
+
+def _warnings(report: CameraReport, shared: Sequence[int]) -> list[str]:
+    found = []
+    if report.estimated:
+        if report.views < FEW_VIEWS:
+            found.append(f"only {report.views} views of the board; film at least {FEW_VIEWS} for an unknown lens")
+        if report.coverage < LOW_COVERAGE:
+            found.append(
+                f"corners cover {report.coverage:.0%} of the image, so the distortion elsewhere is extrapolated; hold "
+                "the board in every part of the image, also the corners"
+            )
+        if report.max_tilt_degrees < MIN_TILT_DEGREES:
+            found.append(
+                f"the board is always frontal (at most {report.max_tilt_degrees:.0f} degrees), which leaves the focal "
+                "length uncertain; tilt the board by 30 to 45 degrees in all directions"
+            )
+        if report.focal_std > MAX_FOCAL_STD:
+            found.append(f"the focal length is uncertain by {report.focal_std:.1%}; tilt the board more, and closer")
+        direction = float(np.degrees(max(report.centre_std_px) / report.focal_px[0]))
+        if direction > MAX_CENTRE_STD_DEGREES:
+            found.append(
+                f"the principal point is uncertain by {max(report.centre_std_px):.0f} px, and so the orientation by "
+                f"{direction:.1f} degrees; film the board closer and tilted, or give a known lens by --intrinsics"
+            )
+    elif report.rotation_std_degrees > MAX_ROTATION_STD_DEGREES:
+        found.append(f"the orientation is uncertain by {report.rotation_std_degrees:.1f} degrees; film more frames")
+    if shared and max(shared) < FEW_SHARED_FRAMES:
+        found.append(f"at most {max(shared)} frames are shared with another camera; film the board where both see it")
+    if report.kept_out_px is not None and report.kept_out_px > KEPT_OUT_RATIO * report.fit_px + 0.1:
+        found.append(
+            f"the error is {report.kept_out_px:.2f} px on frames kept out and {report.fit_px:.2f} px in the fit; film "
+            "more frames"
+        )
+    return [f"{report.name}: {line}" for line in found]
+
+
+def _tilts(fit: RigFit, camera: Camera, boards: NDArray[np.intp]) -> Array:
+    """Angles (M,) in degrees between the board's normal and the camera's viewing direction."""
+    normals = fit.boards.rotation[boards][:, :, 2]
+    return np.degrees(np.arccos(np.clip(np.abs(normals @ camera.forward), 0, 1)))
+
+
+def _baseline(fit: RigFit, pair: CameraPair) -> float:
+    return round(float(np.linalg.norm(fit.cameras[pair.first].centre - fit.cameras[pair.second].centre)), 5)
+
+
+def _rounded(camera: CameraReport) -> dict[str, Any]:
+    """The report as JSON values, rounded to five decimals."""
+
+    def convert(value: Any) -> Any:
+        if isinstance(value, tuple):
+            return [convert(each) for each in value]
+        return round(float(value), 5) if isinstance(value, float) else value
+
+    return {key: convert(value) for key, value in asdict(camera).items() if key != "name"}

@@ -1,0 +1,96 @@
+"""Calibrate a rig of cameras from videos of a moving calibration board."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.text import Text
+
+from fourd.board_calibration.calibrate import CalibrationSettings, calibrate_rig
+from fourd.board_calibration.printing import print_board
+from fourd.boards import read_board
+from fourd.cli.options import Frames, option, parse_offsets
+from fourd.errors import UserError
+from fourd.progress import Tracker
+
+VIDEOS_HELP = "Folder with a video, or a folder of images, per camera, in which the board is moved."
+OUT_HELP = "Folder to write: intri.yml, extri.yml, report.json and rig.png. An earlier calibration is replaced."
+INTRINSICS_HELP = (
+    "Known lenses, which are kept: a folder with intri.yml, or a TOML file of Caliscope (camera_array.toml), Anipose "
+    "or Pose2Sim."
+)
+FLOOR_HELP = (
+    "Number of a frame in which the board lies on the floor. The world's origin is then the board's corner, and z "
+    "points up."
+)
+OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
+PRINT_HELP = "Print the board to a PDF file at true scale, and stop. VIDEOS and -o are not needed."
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Writes intrinsics, distortion and poses in metres, which fourd import and fourd make take by --calibration."""
+
+    board: Path
+    """TOML file that describes the board."""
+    videos: tyro.conf.Positional[
+        Annotated[Path | None, tyro.conf.arg(metavar="VIDEOS", help=VIDEOS_HELP, help_behavior_hint="")]
+    ] = None
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(aliases=["-o"], metavar="CALIBRATION", help=OUT_HELP, help_behavior_hint="(required)"),
+    ] = None
+    intrinsics: Annotated[Path | None, option("FILE", "estimated from the board", INTRINSICS_HELP)] = None
+    floor_frame: Annotated[int | None, option("N", "axes of the first camera", FLOOR_HELP)] = None
+    frames: Frames = None
+    offset: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
+    ] = field(default=())
+    print_board: Annotated[Path | None, option("FILE.pdf", "none", PRINT_HELP)] = None
+    page: str = "A4"
+    """Page of --print-board: A4, A3, A2, letter, or WIDTHxHEIGHT in millimetres."""
+
+
+def run(arguments: Arguments) -> None:
+    """Calibrate the rig, or print the board."""
+    console = Console(stderr=True)
+    board = read_board(arguments.board)
+    if arguments.print_board is not None:
+        _check_unused("--print-board", arguments.videos, arguments.out)
+        size = print_board(arguments.print_board, board, arguments.page)
+        sides = "two sides" if board.double_sided else "one side"
+        line = f"{arguments.print_board}: {board.describe()}, {sides}, page {size[0]:g} x {size[1]:g} mm"
+        console.print(Text(line), soft_wrap=True)
+        return
+    if arguments.videos is None or arguments.out is None:
+        missing = "VIDEOS" if arguments.videos is None else "-o CALIBRATION"
+        raise UserError(f"expected VIDEOS --board BOARD.toml -o CALIBRATION, got no {missing}; add it")
+
+    def log(line: str) -> None:
+        console.print(Text(line), soft_wrap=True)
+
+    def warn(line: str) -> None:
+        console.print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
+
+    settings = CalibrationSettings(
+        board,
+        arguments.board,
+        arguments.intrinsics,
+        arguments.frames,
+        arguments.floor_frame,
+        parse_offsets(arguments.offset),
+    )
+    calibrate_rig(arguments.videos, arguments.out, settings, log=log, warn=warn, track=Tracker(console).track)
+    text = f"next: fourd import VIDEOS CAPTURE --calibration {arguments.out}"
+    Console().print(Text(f"{arguments.out}: written; {text}"), soft_wrap=True)
+
+
+def _check_unused(option_name: str, *values: Path | None) -> None:
+    for value in values:
+        if value is not None:
+            raise UserError(f"{option_name}: expected no VIDEOS and no -o, got {value}; remove it")

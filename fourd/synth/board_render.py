@@ -1,0 +1,132 @@
+"""Rendering of a calibration board with lens distortion, blur and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.boards import CalibrationBoard, draw_board
+from fourd.cameras import Camera
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+SUPERSAMPLING = 2
+"""Samples per pixel along each axis."""
+PIXELS_PER_SQUARE = 96
+BORDER_SQUARES = 0.5
+"""Width of the plain border around the pattern, in squares."""
+INK, GROUND, BACKGROUND = 35.0, 215.0, 110.0
+"""Grey values of the board and of the background."""
+UNDISTORT_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPose:
+    """Pose from board to world: x_world = rotation @ x_board + translation, in metres."""
+
+    rotation: Array
+    translation: Array
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Imperfections of a camera.
+
+    Attributes:
+        blur_px: standard deviation of the Gaussian blur in pixels.
+        noise: standard deviation of the noise in grey levels.
+    """
+
+    blur_px: float = 0.6
+    noise: float = 2.5
+
+
+class BoardRenderer:
+    """Renders one board for one camera.
+
+    Each sample's ray is undistorted numerically and intersected with the board's plane, so that the image is exact up
+    to the sampling of the board's picture (1/96 square).
+    """
+
+    def __init__(self, board: CalibrationBoard, camera: Camera, optics: Optics) -> None:
+        self.board, self.camera, self.optics = board, camera, optics
+        margin = round(BORDER_SQUARES * PIXELS_PER_SQUARE)
+        drawn = draw_board(board, PIXELS_PER_SQUARE, margin).astype(np.float32) / 255
+        self._texture = (INK + (GROUND - INK) * drawn).astype(np.float32)
+        self._margin = margin
+        self._rays = _sample_rays(camera)
+
+    def render(self, poses: Sequence[BoardPose], generator: np.random.Generator) -> Picture:
+        """Render the mean of the images at ``poses``, as a moving board is seen. Returns (H, W) uint8."""
+        exposure = np.mean([self._render_sharp(pose) for pose in poses], axis=0)
+        blurred = cv2.GaussianBlur(exposure, (0, 0), self.optics.blur_px)
+        noisy = blurred + generator.normal(0, self.optics.noise, blurred.shape)
+        return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+    def _render_sharp(self, pose: BoardPose) -> NDArray[np.float32]:
+        height, width = self.camera.height, self.camera.width
+        whole = np.full((height, width), BACKGROUND, np.float32)
+        box = self._bounding_box(pose)
+        if box is None:
+            return whole
+        left, top, right, bottom = box
+        rays = self._rays[SUPERSAMPLING * top : SUPERSAMPLING * bottom, SUPERSAMPLING * left : SUPERSAMPLING * right]
+        rotation = self.camera.rotation @ pose.rotation
+        centre = self.camera.rotation @ pose.translation + self.camera.translation
+        # Rays in board coordinates start at the camera's centre and have camera depth 1 per unit.
+        start = -rotation.T @ centre
+        directions = rays @ rotation.astype(np.float32)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depth = -start[2] / directions[..., 2]
+        depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(1e6)).astype(np.float32)
+        scale = PIXELS_PER_SQUARE / self.board.square_m
+        x = (start[0] + depth * directions[..., 0]) * scale + self._margin - 0.5
+        y = self._texture.shape[0] - (start[1] + depth * directions[..., 1]) * scale - self._margin - 0.5
+        texture = self._texture
+        if start[2] < 0 and not self.board.double_sided:
+            texture = np.full_like(texture, GROUND)
+        samples = cv2.remap(
+            texture,
+            x.astype(np.float32),
+            y.astype(np.float32),
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=BACKGROUND,
+        )
+        rows, columns = bottom - top, right - left
+        whole[top:bottom, left:right] = samples.reshape(rows, SUPERSAMPLING, columns, SUPERSAMPLING).mean(axis=(1, 3))
+        return whole
+
+    def _bounding_box(self, pose: BoardPose) -> tuple[int, int, int, int] | None:
+        """Pixels (left, top, right, bottom) that may show the board, or None if it is not in the image."""
+        width, height = self.board.size_m
+        border = BORDER_SQUARES * self.board.square_m
+        x, y = np.meshgrid(np.linspace(-border, width + border, 9), np.linspace(-border, height + border, 9))
+        flat = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
+        world = flat @ pose.rotation.T + pose.translation
+        in_camera = world @ self.camera.rotation.T + self.camera.translation
+        if (in_camera[:, 2] < 1e-3).any():
+            return 0, 0, self.camera.width, self.camera.height
+        distortion = np.zeros(5) if self.camera.distortion is None else self.camera.distortion
+        pixels, _ = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), self.camera.intrinsics, distortion)
+        low = np.floor(pixels[:, 0].min(axis=0)).astype(int) - 4
+        high = np.ceil(pixels[:, 0].max(axis=0)).astype(int) + 4
+        left, top = np.maximum(low, 0)
+        right, bottom = np.minimum(high, (self.camera.width, self.camera.height))
+        return (int(left), int(top), int(right), int(bottom)) if left < right and top < bottom else None
+
+
+def _sample_rays(camera: Camera) -> NDArray[np.float32]:
+    """Rays (S H, S W, 3) of the samples in camera coordinates, with z = 1."""
+    steps = (np.arange(max(camera.width, camera.height) * SUPERSAMPLING) + 0.5) / SUPERSAMPLING
+    x, y = np.meshgrid(steps[: camera.width * SUPERSAMPLING], steps[: camera.height * SUPERSAMPLING])
+    pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
+    distortion = np.zeros(5) if camera.distortion is None else camera.distortion
+    flat = cv2.undistortPoints(pixels, camera.intrinsics, distortion, criteria=UNDISTORT_STEPS)
+    rays = np.concatenate([flat[:, 0], np.ones((len(flat), 1))], axis=1)
+    return rays.reshape(*x.shape, 3).astype(np.float32)
