@@ -27,10 +27,10 @@ def is_usable(source: Path) -> bool:
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 
 
-def stages_to_capture(source: Path, imported: Path) -> tuple[AnyStage, ...]:
+def stages_to_capture(source: Path, imported: Path, fps: float | None = None) -> tuple[AnyStage, ...]:
     """Stages that import ``source`` as a capture into the folder ``imported``. The result is empty if ``source`` is
-    already a usable capture."""
-    return () if is_usable(source) else (import_stage(source, imported),)
+    already a usable capture. ``fps`` is the frame rate in 1/s of a source with images."""
+    return () if is_usable(source) else (import_stage(source, imported, fps),)
 
 
 def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:

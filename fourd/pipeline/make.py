@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fourd.capture.frame_rate import set_rate
 from fourd.errors import UserError
 from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
 from fourd.matting.sequence import MatteSettings
@@ -30,6 +31,7 @@ def make_scene(
     *,
     points_from: Path | None = None,
     lpips_weights: Path | None = None,
+    fps: float | None = None,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
@@ -46,6 +48,7 @@ def make_scene(
         points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
+        fps: frame rate in 1/s of a source with images, stored in the capture. With None, the stored rate is kept.
 
     Raises:
         UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
@@ -60,7 +63,9 @@ def make_scene(
     remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
     runner = Runner(context, work / RECORD)
-    imports = stages_to_capture(source, work / CAPTURE)
+    imports = stages_to_capture(source, work / CAPTURE, fps)
+    if fps is not None and not imports:
+        set_rate(source, fps)
     runner.run(imports)
     # The other stages depend on the contents of the imported capture.
     capture = work / CAPTURE if imports else source

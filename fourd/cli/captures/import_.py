@@ -15,7 +15,8 @@ from rich.text import Text
 from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
-from fourd.cli.options import describe, option
+from fourd.capture.frame_rate import check_rate
+from fourd.cli.options import FramesPerSecond, describe, option
 from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.importer import ImportOptions, import_source
@@ -57,6 +58,7 @@ class Arguments:
     apply_sync: bool = False
     """Estimate the videos' time offsets. Apply each offset of more than 3 frames that has a confidence of
     at least 0.5."""
+    fps: FramesPerSecond = None
     resize: Annotated[
         str,
         tyro.conf.arg(
@@ -94,6 +96,7 @@ def run(arguments: Arguments) -> None:
     def warn(line: str) -> None:
         console.print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
 
+    check_rate(arguments.fps)
     options = _options(arguments)
     picked = pick_format(name[0] if name else None, Path(source))
     log(f"{picked.name}: {picked.summary}")
@@ -108,6 +111,7 @@ def _options(arguments: Arguments) -> ImportOptions:
         offsets=_offsets(arguments.offset),
         sync=arguments.sync,
         apply_sync=arguments.apply_sync,
+        fps=arguments.fps,
         resize=arguments.resize,
         centres=arguments.centres,
         calibrate=arguments.calibrate,

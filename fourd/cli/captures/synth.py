@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError
 from fourd.synth import SynthSettings, is_finished, make_synthetic
 
@@ -29,12 +30,19 @@ class Arguments:
     """Random seed of the figure's clothes, proportions and gait phase, at least 0."""
     gloss: float = 0.3
     """Strength of the specular highlights, 0 to 1."""
+    fps: float = DEFAULT_FPS
+    """Frame rate of the capture in frames per second."""
 
 
 def run(arguments: Arguments) -> None:
     """Make the capture, unless a finished capture with the same options exists."""
     settings = SynthSettings(
-        _frame_count(arguments.frames), arguments.cameras, arguments.size, arguments.seed, arguments.gloss
+        _frame_count(arguments.frames),
+        arguments.cameras,
+        arguments.size,
+        arguments.seed,
+        arguments.gloss,
+        arguments.fps,
     )
     console = Console(stderr=True)
     if is_finished(arguments.out, settings):
@@ -47,6 +55,7 @@ def run(arguments: Arguments) -> None:
         size=settings.size,
         seed=settings.seed,
         gloss=settings.gloss,
+        fps=settings.fps,
     )
     console.print(f"{arguments.out}: {settings.cameras} cameras x {settings.frames} frames", soft_wrap=True)
 

@@ -9,8 +9,9 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from fourd.capture.frame_rate import check_rate
 from fourd.cli.captures.matte import MatteOptions
-from fourd.cli.options import Workers, worker_count
+from fourd.cli.options import FramesPerSecond, Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
@@ -32,6 +33,7 @@ class Arguments:
     """The .4dv file to write. Intermediate results of scene.4dv are kept in the folder scene.work/ beside the file."""
     training: TrainingOptions
     mattes: MatteOptions
+    fps: FramesPerSecond = None
     workers: Workers = None
 
 
@@ -40,6 +42,7 @@ def run(arguments: Arguments) -> None:
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
     console = Console()
     options = arguments.training
+    check_rate(arguments.fps)
     config = options.train_config(DEFAULT_SECONDS)
     # Loading the LPIPS weights here reports invalid weights before any stage runs.
     load_lpips(options.lpips_weights)
@@ -51,6 +54,7 @@ def run(arguments: Arguments) -> None:
         Context(console, worker_count(arguments.workers)),
         points_from=options.points_from,
         lpips_weights=options.lpips_weights,
+        fps=arguments.fps,
     )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True

@@ -20,13 +20,13 @@ class ImportFiles:
     capture: Path
 
 
-def import_stage(source: Path, capture: Path) -> Stage[ImportFiles, ImportOptions]:
-    """Create the stage that imports ``source`` into the folder ``capture``."""
+def import_stage(source: Path, capture: Path, fps: float | None = None) -> Stage[ImportFiles, ImportOptions]:
+    """Create the stage that imports ``source`` into the folder ``capture``. ``fps`` is the images' rate in 1/s."""
     return Stage(
         "import",
         run_import,
         ImportFiles(source, capture),
-        ImportOptions(),
+        ImportOptions(fps=fps),
         inputs=(Artefact(source, PATTERNS),),
         outputs=(capture,),
         leftovers=(Leftovers(capture),),
