@@ -18,6 +18,7 @@ from torch import Tensor
 from fourd import __version__
 from fourd.baking.container import SceneWriter
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, SceneBackground, SceneManifest, to_triple
+from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError
 from fourd.model import PointModel
 from fourd.model.appearance import zero_low_visibility
@@ -38,14 +39,17 @@ MAX_BAKED_WEIGHT = 1024.0
 fp16."""
 
 
-def bake_run(trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float = 30.0) -> None:
+def bake_run(
+    trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float | None = None
+) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
     Blend weights (fp16) and colours (uint8) are baked for every training view.
 
     Args:
         layers: maximum number of points that a pixel composites, stored in the scene.
-        fps: playback rate, frames per second.
+        fps: playback rate, frames per second. None selects the rate of the run's frames in the recording, or 30 if
+            this rate is not known.
 
     Raises:
         UserError: if the model's blend weights depend on the viewer, or if the file cannot be written.
@@ -75,8 +79,12 @@ def select_baked_views(run: Run) -> list[int]:
     return run.training if run.config.train.model.appearance != "sh" else []
 
 
-def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 30.0) -> SceneManifest:
-    """Return the manifest of a run's scene. The numbers of points are missing, because the writer sets them."""
+def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | None = None) -> SceneManifest:
+    """Return the manifest of a run's scene. The numbers of points are missing, because the writer sets them.
+
+    For ``fps``, see :func:`bake_run`.
+    """
+    rate = fps or trained.run.capture.fps
     run, background = trained.run, trained.renderer.background
     sources = select_baked_views(run)
     others = [index for index in range(len(run.capture.names)) if index not in sources]
@@ -88,7 +96,8 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float = 
         frame_numbers=run.capture.frame_numbers,
         other_names=tuple(run.capture.names[index] for index in others),
         other_cameras=tuple(run.capture.cameras[index] for index in others),
-        fps=fps,
+        fps=rate or DEFAULT_FPS,
+        is_fps_known=rate is not None,
         layers=layers,
         neighbours=run.config.train.model.neighbours,
         fade_views=run.config.train.model.fade_views,

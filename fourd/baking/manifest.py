@@ -21,6 +21,7 @@ from fourd.baking.scene import (
     SceneManifest,
 )
 from fourd.cameras import Camera
+from fourd.capture.frame_rate import DEFAULT_FPS
 
 MAX_FRAMES = 1_000_000
 MAX_POINTS = 1 << 26
@@ -46,6 +47,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         "kind": manifest.kind,
         **_background_to_json(manifest.background),
         "fps": manifest.fps,
+        **({"fps_known": True} if manifest.is_fps_known else {}),
         "layers": manifest.layers,
         "neighbours": manifest.neighbours,
         **({"fade_views": True} if manifest.fade_views else {}),
@@ -93,7 +95,8 @@ def manifest_from_json(text: bytes) -> SceneManifest:
             points=tuple(frame.integer("points", 0, MAX_POINTS) for frame in frames),
             other_names=other_names,
             other_cameras=other_cameras,
-            fps=root.number("fps", 1e-3, 1e4),
+            fps=root.number("fps", 1e-3, 1e4) if "fps" in root.content else DEFAULT_FPS,
+            is_fps_known="fps_known" in root.content and root.flag("fps_known"),
             layers=root.integer("layers", 1, 64),
             neighbours=root.integer("neighbours", 1, 64),
             fade_views="fade_views" in root.content and root.flag("fade_views"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -11,13 +12,12 @@ from numpy.typing import NDArray
 
 from fourd.baking.rendering import Scene, open_scene
 from fourd.cameras import Camera
+from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.capture.layout import parse_frame_range
 from fourd.errors import UserError
 
 if TYPE_CHECKING:
     from fourd.training.run import TrainedRun
-
-RUN_FPS = 30.0
 
 
 class Playable(Protocol):
@@ -101,7 +101,7 @@ class PlayableRun:
 
     @property
     def fps(self) -> float:
-        return RUN_FPS
+        return self.trained.run.capture.fps or DEFAULT_FPS
 
     def render(
         self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
@@ -148,3 +148,8 @@ def select_frames(playable: Playable, selection: str | None) -> list[int]:
     if not chosen:
         raise UserError(f"--frames: expected at least one frame from {numbers[0]} to {numbers[-1]}, got '{selection}'")
     return chosen
+
+
+def selected_rate(playable: Playable, frames: Sequence[int]) -> float:
+    """Frames per second at which the evenly spaced frame indices ``frames`` play at the speed of the recording."""
+    return playable.fps if len(frames) < 2 else playable.fps / (frames[1] - frames[0])

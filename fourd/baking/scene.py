@@ -142,6 +142,7 @@ class SceneManifest:
         other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Other views
             are not source views, but images can be rendered from their cameras by name.
         fps: playback rate, frames per second.
+        is_fps_known: whether ``fps`` is the recording's frame rate or was set by the user.
         layers: maximum number of points that a pixel composites (K in 4K4D).
         neighbours: number of source views that are blended for an image (N' in 4K4D).
         fade_views: whether the weight of a source view falls with its angle to the viewer; see
@@ -168,6 +169,7 @@ class SceneManifest:
     other_names: tuple[str, ...] = ()
     other_cameras: tuple[Camera, ...] = ()
     fps: float = 30.0
+    is_fps_known: bool = False
     layers: int = 12
     neighbours: int = 4
     fade_views: bool = False

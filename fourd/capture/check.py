@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,6 +16,7 @@ from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, check_calibration
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
 from fourd.capture.focus import find_focus
+from fourd.capture.frame_rate import read_rate
 from fourd.capture.layout import (
     MATTES,
     VIDEOS,
@@ -25,7 +27,7 @@ from fourd.capture.layout import (
     missing_frame_error,
     sort_frames,
 )
-from fourd.capture.video_list import Video, common_frames, list_videos
+from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
@@ -52,6 +54,7 @@ class Report:
         warnings: content that is valid but probably a mistake, one line per mistake.
         cameras: names of the cameras that have both a calibration and images.
         frames: number of frames.
+        fps: frame rate of the recording in 1/s, or None if it is not known.
         sizes: (width, height) of each camera's images in pixels, by name.
         has_masks: whether there are mattes.
         distorted: number of cameras with lens distortion.
@@ -65,6 +68,7 @@ class Report:
     warnings: tuple[str, ...]
     cameras: tuple[str, ...]
     frames: int
+    fps: Fraction | None
     sizes: dict[str, tuple[int, int]]
     has_masks: bool
     distorted: int
@@ -86,7 +90,7 @@ def check_capture(path: Path | str, *, deep: bool = False, track: Track = untrac
     if not path.is_dir():
         got = "a file" if path.exists() else "no such folder"
         problem = f"{path}: expected a capture's folder, got {got}; check the path"
-        return Report((problem,), (), (), 0, {}, False, 0, 0.0, None, 0)
+        return Report((problem,), (), (), 0, None, {}, False, 0, 0.0, None, 0)
     return _Check(path, deep, track).report()
 
 
@@ -107,6 +111,7 @@ class _Check:
         self.sizes: dict[str, tuple[int, int]] = {}
         self.coverages: list[float] = []
         self.nbytes = 0
+        self.fps: Fraction | None = None
 
     def report(self) -> Report:
         calibration = check_calibration(self.path)
@@ -120,6 +125,7 @@ class _Check:
             frames = self._video_frames(names, calibrations)
         else:
             images = {name: self._try(find_pictures, images_folder / name) for name in names}
+            self.fps = self._try(read_rate, self.path)
             frames = sort_frames(set().union(*(found for found in images.values() if found)))
         masks = {name: self._try(find_pictures, masks_folder / name) for name in names}
         has_masks = any(masks.values())
@@ -142,6 +148,7 @@ class _Check:
             tuple(self.warnings),
             tuple(names),
             len(frames),
+            self.fps,
             self.sizes,
             has_masks,
             sum(_is_distorted(calibrations[name]) for name in names if name in calibrations),
@@ -196,6 +203,7 @@ class _Check:
             size = (video.index.width, video.index.height)
             self.nbytes += video.path.stat().st_size
             self._check_size(video.path, name, calibrations.get(name), size, is_matte=False)
+        self.fps = common_rate(videos)
         return [frame_name(number) for number in range(common_frames(videos))]
 
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:

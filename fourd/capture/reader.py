@@ -17,6 +17,7 @@ from fourd.cameras import Camera
 from fourd.capture.calibration import Calibration, read_calibration
 from fourd.capture.camera_frames import CameraFrames, Picture, PictureFrames, VideoFrames
 from fourd.capture.decoding import decode_matte, decode_rgb, picture_size
+from fourd.capture.frame_rate import read_rate
 from fourd.capture.layout import (
     MATTES,
     VIDEOS,
@@ -30,7 +31,7 @@ from fourd.capture.layout import (
     sort_frames,
 )
 from fourd.capture.video import VideoReader
-from fourd.capture.video_list import Video, common_frames, list_videos
+from fourd.capture.video_list import Video, common_frames, common_rate, list_videos
 from fourd.errors import UserError
 
 
@@ -77,6 +78,8 @@ class Capture:
         frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
+        fps: selected frames per second of the recording, or None if the frame rate is not known. With every S-th frame
+            selected, this is the S-th part of the recording's frame rate.
     """
 
     def __init__(
@@ -91,6 +94,7 @@ class Capture:
         scale: float,
         cache_mb: int,
         cache_frames: int = 0,
+        fps: float | None = None,
     ) -> None:
         self.path = path
         self.names = tuple(names)
@@ -98,6 +102,7 @@ class Capture:
         self.frame_names = tuple(frame_names)
         self.frame_numbers = tuple(frame_numbers)
         self.total_frames = total_frames
+        self.fps = fps
         self._distorted_cameras = tuple(distorted_cameras)
         self._footage = tuple(footage)
         frame_bytes = sum(3 * camera.width * camera.height for camera in self.cameras)
@@ -213,13 +218,13 @@ def open_capture(
     calibrations = read_calibration(path)
     names = _select_cameras(path, calibrations, views)
     if camera_folders(path / "images"):
-        all_frames = _list_picture_frames(path, names)
+        all_frames, rate = _list_picture_frames(path, names), read_rate(path)
         selected = parse_frame_range(frames, len(all_frames))
         chosen = [all_frames[number] for number in selected]
         footage = [_open_pictures(path, name, chosen) for name in names]
     else:
         videos = list_videos(path, names)
-        all_frames = _list_video_frames(path, videos)
+        all_frames, rate = _list_video_frames(path, videos), common_rate(videos)
         selected = parse_frame_range(frames, len(all_frames))
         chosen = [all_frames[number] for number in selected]
         footage = [_open_video(videos[name], selected) for name in names]
@@ -230,7 +235,8 @@ def open_capture(
     _check_mattes(path, names, footage)
     cameras = [_to_camera(path, name, calibrations[name], of.size) for name, of in zip(names, footage, strict=True)]
     count = len(all_frames)
-    return Capture(path, names, cameras, footage, chosen, list(selected), count, scale, cache_mb, cache_frames)
+    fps = None if rate is None else float(rate / selected.step)
+    return Capture(path, names, cameras, footage, chosen, list(selected), count, scale, cache_mb, cache_frames, fps)
 
 
 def _check_mattes(path: Path, names: Sequence[str], footage: Sequence[Footage]) -> None:

@@ -88,6 +88,11 @@ def common_frames(videos: Mapping[str, Video]) -> int:
     return min((video.frames_left for video in videos.values()), default=0)
 
 
+def common_rate(videos: Mapping[str, Video]) -> Fraction | None:
+    """Frame rate of the capture in 1/s: the lowest rate of the videos, or None if there is no video."""
+    return min((video.index.fps for video in videos.values()), default=None)
+
+
 def make_entry(video: Video) -> Entry:
     """Create a video's entry for videos.json."""
     status = video.path.stat()

@@ -34,6 +34,12 @@ CapturePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTUR
 RunPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
 Views = Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)]
 Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
+FramesPerSecond = Annotated[
+    float | None,
+    option(
+        "FLOAT", "unknown, plays at 30", "Frame rate of images in frames per second. Videos have their own frame times."
+    ),
+]
 Workers = Annotated[int | None, option("N", "one per core", "Number of processes.")]
 LpipsWeights = Annotated[
     Path | None,

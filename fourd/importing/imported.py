@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 from fourd.cameras import Camera
@@ -67,10 +68,12 @@ class Imported:
     Attributes:
         cameras: at least one camera, in the order of the source.
         notes: lines of information for the user on units, on axes, and on cameras that are not imported.
+        fps: frame rate of the images in 1/s, or None if it is not known or the cameras have videos.
     """
 
     cameras: tuple[ImportedCamera, ...]
     notes: tuple[str, ...]
+    fps: Fraction | None = None
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:

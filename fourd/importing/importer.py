@@ -11,6 +11,7 @@ from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance, set_world_frame
 from fourd.calibration.structure_from_motion import calibrate_from_pictures
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME
+from fourd.capture.frame_rate import FPS_IS_FOR_PICTURES, read_rate, standard_rate
 from fourd.capture.layout import DERIVED, refuse_symlinks, sample_indices
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_index import cached_indices
@@ -51,6 +52,7 @@ class ImportOptions:
         offsets: delay of each camera's video in frames.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
+        fps: frame rate of images in 1/s, or None if it is not known.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
         distance: known distance between two cameras, which sets the unit.
@@ -63,6 +65,7 @@ class ImportOptions:
     offsets: dict[str, int] = field(default_factory=dict)
     sync: bool = False
     apply_sync: bool = False
+    fps: float | None = None
     resize: str = "auto"
     centres: PrincipalPointMode = "auto"
     calibrate: bool = False
@@ -92,7 +95,7 @@ def import_source(
     before = read_record(out)
     if before is not None:
         check_same_source(out, before, source, source_format.name)
-    imported = source_format.read(source)
+    imported = _with_rate(source_format.read(source), source, options)
     if options.calibration is not None:
         imported = apply_calibration(imported, source_format.name, Path(options.calibration))
     needs_calibration = _check_options(imported, source, options)
@@ -151,6 +154,14 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
         if name not in names:
             raise UserError(f"--scale: expected two cameras among {', '.join(names)}, got '{name}'; name one of them")
     return False
+
+
+def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:
+    """Add the frame rate of images: the value of --fps, or else the rate that the source stores as a capture."""
+    if options.fps is not None and video_files(imported.cameras):
+        raise UserError(f"--fps: {source}: {FPS_IS_FOR_PICTURES}")
+    stored = read_rate(source) if source.is_dir() else None
+    return replace(imported, fps=stored if options.fps is None else standard_rate(options.fps))
 
 
 def _has_calibration(out: Path) -> bool:

@@ -13,9 +13,11 @@ import cv2
 import numpy as np
 
 from fourd.capture.calibration import write_calibration
+from fourd.capture.frame_rate import NAME as RATE_NAME
+from fourd.capture.frame_rate import write_rate
 from fourd.capture.layout import VIDEOS, frame_name
 from fourd.capture.video import VideoIndex, VideoReader
-from fourd.capture.video_list import Video, align_offsets, common_frames, write_video_list
+from fourd.capture.video_list import Video, align_offsets, common_frames, common_rate, write_video_list
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_bytes_atomically
 from fourd.importing.imported import (
@@ -90,6 +92,11 @@ def write_capture(
             _write_pictures(camera.frames, out / "images" / camera.name, settings.copy, track)
         if camera.masks is not None:
             _write_pictures(camera.masks, out / "masks" / camera.name, settings.copy, track)
+    rate = common_rate(videos) if videos else imported.fps
+    if rate is None:
+        (out / RATE_NAME).unlink(missing_ok=True)
+    elif settings.unpack or not videos:
+        write_rate(out, rate)
     calibrations = {camera.name: camera.calibration for camera in imported.cameras if camera.calibration is not None}
     if calibrations:
         write_calibration(out, list(calibrations), list(calibrations.values()))

@@ -8,6 +8,7 @@ from pathlib import Path
 from fourd.capture.calibration import INTRINSICS_NAME
 from fourd.capture.layout import VIDEOS, camera_folders
 from fourd.errors import UserError
+from fourd.importing.importer import ImportOptions
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stages.import_ import import_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings, mattes_stage
@@ -28,21 +29,20 @@ def is_usable(source: Path) -> bool:
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 
 
-def stages_to_capture(source: Path, imported: Path, calibration: Path | None = None) -> tuple[AnyStage, ...]:
+def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> tuple[AnyStage, ...]:
     """Stages that import ``source`` as a capture into the folder ``imported``.
 
-    The result is empty if ``source`` is already a usable capture. ``calibration`` is a folder with intri.yml and
-    extri.yml for videos.
+    The result is empty if ``source`` is already a usable capture.
 
     Raises:
-        UserError: if ``calibration`` is given for a capture, which has its own calibration.
+        UserError: if ``options`` give a calibration for a capture, which has its own calibration.
     """
     if not is_usable(source):
-        return (import_stage(source, imported, calibration),)
-    if calibration is not None:
+        return (import_stage(source, imported, options),)
+    if options.calibration is not None:
         raise UserError(
             f"--calibration: expected videos without a calibration, got the capture {source}; leave out --calibration, "
-            f"or import the videos with: fourd import videos {source} CAPTURE --calibration {calibration}"
+            f"or import the videos with: fourd import videos {source} CAPTURE --calibration {options.calibration}"
         )
     return ()
 

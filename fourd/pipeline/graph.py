@@ -89,5 +89,5 @@ def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> 
     return (
         *made,
         *stages_to_run(request, plates=not made),
-        bake_stage(BakeFiles(request.run, scene), BakeSettings()),
+        bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture),
     )

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from fourd.capture.frame_rate import set_rate
 from fourd.errors import UserError
 from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
+from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
@@ -34,7 +36,7 @@ def make_scene(
     *,
     points_from: Path | None = None,
     lpips_weights: Path | None = None,
-    calibration: Path | None = None,
+    imports: ImportOptions | None = None,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
@@ -53,7 +55,8 @@ def make_scene(
         points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        calibration: folder with intri.yml and extri.yml, if ``source`` is a folder of videos.
+        imports: options of the import. A frame rate is also stored in a source that needs no import. With None, the
+            default options are used.
 
     Raises:
         UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
@@ -64,15 +67,18 @@ def make_scene(
         raise UserError(
             f"{work}: expected a folder made by fourd make, got a folder with other files; move it or choose another -o"
         )
-    imports = stages_to_capture(source, work / CAPTURE, calibration)
+    options = imports or ImportOptions()
+    to_capture = stages_to_capture(source, work / CAPTURE, options)
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
     context.log(describe_plan(source, train, context.workers, points_from is not None))
     runner = Runner(context, work / RECORD)
-    runner.run(imports)
+    if options.fps is not None and not to_capture:
+        set_rate(source, options.fps)
+    runner.run(to_capture)
     # The other stages depend on the contents of the imported capture.
-    capture = work / CAPTURE if imports else source
+    capture = work / CAPTURE if to_capture else source
     runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
     capture = repaired_capture(capture, work / REPAIRED)
     request = RunRequest(capture, work / RUN, train, points_from, lpips_weights)

@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from fourd.cameras import Camera, look_at
 from fourd.capture.calibration import write_calibration
+from fourd.capture.frame_rate import DEFAULT_FPS, check_rate, standard_rate, write_rate
 from fourd.errors import UserError
 from fourd.files import write_bytes_atomically, write_text_atomically
 from fourd.synth.figure import Figure, make_figure, pose_figure
@@ -46,6 +47,7 @@ class SynthSettings:
         size: width and height of the images, 32 to 4096 pixels.
         seed: random seed, at least 0. The seed determines the clothes, the proportions and the gait phase in frame 0.
         gloss: strength of the highlights, 0 to 1.
+        fps: frame rate of the capture in 1/s, 0.01 to 1000. It does not change the images.
 
     Raises:
         UserError: if a value is out of range. The error message contains the option's name.
@@ -56,9 +58,11 @@ class SynthSettings:
     size: int = 256
     seed: int = 0
     gloss: float = 0.3
+    fps: float = DEFAULT_FPS
 
     def __post_init__(self) -> None:
         limits = {"frames": (1, 100_000), "cameras": (3, 100), "size": (32, 4096), "seed": (0, 2**63), "gloss": (0, 1)}
+        check_rate(self.fps)
         for name, (minimum, maximum) in limits.items():
             value = getattr(self, name)
             if not minimum <= value <= maximum:
@@ -66,7 +70,14 @@ class SynthSettings:
 
 
 def make_synthetic(
-    out: Path | str, *, frames: int = 24, cameras: int = 12, size: int = 256, seed: int = 0, gloss: float = 0.3
+    out: Path | str,
+    *,
+    frames: int = 24,
+    cameras: int = 12,
+    size: int = 256,
+    seed: int = 0,
+    gloss: float = 0.3,
+    fps: float = DEFAULT_FPS,
 ) -> None:
     """Write a synthetic capture of a running figure into the folder ``out``.
 
@@ -83,12 +94,13 @@ def make_synthetic(
         size: width and height of the images in pixels.
         seed: random seed.
         gloss: strength of the highlights.
+        fps: frame rate in 1/s, stored in capture.json.
 
     Raises:
         UserError: if a number is out of range or ``out`` contains other files.
     """
     out = Path(out)
-    settings = SynthSettings(frames, cameras, size, seed, gloss)
+    settings = SynthSettings(frames, cameras, size, seed, gloss, fps)
     if is_finished(out, settings):
         return
     _prepare_folder(out)
@@ -97,6 +109,7 @@ def make_synthetic(
     ring = _make_cameras(figure, settings)
     names = [f"{index:02d}" for index in range(cameras)]
     write_calibration(out, names, ring)
+    write_rate(out, standard_rate(fps))
     workers = min(4, os.cpu_count() or 1, cameras)
     with _progress() as progress, ThreadPoolExecutor(workers) as pool:
         task = progress.add_task("synth", total=frames * cameras)

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from fourd.calibration.agreement import Agreement, check_agreement
 from fourd.capture.check import Report, check_capture, first_lines
+from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.cli.options import CapturePath
 from fourd.errors import UserError
 from fourd.progress import Tracker
@@ -65,7 +66,8 @@ def _facts(path: Path, report: Report, agreement: Agreement | None) -> Table:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_row("cameras", f"{len(report.cameras)}: {', '.join(report.cameras)}")
-    table.add_row("frames", str(report.frames))
+    rate = f" at {format_rate(report.fps)} per second" if report.fps else f"; {UNKNOWN_RATE}"
+    table.add_row("frames", f"{report.frames}{rate}")
     table.add_row("images", ", ".join(f"{size} ({count})" for size, count in sizes.items()) or "none")
     table.add_row("distortion", f"in {report.distorted} cameras" if report.distorted else "none")
     table.add_row("distance", f"{report.ring_radius:.3g} world units from the cameras to the point they face")

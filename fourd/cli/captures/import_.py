@@ -14,7 +14,8 @@ from rich.text import Text
 from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
-from fourd.cli.options import describe, option, parse_offsets
+from fourd.capture.frame_rate import check_rate
+from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.given_calibration import VIDEOS_FORMAT
@@ -61,6 +62,7 @@ class Arguments:
     apply_sync: bool = False
     """Estimate the videos' time offsets. Apply each offset of more than 3 frames that has a confidence of
     at least 0.5."""
+    fps: FramesPerSecond = None
     resize: Annotated[
         str,
         tyro.conf.arg(
@@ -99,6 +101,7 @@ def run(arguments: Arguments) -> None:
     def warn(line: str) -> None:
         console.print(Text("warning: ", "yellow").append(line, "default"), soft_wrap=True)
 
+    check_rate(arguments.fps)
     options = _options(arguments)
     given = None if arguments.calibration is None else VIDEOS_FORMAT
     picked = pick_format(name[0] if name else given, Path(source))
@@ -114,6 +117,7 @@ def _options(arguments: Arguments) -> ImportOptions:
         offsets=parse_offsets(arguments.offset),
         sync=arguments.sync,
         apply_sync=arguments.apply_sync,
+        fps=arguments.fps,
         resize=arguments.resize,
         centres=arguments.centres,
         calibrate=arguments.calibrate,

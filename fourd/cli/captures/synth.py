@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.cli.options import option
 from fourd.errors import UserError
 from fourd.progress import Tracker
@@ -36,6 +37,8 @@ class Arguments:
     """Random seed of the figure's clothes, proportions and gait phase, or of the board's motion, at least 0."""
     gloss: float = 0.3
     """Strength of the specular highlights, 0 to 1."""
+    fps: float = DEFAULT_FPS
+    """Frame rate of the capture in frames per second."""
 
 
 def run(arguments: Arguments) -> None:
@@ -53,7 +56,7 @@ def run(arguments: Arguments) -> None:
         line = f"{arguments.out}: {videos.cameras} videos of {videos.frames} frames, {videos.board.describe()}"
         console.print(line, soft_wrap=True, markup=False, highlight=False)
         return
-    settings = SynthSettings(**numbers, seed=arguments.seed, gloss=arguments.gloss)
+    settings = SynthSettings(**numbers, seed=arguments.seed, gloss=arguments.gloss, fps=arguments.fps)
     if is_finished(arguments.out, settings):
         console.print(f"{arguments.out}: already finished with these settings", soft_wrap=True)
         return
@@ -64,6 +67,7 @@ def run(arguments: Arguments) -> None:
         size=settings.size,
         seed=settings.seed,
         gloss=settings.gloss,
+        fps=settings.fps,
     )
     console.print(f"{arguments.out}: {settings.cameras} cameras x {settings.frames} frames", soft_wrap=True)
 

@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.baking.bake import BAKED_LAYERS
-from fourd.cli.options import RunPath, check_rendering
+from fourd.cli.options import RunPath, check_rendering, option
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
@@ -26,7 +26,7 @@ class Arguments:
     """The .4dv file to write."""
     layers: int = BAKED_LAYERS
     """Number of points composited per pixel (K), 1 to 64."""
-    fps: float = 30.0
+    fps: Annotated[float | None, option("FLOAT", "the recording's, or 30 if it is not known")] = None
     """Playback rate in frames per second."""
 
 

@@ -9,9 +9,11 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from fourd.capture.frame_rate import check_rate
 from fourd.cli.captures.matte import MatteOptions
-from fourd.cli.options import Workers, option, worker_count
+from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.training_options import TrainingOptions
+from fourd.importing.importer import ImportOptions
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
 from fourd.training.losses.lpips import load_lpips
@@ -36,6 +38,7 @@ class Arguments:
     training: TrainingOptions
     mattes: MatteOptions
     calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
+    fps: FramesPerSecond = None
     workers: Workers = None
 
 
@@ -44,9 +47,11 @@ def run(arguments: Arguments) -> None:
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
     console = Console()
     options = arguments.training
+    check_rate(arguments.fps)
     config = options.train_config(DEFAULT_SECONDS)
     # Loading the LPIPS weights here reports invalid weights before any stage runs.
     load_lpips(options.lpips_weights)
+    given = None if arguments.calibration is None else str(arguments.calibration.resolve())
     make_scene(
         arguments.capture,
         arguments.out,
@@ -55,7 +60,7 @@ def run(arguments: Arguments) -> None:
         Context(console, worker_count(arguments.workers)),
         points_from=options.points_from,
         lpips_weights=options.lpips_weights,
-        calibration=arguments.calibration,
+        imports=ImportOptions(calibration=given, fps=arguments.fps),
     )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True

@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.errors import UserError
 
@@ -101,7 +102,11 @@ def _scene(path: Path) -> Rows:
     return [
         ("format", f"version {manifest.version}, made by {manifest.producer}"),
         ("kind", "the object on black" if manifest.kind == "object" else "object and background"),
-        ("frames", f"{frames} at {manifest.fps:g} per second, {seconds:.2f} s; {_numbers(manifest.frame_numbers)}"),
+        (
+            "frames",
+            f"{frames} at {format_rate(manifest.fps)} per second, {seconds:.2f} s; {_numbers(manifest.frame_numbers)}",
+        ),
+        *([] if manifest.is_fps_known else [("frame rate", "assumed: the scene does not state the recording's rate")]),
         ("points", f"{_span(points)} per frame, {sum(points):,} in total"),
         *_background(manifest.background),
         ("size", f"{_bytes(size)}, {_bytes((size - manifest.background_nbytes) / max(frames, 1))} per frame"),
@@ -171,7 +176,7 @@ def _video(path: Path) -> Rows:
             seconds = float(container.duration or 0) / av.time_base
             frames = stream.frames or round(seconds * rate)
             return [
-                ("frames", f"{frames} at {rate:g} per second, {seconds:.2f} s"),
+                ("frames", f"{frames} at {format_rate(rate)} per second, {seconds:.2f} s"),
                 ("image size", f"{stream.width} x {stream.height}"),
                 ("codec", stream.codec_context.name),
                 ("size", _bytes(path.stat().st_size)),
@@ -229,7 +234,8 @@ def _capture(path: Path) -> Rows:
 
         capture = open_capture(path)
         rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
-        rows.append(("frames", f"{capture.frame_count}; {_numbers(capture.frame_numbers)}"))
+        rate = f" at {format_rate(capture.fps)} per second" if capture.fps else f", {UNKNOWN_RATE}"
+        rows.append(("frames", f"{capture.frame_count}{rate}; {_numbers(capture.frame_numbers)}"))
         rows.append(("image sizes", _sizes((camera.width, camera.height) for camera in capture.cameras)))
         rows.append(("masks", "yes" if capture.has_masks else "none"))
     else:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from fourd.baking.playable import Playable, find_view, open_playable, select_frames
+from fourd.baking.playable import Playable, find_view, open_playable, select_frames, selected_rate
 from fourd.cameras import Camera
 from fourd.cli.options import Frames, check_rendering, option, split_names
 from fourd.errors import UserError
@@ -49,7 +49,7 @@ class Arguments:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
-    """Frames per second of the video."""
+    """Frames per second of the video. If --frames selects every S-th frame, the default is the S-th part."""
 
 
 def run(arguments: Arguments) -> None:
@@ -62,21 +62,22 @@ def run(arguments: Arguments) -> None:
     )
     playable = open_playable(arguments.source)
     frames = select_frames(playable, arguments.frames)
+    fps = arguments.fps or selected_rate(playable, frames)
     if arguments.views is not None:
-        written = _write_views(arguments, playable, frames, console)
+        written = _write_views(arguments, playable, frames, fps, console)
     else:
-        written = _write_path(arguments, playable, frames, console)
+        written = _write_path(arguments, playable, frames, fps, console)
     console.print(f"{arguments.out}: {written} images", soft_wrap=True)
 
 
-def _write_views(arguments: Arguments, playable: Playable, frames: list[int], console: Console) -> int:
+def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:
     assert arguments.views is not None
     names = split_names(arguments.views) or ()
     cameras = [_fit(find_view(playable, name), arguments.size) for name in names]
     jobs = [(name, camera, frame) for frame in frames for name, camera in zip(names, cameras, strict=True)]
     if arguments.out.suffix == ".mp4":
         pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
-        write_video(arguments.out, pictures, arguments.fps or playable.fps)
+        write_video(arguments.out, pictures, fps)
         return len(jobs)
     for name, camera, frame in _track(jobs, console):
         number = playable.frame_numbers[frame]
@@ -84,7 +85,7 @@ def _write_views(arguments: Arguments, playable: Playable, frames: list[int], co
     return len(jobs)
 
 
-def _write_path(arguments: Arguments, playable: Playable, frames: list[int], console: Console) -> int:
+def _write_path(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:
     assert arguments.path is not None
     steps = arguments.steps or max(120, len(frames))
     views = list(playable.views.values())
@@ -92,7 +93,7 @@ def _write_path(arguments: Arguments, playable: Playable, frames: list[int], con
     jobs = [("", camera, frames[step % len(frames)]) for step, camera in enumerate(cameras)]
     pictures = (_rgb(playable, camera, frame, arguments) for _, camera, frame in _track(jobs, console))
     if arguments.out.suffix == ".mp4":
-        write_video(arguments.out, pictures, arguments.fps or playable.fps)
+        write_video(arguments.out, pictures, fps)
     else:
         for step, picture in enumerate(pictures):
             write_png(arguments.out / f"{step:06d}.png", picture)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.baking.bake import BAKED_LAYERS, bake_run
-from fourd.pipeline.stage import Context, Stage
+from fourd.capture.frame_rate import NAME
+from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.training.run import load_run
 
 
@@ -20,15 +21,22 @@ class BakeFiles:
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """Number of points composited per pixel, and playback rate in frames per second."""
+    """Number of points composited per pixel, and playback rate in frames per second.
+
+    Without a rate, the scene has the rate of the run's capture.
+    """
 
     layers: int = BAKED_LAYERS
-    fps: float = 30.0
+    fps: float | None = None
 
 
-def bake_stage(files: BakeFiles, settings: BakeSettings) -> Stage[BakeFiles, BakeSettings]:
-    """Create the stage that bakes the newest checkpoint of a run."""
-    return Stage("bake", run_bake, files, settings, outputs=(files.scene,), after=("train",))
+def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = None) -> Stage[BakeFiles, BakeSettings]:
+    """Create the stage that bakes the newest checkpoint of a run.
+
+    A change of the frame rate that is stored in ``capture`` repeats the stage.
+    """
+    inputs = () if capture is None else (Artefact(capture / NAME),)
+    return Stage("bake", run_bake, files, settings, inputs=inputs, outputs=(files.scene,), after=("train",))
 
 
 def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None:

@@ -24,22 +24,19 @@ class ImportFiles:
     capture: Path
 
 
-def import_stage(source: Path, capture: Path, calibration: Path | None = None) -> Stage[ImportFiles, ImportOptions]:
-    """Create the stage that imports ``source`` into the folder ``capture``.
-
-    With a folder ``calibration``, which has intri.yml and extri.yml, ``source`` is read as videos.
-    """
+def import_stage(source: Path, capture: Path, options: ImportOptions) -> Stage[ImportFiles, ImportOptions]:
+    """Create the stage that imports ``source`` into the folder ``capture``."""
     inputs = [Artefact(source, PATTERNS)]
     outside = calibration_outside(source, CALIBRATION_FORMATS)
-    if calibration is not None:
-        inputs.append(Artefact(calibration, CALIBRATION))
+    if options.calibration is not None:
+        inputs.append(Artefact(Path(options.calibration), CALIBRATION))
     elif outside is not None:
         inputs.append(Artefact(outside))
     return Stage(
         "import",
         run_import,
         ImportFiles(source, capture),
-        ImportOptions(calibration=None if calibration is None else str(calibration.resolve())),
+        options,
         inputs=tuple(inputs),
         outputs=(capture,),
         leftovers=(Leftovers(capture),),
