@@ -205,7 +205,8 @@ def _files_beside(folder: Path) -> Iterator[Path]:
     """Files in ``folder`` and in its folders of calibrations."""
     yield from _files(folder)
     for child in _children(folder):
-        if CALIBRATION_FOLDER.search(child.name):
+        # Other recordings are beside the source too, for example test_calibrated/.
+        if CALIBRATION_FOLDER.match(child.name):
             yield from _files_below(child, 1)
 
 
