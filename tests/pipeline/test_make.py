@@ -140,7 +140,6 @@ def test_given_points_replace_carving(ball_capture: Path, tmp_path: Path) -> Non
     assert make(ball_capture, out, config, points) == {
         "check": False,
         "repair": False,
-        "repair": False,
         "points": True,
         "train": True,
         "bake": True,
