@@ -20,7 +20,7 @@ from fourd.background.stereo.features import Features
 from fourd.bundle_adjustment.adjust import adjust_to_matches
 from fourd.bundle_adjustment.solver import Prior
 from fourd.bundle_adjustment.tracks import FrameMatches
-from fourd.calibration.match_score import MatchScore, score_matches
+from fourd.calibration.checks.match_score import MatchScore, score_matches
 from fourd.calibration.matching import Matches, undistort_points
 from fourd.calibration.principal_points import MAX_COMBINATIONS, choose_principal_points
 from fourd.calibration.residuals import Pair, compute_residuals

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.calibration.agreement import MIN_SHARE
 from fourd.calibration.camera_matching import match_cameras
+from fourd.calibration.checks.agreement import MIN_SHARE
 from fourd.calibration.image_sizes import SizeChoice, choose_size, measure_black_borders, size_hypotheses
 from fourd.calibration.matching import Matches
 from fourd.calibration.principal_points import (

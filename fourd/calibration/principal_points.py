@@ -14,7 +14,7 @@ from itertools import product
 
 import numpy as np
 
-from fourd.calibration.match_score import MatchScore, score_matches
+from fourd.calibration.checks.match_score import MatchScore, score_matches
 from fourd.calibration.matching import Matches
 from fourd.calibration.residuals import Pair, Residuals, compute_residuals
 from fourd.cameras import Camera

@@ -74,14 +74,19 @@ def epipolar_residuals(
 
 
 def match_pairs(
-    pictures: Sequence[Picture], cameras: Sequence[Camera], *, max_features: int = 4000
+    pictures: Sequence[Picture],
+    cameras: Sequence[Camera],
+    *,
+    max_features: int = 4000,
+    pairs: Sequence[Pair] | None = None,
 ) -> dict[Pair, Matches]:
-    """Match the camera pairs of :func:`select_pairs` and verify the matches.
+    """Match camera pairs and verify the matches.
 
     Args:
         pictures: one RGB image (H, W, 3) per camera, of the camera's size.
         cameras: cameras of the images.
         max_features: maximum number of features per image.
+        pairs: the camera pairs (i, j), i < j, or None for those of :func:`select_pairs`.
 
     Raises:
         ValueError: if an image does not have its camera's size.
@@ -92,11 +97,10 @@ def match_pairs(
                 f"pictures[{index}]: expected {camera.height} x {camera.width} x 3 like the camera, "
                 f"got {' x '.join(map(str, picture.shape))}"
             )
-    features: list[Features] = [extract_features(picture, max_features) for picture in pictures]
-    return {
-        (i, j): verify_matches(match_features(features[i], features[j]), cameras[i], cameras[j])
-        for i, j in select_pairs(cameras)
-    }
+    chosen = select_pairs(cameras) if pairs is None else pairs
+    used = {index for pair in chosen for index in pair}
+    features: dict[int, Features] = {index: extract_features(pictures[index], max_features) for index in sorted(used)}
+    return {(i, j): verify_matches(match_features(features[i], features[j]), cameras[i], cameras[j]) for i, j in chosen}
 
 
 def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:

@@ -20,6 +20,7 @@ from fourd.pipeline.stages.carve import CarveStageSettings, carve_run_stage
 from fourd.pipeline.stages.given_points import GivenPointSettings, given_points_stage
 from fourd.pipeline.stages.mattes import MatteStageSettings
 from fourd.pipeline.stages.plates import run_plates_stage
+from fourd.pipeline.stages.still import no_points_stage
 from fourd.pipeline.stages.train import TrainFiles, train_stage
 from fourd.training.cameras.selection import DataSelection
 from fourd.training.config import TrainConfig
@@ -37,6 +38,7 @@ class RunRequest:
             points are carved.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
+        still: whether the scene has no foreground; see :mod:`fourd.pipeline.stages.still`.
     """
 
     capture: Path
@@ -44,6 +46,7 @@ class RunRequest:
     train: TrainConfig
     points_from: Path | None = None
     lpips_weights: Path | None = None
+    still: bool = False
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
@@ -59,7 +62,9 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
     stages: list[AnyStage] = []
     if adjusted:
         stages.append(adjust_stage(capture, run, AdjustSettings.of(selection, train.refine)))
-    if request.points_from is None:
+    if request.still:
+        stages.append(no_points_stage(capture, run, selection))
+    elif request.points_from is None:
         carving = CarveStageSettings(selection, train.points, trim=train.trim_hull, inset=train.hull_inset)
         stages.append(carve_run_stage(capture, run, carving, adjusted))
     else:

@@ -16,7 +16,9 @@ from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.check import check_stage
 from fourd.pipeline.stages.repair import repair_stage, repaired_capture
+from fourd.pipeline.stages.still import still_stage
 from fourd.pipeline.stages.train import start_run
+from fourd.pipeline.still_scenes import stands_still, still_config
 from fourd.training.config import TrainConfig
 from fourd.training.run import Run
 from fourd.training.run_layout import CONFIG_NAME, PREPARATION
@@ -24,6 +26,7 @@ from fourd.training.run_layout import CONFIG_NAME, PREPARATION
 RECORD = "stages.json"
 CAPTURE = "capture"
 REPAIRED = "repaired"
+STILL = "still"
 RUN = "run"
 
 
@@ -81,7 +84,12 @@ def make_scene(
     capture = work / CAPTURE if to_capture else source
     runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
     capture = repaired_capture(capture, work / REPAIRED)
-    request = RunRequest(capture, work / RUN, train, points_from, lpips_weights)
+    is_still = points_from is None and stands_still(capture, train)
+    if is_still:
+        train = still_config(train, capture, context.log)
+        runner.run((still_stage(capture, work / STILL),))
+        capture = work / STILL
+    request = RunRequest(capture, work / RUN, train, points_from, lpips_weights, is_still)
     runner.run(stages_to_scene(request, mattes, out))
 
 

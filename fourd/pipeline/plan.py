@@ -83,14 +83,18 @@ def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_p
     repair_mp = facts.cameras * min(SAMPLED_FRAMES, frames) * facts.megapixels
     stages += [("check", 0.0), ("repair", IMPORT_S_PER_MP * repair_mp)]
     is_full = train.scene == "full"
-    if not facts.has_mattes:
+    is_still = is_full and facts.frames == 1 and not facts.has_mattes and not has_points
+    if is_still:
+        stages += [("still", 0.0), ("points", 0.0)]
+    elif not facts.has_mattes:
         stages += [("mattes", MATTE_S_PER_MP * pictures_mp / workers), ("plates", 0.0)]
     if train.refine.cameras:
         stages.append(("adjust", 0.0))
     carving = 0.0 if has_points else CARVE_S_PER_FRAME * frames / workers
-    stages.append(("points" if has_points else "carve", carving))
+    if not is_still:
+        stages.append(("points" if has_points else "carve", carving))
     if is_full:
-        stages += ([("plates", 0.0)] if facts.has_mattes else []) + [("background", BACKGROUND_S)]
+        stages += ([("plates", 0.0)] if facts.has_mattes or is_still else []) + [("background", BACKGROUND_S)]
     steps_s = float("inf") if train.max_steps is None else TRAIN_S_PER_STEP * train.max_steps
     budget_s = float("inf") if train.max_seconds is None else train.max_seconds
     return [*stages, ("train", min(steps_s, budget_s)), ("bake", 0.0)]

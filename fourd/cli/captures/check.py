@@ -10,12 +10,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from fourd.calibration.agreement import Agreement, check_agreement
+from fourd.calibration.checks.agreement import Agreement, check_agreement
 from fourd.capture.check import Report, check_capture, first_lines
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.cli.options import CapturePath
 from fourd.errors import UserError
+from fourd.matting.contours import find_foreign_mattes
 from fourd.progress import Tracker
+from fourd.sync.lateness import find_late_cameras
 
 MOST_LINES = 20
 
@@ -29,23 +31,26 @@ class Arguments:
     deep: bool = False
     """Decode all images to find damaged files."""
     quick: bool = False
-    """Skip the epipolar residuals, which need feature matching between all cameras. The matching takes seconds for 20
-    cameras of 512 x 512 pixels."""
+    """Skip the checks that decode images: epipolar residuals, time offsets between the cameras, and the mattes'
+    contours. They take seconds for 20 cameras of 512 x 512 pixels."""
 
 
 def run(arguments: Arguments) -> None:
     """Check the capture and print the report. Raises UserError for the first problem."""
     console = Console()
     report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Console(stderr=True)).track)
-    agreement = None
+    agreement, found = None, []
     if not (arguments.quick or report.problems):
         try:
             agreement = _agreement(arguments.capture)
+            track = Tracker(Console(stderr=True)).track
+            found += find_late_cameras(arguments.capture, track)
+            found += find_foreign_mattes(arguments.capture, track)
         except UserError as error:
             # Feature matching decodes images, so it can find damage that the check without --deep misses.
             report = replace(report, problems=(str(error),))
     console.print(_facts(arguments.capture, report, agreement))
-    warnings = (*report.warnings, *(agreement.warnings if agreement else ()))
+    warnings = (*report.warnings, *(agreement.warnings if agreement else ()), *found)
     for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
         for line in first_lines(lines, MOST_LINES):
             console.print(Text(f"{title}: ", style).append(line, "default"), soft_wrap=True)

@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import struct
 from collections import defaultdict
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
 from fourd.cameras import Camera
+from fourd.capture.layout import find_pictures
 from fourd.errors import UserError
 from fourd.importing.folders import find_frames, join_calibrations, list_entries, make_camera
-from fourd.importing.imported import Imported
+from fourd.importing.imported import Frames, Imported, PictureFiles
 
 MODEL_FOLDERS = (".", "sparse", "sparse/0")
+PHOTO_FOLDERS = ("images", "input", ".")
+"""Folders that may contain the photos CAM.jpg of a static scene, in the order of preference."""
 LENS_MODELS = {
     "SIMPLE_PINHOLE": (1, 0),
     "PINHOLE": (2, 0),
@@ -60,7 +64,8 @@ def read(source: Path) -> Imported:
             f"{source}: expected cameras.bin and images.bin (or .txt) in this folder or in sparse/0, got none; add both"
         )
     calibrations = read_cameras(path)
-    cameras, notes = join_calibrations(find_frames(source), calibrations, path)
+    frames = _find_photos(source, calibrations) or find_frames(source)
+    cameras, notes = join_calibrations(frames, calibrations, path)
     unit = "lengths are kept in COLMAP's arbitrary unit"
     return Imported(cameras, (unit, *notes))
 
@@ -85,6 +90,18 @@ def read_cameras(path: Path) -> dict[str, Camera]:
             raise UserError(f"{where}: expected each camera once, got two folders with this name; rename one")
         cameras[name] = _make_camera(where, model, of_camera, poses[folder], size)
     return cameras
+
+
+def _find_photos(source: Path, calibrations: Mapping[str, Camera]) -> dict[str, Frames]:
+    """Photos CAM.jpg of a static scene, each of which is a camera with one frame, by camera name."""
+    for folder in PHOTO_FOLDERS:
+        found = find_pictures(source / folder)
+        photos: dict[str, Frames] = {
+            stem: PictureFiles((source / folder / file,)) for stem, file in found.items() if stem in calibrations
+        }
+        if photos:
+            return photos
+    return {}
 
 
 def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarray], rig_size: float) -> Camera:

@@ -12,12 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.bundle_adjustment.repair import Repair, repair_cameras
-from fourd.calibration.agreement import CaptureMatches, assess_agreement, match_capture
+from fourd.calibration.checks.agreement import CaptureMatches, assess_agreement, is_disagreeing, match_capture
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
 from fourd.capture.layout import DERIVED, MATTES
+from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.matting.contours import find_foreign_mattes
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.sync.lateness import find_late_cameras
 
 RESULT = "repair.json"
 MAX_MEDIAN_PX = 1.0
@@ -59,10 +62,23 @@ def repaired_capture(capture: Path, repaired: Path) -> Path:
 
 
 def run_repair(files: RepairFiles, settings: RepairSettings, context: Context) -> None:
-    """Match the images, and write a corrected capture if the calibration disagrees and a correction is confirmed."""
+    """Match the images, and write a corrected capture if the calibration disagrees and a correction is confirmed.
+
+    Warnings are logged for cameras that are late and for mattes that do not belong to the images.
+
+    Raises:
+        UserError: if two cameras' calibrations are exchanged, or a view is upside down.
+    """
     found = match_capture(files.capture, context.track)
     agreement = assess_agreement(files.capture, found)
+    if agreement.mixups:
+        raise UserError(agreement.mixups[0])
     log, is_changed = context.log, False
+    for line in (
+        *find_late_cameras(files.capture, context.track),
+        *find_foreign_mattes(files.capture, context.track),
+    ):
+        log(f"warning: {line}")
     score = agreement.score
     if score is None:
         log(f"calibration: not checked, because only {agreement.matches} points match between the cameras")
@@ -71,7 +87,8 @@ def run_repair(files: RepairFiles, settings: RepairSettings, context: Context) -
     else:
         log(f"calibration: {score} of their epipolar lines; trying corrections")
         repair = repair_cameras(found.cameras, found.matches)
-        is_changed = repair.is_changed
+        # A correction that leaves most matches in disagreement is no repair: the calibration is of other cameras.
+        is_changed = repair.is_changed and not is_disagreeing(repair.after)
         for trial in repair.trials:
             kept = "kept" if trial.is_kept else "not kept"
             log(f"calibration: {trial.name}: {trial.score} (held-out matches), {kept}")
@@ -81,7 +98,7 @@ def run_repair(files: RepairFiles, settings: RepairSettings, context: Context) -
             if (files.capture / MATTES).is_dir():
                 log(f"calibration: mattes in {files.capture / MATTES} do not fit the correction and are made again")
         else:
-            log("calibration: no correction agrees better with held-out matches; the given calibration is used")
+            log("calibration: no correction makes the cameras agree on held-out matches; the given calibration is used")
         for line in () if is_changed else agreement.warnings:
             log(f"warning: {line}")
     write_text_atomically(files.repaired / RESULT, json.dumps({"changed": is_changed}) + "\n")

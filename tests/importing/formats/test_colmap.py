@@ -179,3 +179,16 @@ def test_a_name_that_is_not_utf8_is_reported(source: Path, write: Callable[..., 
 def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> None:
     write_text(source, images())
     assert_damage_is_reported(read, source, source / "images.txt", rng)
+
+
+def test_photos_of_a_static_scene_are_cameras(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches a folder of photos that is not read, although each photo is a camera of its own."""
+    cameras = uneven_cameras(3)
+    write_text(tmp_path / "sparse" / "0", [(f"IMG_{i}.jpg", camera) for i, camera in enumerate(cameras)], "PINHOLE")
+    write_pictures(tmp_path / "images", ["IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg"])
+    assert detect_format(tmp_path) == "colmap"
+    imported = read(tmp_path)
+    assert [camera.name for camera in imported.cameras] == ["IMG_0", "IMG_1", "IMG_2"]
+    for camera, original in zip(imported.cameras, cameras, strict=True):
+        assert file_names(camera.frames) == [f"{camera.name}.jpg"]
+        assert_same_view(camera.calibration, expected_camera(original, "PINHOLE"), rng)

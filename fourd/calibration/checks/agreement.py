@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fourd.calibration.camera_matching import match_cameras
-from fourd.calibration.match_score import MatchScore, score_matches
+from fourd.calibration.camera_matching import MIN_FEATURE_MATCHES, match_cameras
+from fourd.calibration.checks.match_score import MatchScore, score_matches
+from fourd.calibration.checks.mixups import find_mixups
 from fourd.calibration.matching import Matches, distort_points
-from fourd.calibration.residuals import MAX_GOOD_PX, Pair, compute_residuals
+from fourd.calibration.residuals import (
+    ALL_PAIRS_CAMERAS,
+    MAX_GOOD_PX,
+    MIN_MATCHES,
+    Pair,
+    compute_residuals,
+    match_pairs,
+)
 from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME
 from fourd.capture.layout import sample_indices
 from fourd.capture.reader import open_capture
 from fourd.progress import Track
+
+Picture = NDArray[np.uint8]
 
 FEW_CAMERAS = 5
 FEW_CAMERAS_FRAMES = 3
@@ -55,13 +68,16 @@ class Agreement:
             enough matches.
         pairs: number of camera pairs with enough matches.
         matches: total number of matches.
-        warnings: one line for each camera that disagrees with the others, or one line if all cameras disagree.
+        mixups: one line for each view that is upside down and each pair of cameras with exchanged calibrations.
+        warnings: the lines of ``mixups``; without mixups, one line for each camera that disagrees with the others, or
+            one line if all cameras disagree.
     """
 
     score: MatchScore | None
     worst: tuple[str, float] | None
     pairs: int
     matches: int
+    mixups: tuple[str, ...]
     warnings: tuple[str, ...]
 
 
@@ -86,14 +102,32 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
     frames = sample_indices(capture.frame_count, FEW_CAMERAS_FRAMES) if has_few else [capture.frame_count // 2]
     pictures = [[capture.image(camera, frame) for camera in range(len(capture.cameras))] for frame in frames]
     cameras = capture.distorted_cameras
+    reduced = match_cameras(pictures, capture.cameras, track)
+    reduced |= _match_unmatched(pictures[0], capture.cameras, reduced)
     matches = {}
-    for (i, j), found in match_cameras(pictures, capture.cameras, track).items():
+    for (i, j), found in reduced.items():
         first, second = (
             distort_points(cameras[index], xy * (cameras[index].width / capture.cameras[index].width))
             for index, xy in ((i, found.first_px), (j, found.second_px))
         )
         matches[i, j] = Matches(first, second)
     return CaptureMatches(tuple(capture.names), cameras, matches)
+
+
+def _match_unmatched(
+    pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
+) -> dict[Pair, Matches]:
+    """Match cameras that match no neighbour with all other cameras, because a wrong calibration has wrong neighbours.
+
+    Cameras are matched in this way only if at least two and at most a quarter of the cameras match no neighbour.
+    """
+    used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
+    lone = [index for index in range(len(cameras)) if index not in used]
+    if len(cameras) <= ALL_PAIRS_CAMERAS or not 2 <= len(lone) <= len(cameras) / 4:
+        return {}
+    pairs = [(i, j) for i, j in combinations(range(len(cameras)), 2) if {i, j} & set(lone)]
+    found = match_pairs(pictures, cameras, pairs=pairs)
+    return {pair: some for pair, some in found.items() if len(some) >= MIN_FEATURE_MATCHES}
 
 
 def check_agreement(path: Path | str, track: Track | None = None) -> Agreement:
@@ -106,22 +140,24 @@ def assess_agreement(path: Path | str, found: CaptureMatches) -> Agreement:
     residuals = compute_residuals(found.matches, found.cameras)
     count = sum(map(len, found.matches.values()))
     if not residuals.pairs:
-        return Agreement(None, None, 0, count, ())
+        return Agreement(None, None, 0, count, (), ())
     by_camera = [(name, px) for name, px in zip(found.names, residuals.cameras, strict=True) if px is not None]
     score = score_matches(found.matches, found.cameras)
     file = Path(path) / EXTRINSICS_NAME
-    warnings = [
+    mixups = tuple(f"{path}: {each.describe(found.names)}" for each in find_mixups(found.matches, found.cameras))
+    warnings = list(mixups) or [
         f"{file}: camera '{found.names[index]}' disagrees with the others by {residuals.cameras[index] or 0:.1f} px; "
         "calibrate it again, or exclude it with --views"
         for index in residuals.bad
     ]
     if not warnings and is_disagreeing(score) and len(residuals.pairs) > 1:
         warnings.append(
-            f"{file}: the cameras disagree with each other ({score}); fourd make tries to refine the calibration; if "
-            "that fails, calibrate again, or run fourd import again to check for resized images and mirrored "
-            "principal points"
+            f"{file}: the cameras disagree with each other ({score}); the calibration may belong to other cameras or "
+            "another recording; fourd make tries to refine it; if that fails, calibrate again, or run fourd import "
+            "again to check for resized images and mirrored principal points"
         )
-    return Agreement(score, max(by_camera, key=lambda camera: camera[1]), len(residuals.pairs), count, tuple(warnings))
+    worst = max(by_camera, key=lambda camera: camera[1])
+    return Agreement(score, worst, len(residuals.pairs), count, mixups, tuple(warnings))
 
 
 def is_disagreeing(score: MatchScore) -> bool:

@@ -1,0 +1,1 @@
+"""Checks of a given calibration with matches between the images."""

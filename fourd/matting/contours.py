@@ -1,0 +1,78 @@
+"""Check that mattes belong to the images: the contour of a matte follows edges of the image.
+
+The mean image gradient along a matte's contour is compared with the gradient along the same contour shifted in eight
+directions. A matte of the image has the largest gradient without a shift. For a matte of another image, all nine
+positions are about equally likely.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.capture.layout import sample_indices
+from fourd.capture.reader import open_capture
+from fourd.progress import Track, untracked
+
+FRAMES = 5
+SHIFT = 0.01
+"""Length of the shifts, as a share of the longer image side. Mattes are more accurate than this."""
+MIN_SHIFT_PX = 3
+MIN_CONTOUR_PX = 40
+MAX_FITTING = 0.25
+"""Largest share of fitting mattes of a camera whose mattes are reported."""
+MIN_MATTES = 2
+
+
+def find_foreign_mattes(path: Path | str, track: Track = untracked) -> list[str]:
+    """Find cameras whose mattes do not follow the edges of their images.
+
+    Args:
+        path: the capture's folder.
+        track: progress callback.
+
+    Returns:
+        One line that names the cameras, or no line.
+
+    Raises:
+        UserError: if the capture cannot be opened, or an image cannot be decoded.
+    """
+    capture = open_capture(path)
+    if not capture.has_masks:
+        return []
+    frames = sample_indices(capture.frame_count, FRAMES)
+    foreign = []
+    for index in track(range(len(capture.names)), len(capture.names), "mattes"):
+        fits = [fits_image(capture.image(index, frame), capture.mask(index, frame)) for frame in frames]
+        judged = [fit for fit in fits if fit is not None]
+        if len(judged) >= MIN_MATTES and sum(judged) <= MAX_FITTING * len(judged):
+            foreign.append(capture.names[index])
+    if not foreign:
+        return []
+    which = "all cameras" if len(foreign) == len(capture.names) else f"camera {', '.join(foreign)}"
+    return [
+        f"{path}: the mattes of {which} do not follow the contours in the images; they may belong to another recording "
+        "or to other frames; make them again with fourd matte, or copy the right masks"
+    ]
+
+
+def fits_image(picture: NDArray[np.uint8], matte: NDArray[np.uint8]) -> bool | None:
+    """Whether the contour of ``matte`` (H, W) follows edges of ``picture`` (H, W, 3); None for too short a contour."""
+    height, width = matte.shape
+    shift = max(MIN_SHIFT_PX, round(SHIFT * max(height, width)))
+    grey = cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)
+    gradient = np.hypot(cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1))
+    inside = (matte > 127).astype(np.uint8)
+    contour = cv2.morphologyEx(inside, cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+    rows, columns = np.nonzero(contour)
+    is_free = (np.minimum(rows, height - 1 - rows) >= shift) & (np.minimum(columns, width - 1 - columns) >= shift)
+    rows, columns = rows[is_free], columns[is_free]
+    if len(rows) < MIN_CONTOUR_PX:
+        return None
+    means = {
+        (y, x): float(gradient[rows + y, columns + x].mean()) for y in (-shift, 0, shift) for x in (-shift, 0, shift)
+    }
+    return means[0, 0] >= max(means.values())

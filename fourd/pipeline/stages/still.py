@@ -1,0 +1,109 @@
+"""Still scenes: captures of one frame, or in which nothing moves, become a scene of the background alone.
+
+The capture is not changed. A folder with links to its files gets empty mattes, so that each image is its own clean
+plate, and the run gets frames without foreground points.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fourd.background.shell import viewing_centre
+from fourd.capture import open_capture
+from fourd.capture.layout import DERIVED
+from fourd.carving import Bounds
+from fourd.carving.sequence import BOUNDS_NAME
+from fourd.files import atomic_path, write_text_atomically
+from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stages.check import INPUT_PATTERNS
+from fourd.ply import write_ply
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
+
+DONE = "still.json"
+BOUNDS_SHARE = 0.25
+"""Half the side of the scene's bounds, as a share of the cameras' mean distance from the point that they face."""
+
+
+@dataclass(frozen=True)
+class StillFiles:
+    """The capture, and the folder for the capture with empty mattes."""
+
+    capture: Path
+    still: Path
+
+
+@dataclass(frozen=True)
+class StillSettings:
+    """Empty class, because the stage has no settings."""
+
+
+@dataclass(frozen=True)
+class NoPointFiles:
+    """The capture with empty mattes, and the run folder, to which ``hull/`` without points is written."""
+
+    capture: Path
+    run: Path
+
+
+def still_stage(capture: Path, still: Path) -> Stage[StillFiles, StillSettings]:
+    """Create the stage that gives ``capture`` empty mattes, in the new folder ``still``."""
+    return Stage(
+        "still",
+        run_still,
+        StillFiles(capture, still),
+        StillSettings(),
+        inputs=(Artefact(capture, INPUT_PATTERNS),),
+        outputs=(still / DONE,),
+        leftovers=(Leftovers(still),),
+    )
+
+
+def run_still(files: StillFiles, settings: StillSettings, context: Context) -> None:
+    """Link the files of the capture, and write an empty matte for each image."""
+    files.still.mkdir(parents=True, exist_ok=True)
+    for name in sorted(os.listdir(files.capture)):
+        target = files.still / name
+        if name not in (DERIVED.name, "masks") and not target.is_symlink():
+            target.symlink_to((files.capture / name).resolve())
+    capture = open_capture(files.capture, mattes=False)
+    for name, lens in zip(capture.names, capture.distorted_cameras, strict=True):
+        folder = files.still / "masks" / name
+        folder.mkdir(parents=True, exist_ok=True)
+        for frame in capture.frame_names:
+            with atomic_path(folder / f"{frame}.png") as temporary:
+                cv2.imwrite(str(temporary), np.zeros((lens.height, lens.width), np.uint8))
+    write_text_atomically(files.still / DONE, json.dumps({"capture": str(files.capture.resolve())}) + "\n")
+
+
+def no_points_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[NoPointFiles, DataSelection]:
+    """Create the stage that writes a run's frames without foreground points."""
+    return Stage(
+        "points",
+        run_no_points,
+        NoPointFiles(capture, run),
+        selection,
+        outputs=(run / HULL / BOUNDS_NAME,),
+        leftovers=(Leftovers(run, keep=(BACKGROUND, CALIBRATION)),),
+        after=("adjust",),
+    )
+
+
+def run_no_points(files: NoPointFiles, selection: DataSelection, context: Context) -> None:
+    """Write an empty PLY for each frame, and bounds around the point that the cameras face."""
+    views = open_run_views(files.capture, selection)
+    cameras = [views.capture.cameras[index] for index in views.training]
+    centre = viewing_centre(cameras)
+    half = BOUNDS_SHARE * float(np.mean([np.linalg.norm(camera.centre - centre) for camera in cameras]))
+    hull = files.run / HULL
+    for number in views.capture.frame_numbers:
+        write_ply(hull / f"{number:06d}.ply", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
+    bounds = Bounds(centre - half, centre + half)
+    corners = {"lower": bounds.lower.tolist(), "upper": bounds.upper.tolist()}
+    write_text_atomically(hull / BOUNDS_NAME, json.dumps(corners, indent=1) + "\n")

@@ -1,0 +1,65 @@
+"""Decision whether a capture stands still, and the training config of such a scene."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fourd.capture import open_capture
+from fourd.capture.layout import MATTES, sample_indices
+from fourd.errors import UserError
+from fourd.pipeline.capture_graph import has_masks
+from fourd.progress import Log
+from fourd.training.config import TrainConfig
+
+SAMPLED_FRAMES = 5
+WIDTH_PX = 320
+MIN_DIFFERENCE = 24.0
+"""Difference in grey levels above which a pixel counts as changed. Sensor noise is smaller after blurring."""
+MAX_CHANGED = 1e-4
+"""Largest share of changed pixels in a still capture."""
+
+
+def stands_still(capture: Path, train: TrainConfig) -> bool:
+    """Whether a capture without mattes has one selected frame, or no image in which anything moves.
+
+    Raises:
+        UserError: if the capture stands still and ``train.scene`` is ``object``, which needs mattes; and if the capture
+            cannot be opened.
+    """
+    if has_masks(capture) or (capture / MATTES).is_dir():
+        return False
+    views = None if train.views is None else list(train.views)
+    opened = open_capture(capture, views=views, frames=train.frames)
+    if opened.frame_count > 1:
+        widest = max(camera.width for camera in opened.cameras)
+        scale = min(1.0, WIDTH_PX / widest)
+        opened = open_capture(capture, views=views, frames=train.frames, scale=scale)
+        frames = sample_indices(opened.frame_count, SAMPLED_FRAMES)
+        for index in range(len(opened.names)):
+            greys = [cv2.GaussianBlur(opened.image(index, frame).astype(np.float32), (0, 0), 1.0) for frame in frames]
+            if any((np.abs(grey - greys[0]).max(axis=2) > MIN_DIFFERENCE).mean() > MAX_CHANGED for grey in greys):
+                return False
+    if train.scene != "full":
+        what = "one frame" if opened.frame_count == 1 else "images in which nothing moves"
+        raise UserError(
+            f"{capture}: expected a moving subject or mattes, got {what} and no masks/; add --scene full to make a "
+            "scene of the static background, or provide masks/CAM/FRAME.png"
+        )
+    return True
+
+
+def still_config(train: TrainConfig, capture: Path, log: Log) -> TrainConfig:
+    """The config of a scene without foreground: one frame, and only steps that train the background."""
+    views = None if train.views is None else list(train.views)
+    opened = open_capture(capture, views=views, frames=train.frames)
+    first = opened.frame_numbers[0]
+    which = "one frame" if opened.frame_count == 1 else f"{opened.frame_count} frames in which nothing moves"
+    log(
+        f"still scene: {which}: the background is made from the images of frame {first}, and there is no moving "
+        "foreground"
+    )
+    return replace(train, frames=f"{first}:{first + 1}", background=replace(train.background, share=1.0))

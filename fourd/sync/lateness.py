@@ -1,0 +1,64 @@
+"""Cameras of a capture that are late or early, from the motion in all cameras' images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fourd.capture.reader import open_capture
+from fourd.progress import Track, untracked
+from fourd.sync.motion import MIN_OVERLAP, estimate_offsets, motion_energy
+
+WIDTH_PX = 200
+MAX_FRAMES = 300
+"""Number of frames whose motion is compared, from the middle of the capture."""
+MIN_FRAMES = 36
+"""Minimum number of frames for the comparison."""
+MIN_CONFIDENCE = 0.5
+MAX_ERROR_FRAMES = 3
+"""Offsets of at most this many frames are within the error of the estimate."""
+
+
+def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
+    """Find the cameras whose motion is out of step with the other cameras by more than 3 frames.
+
+    Args:
+        path: the capture's folder.
+        track: progress callback.
+
+    Returns:
+        One line for each such camera. The list is empty for captures of fewer than 36 frames or 3 cameras.
+
+    Raises:
+        UserError: if the capture cannot be opened, or an image cannot be decoded.
+    """
+    capture = open_capture(path)
+    if capture.frame_count < MIN_FRAMES or len(capture.names) < 3:
+        return []
+    widest = max(camera.width for camera in capture.cameras)
+    capture = open_capture(path, scale=min(1.0, WIDTH_PX / widest))
+    count = min(capture.frame_count, MAX_FRAMES)
+    first = (capture.frame_count - count) // 2
+    energies = []
+    for index, name in enumerate(capture.names):
+        numbers = track(range(first, first + count), count, f"motion of {name}")
+        energies.append(
+            motion_energy(
+                np.asarray(cv2.cvtColor(capture.image(index, number), cv2.COLOR_RGB2GRAY), np.uint8)
+                for number in numbers
+            )
+        )
+    found = estimate_offsets(energies, min(count // 3, count - MIN_OVERLAP))
+    usual = int(np.median(found.frames))
+    lines = []
+    for name, frames, confidence in zip(capture.names, found.frames, found.confidence, strict=True):
+        late = frames - usual
+        if abs(late) > MAX_ERROR_FRAMES and confidence >= MIN_CONFIDENCE:
+            lines.append(
+                f"{path}: camera '{name}' is {'late' if late > 0 else 'early'} by {abs(late)} frames compared with the "
+                f"motion in the other cameras (confidence {confidence:.0%}); import its video with "
+                f"--offset {name}={late}, or record again with a common trigger"
+            )
+    return lines

@@ -1,0 +1,84 @@
+"""Scenes that stand still: one frame, or images in which nothing moves, without mattes."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from rich.console import Console
+
+from fourd.baking.container import SceneReader
+from fourd.capture import open_capture
+from fourd.errors import UserError
+from fourd.matting.sequence import MatteSettings
+from fourd.pipeline.make import make_scene
+from fourd.pipeline.plan import describe_plan
+from fourd.pipeline.stage import Context
+from fourd.pipeline.still_scenes import stands_still
+from tests.training.small import SMALL, full_config, with_steps
+
+
+def write_photos(capture: Path, folder: Path) -> Path:
+    """Photos of the first frame of a capture, with transforms.json."""
+    opened = open_capture(capture, frames="0:1")
+    entries = []
+    (folder / "images").mkdir(parents=True)
+    for index, (name, camera) in enumerate(zip(opened.names, opened.cameras, strict=True)):
+        picture = cv2.cvtColor(opened.image(index, 0), cv2.COLOR_RGB2BGR)
+        cv2.imwrite(str(folder / "images" / f"{name}.png"), picture)
+        pose = np.eye(4)
+        pose[:3, :3] = camera.rotation.T @ np.diag([1.0, -1.0, -1.0])
+        pose[:3, 3] = camera.centre
+        (fx, _, cx), (_, fy, cy), _ = camera.intrinsics.tolist()
+        entries.append(
+            {"file_path": f"images/{name}.png", "transform_matrix": pose.tolist()}
+            | {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "w": camera.width, "h": camera.height}
+        )
+    (folder / "transforms.json").write_text(json.dumps({"frames": entries}))
+    return folder
+
+
+def test_photos_become_a_whole_scene(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a scene without foreground that fails between photos and scene file, and plates with holes."""
+    photos, out = write_photos(ball_capture, tmp_path / "photos"), tmp_path / "scene.4dv"
+    text = io.StringIO()
+    context = Context(Console(file=text, width=300))
+    config = with_steps(full_config(tmp_path / "seeds.ply"), 2)
+    assert "still, points, plates, background" in describe_plan(photos, config, 1)
+    make_scene(photos, out, config, MatteSettings(), context)
+    assert "still scene: one frame: the background is made from the images of frame 0" in text.getvalue()
+    plate = cv2.imread(str(next((tmp_path / "scene.work" / "run" / "background" / "plates").iterdir())), -1)
+    assert plate.shape[2] == 4
+    assert (plate[..., 3] == 255).all()
+    assert not (photos / "masks").exists()
+    assert SceneReader(out).manifest.points == (0,)
+
+
+def test_one_frame_without_mattes_needs_a_full_scene(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a message about missing motion that does not say how to make a scene of a single frame."""
+    photos = write_photos(ball_capture, tmp_path / "photos")
+    with pytest.raises(
+        UserError, match=r"expected a moving subject or mattes, got one frame and no masks/; add --scene"
+    ):
+        make_scene(photos, tmp_path / "scene.4dv", with_steps(SMALL, 2), MatteSettings(), Context())
+
+
+def test_moving_and_still_captures_are_told_apart(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a moving capture that is made into a still scene, and noise that counts as motion."""
+    config = full_config(tmp_path / "seeds.ply")
+    assert not stands_still(ball_capture, config), "the capture has masks"
+    moving = Path(shutil.copytree(ball_capture, tmp_path / "moving", ignore=shutil.ignore_patterns("masks")))
+    assert not stands_still(moving, config)
+    still = Path(shutil.copytree(moving, tmp_path / "still"))
+    rng = np.random.default_rng(0)
+    for camera in (still / "images").iterdir():
+        files = sorted(camera.iterdir())
+        first = cv2.imread(str(files[0])).astype(float)
+        for file in files:
+            cv2.imwrite(str(file), np.clip(first + rng.normal(0, 3, first.shape), 0, 255).astype(np.uint8))
+    assert stands_still(still, config)
