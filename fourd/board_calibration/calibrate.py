@@ -40,7 +40,7 @@ DRAWING = "rig.png"
 MAX_FRAMES = 400
 """Maximum number of frames that are searched if --frames is not given."""
 MIN_FRAMES = 3
-SAMPLED_PICTURES = 8
+SAMPLED_PICTURES = 5
 """Number of images per camera in which the reason is searched if no board is found."""
 RATIO_PICTURES = 6
 MAX_RATIO_DIFFERENCE = 0.04
