@@ -286,6 +286,19 @@ def test_the_import_takes_the_calibration(videos: Path, tmp_path: Path, capsys: 
     assert not other.exists()
 
 
+@pytest.mark.slow
+def test_default_videos_meet_the_accuracy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a loss of accuracy of the corners or of the adjustment, with blur, noise and unknown lenses."""
+    assert main(["synth", str(tmp_path / "videos"), "--board"]) == 0
+    board = tmp_path / "videos" / "board.toml"
+    calibrate(capsys, tmp_path / "videos", "--board", board, "-o", tmp_path / "out")
+    truth = cameras_in(tmp_path / "videos" / "truth")
+    focal, degrees, position = largest_differences(cameras_in(tmp_path / "out"), truth)
+    assert focal < 0.2
+    assert degrees < 0.05
+    assert position < 0.2
+
+
 def test_a_pose_from_behind_shows_no_pattern() -> None:
     """Catches a single-sided board whose back shows the pattern."""
     settings = BoardSettings(size=300)
