@@ -124,12 +124,13 @@ def _check_counts(
     for name in offsets:
         if name not in names:
             raise UserError(f"--offset: expected cameras among {', '.join(names)}, got '{name}'; name one of them")
+    files = video_files(cameras)
     for camera in cameras:
-        is_pictures = isinstance(camera.frames, PictureFiles)
-        count = len(camera.frames.paths) if isinstance(camera.frames, PictureFiles) else indices[camera.name].frames
+        if isinstance(camera.frames, PictureFiles):
+            where, count = camera.frames.paths[0].parent, len(camera.frames.paths)
+        else:
+            where, count = files[camera.name], indices[camera.name].frames
         if count < MIN_FRAMES:
-            path = camera.frames.paths[0].parent if isinstance(camera.frames, PictureFiles) else video_files([camera])
-            where = path if is_pictures else next(iter(video_files([camera]).values()))
             raise UserError(
                 f"{where}: expected at least {MIN_FRAMES} frames of a moving board, got {count}; film the board for "
                 "half a minute"

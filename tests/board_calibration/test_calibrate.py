@@ -21,6 +21,7 @@ from fourd.progress import untracked
 from fourd.synth.board_render import BoardPose, BoardRenderer, Optics
 from fourd.synth.board_videos import BOARD, BoardSettings, board_pose, make_board_videos, rig_cameras
 from tests.board_calibration.rigs import largest_differences
+from tests.capture.numbered_videos import write_numbered_video
 
 SETTINGS = BoardSettings(frames=24, cameras=3, size=400)
 CHESSBOARD = CalibrationBoard(7, 6, 0.06)
@@ -194,6 +195,9 @@ def test_boards_that_are_not_seen(tmp_path: Path, capsys: pytest.CaptureFixture[
     write_images(tmp_path / "short", "a", drawn)
     write_images(tmp_path / "short", "b", drawn[:1])
     assert "short/b: expected at least 3 frames of a moving board, got 1" in refused(capsys, tmp_path / "short", *words)
+    for name in ("a", "b"):
+        write_numbered_video(tmp_path / "video" / f"{name}.mp4", range(1))
+    assert "a.mp4: expected at least 3 frames of a moving board, got 1" in refused(capsys, tmp_path / "video", *words)
     write_images(tmp_path / "single", "a", drawn)
     assert "a: expected videos of at least two cameras, got one" in refused(capsys, tmp_path / "single", *words)
     assert "gone: expected a folder with videos of the board" in refused(capsys, tmp_path / "gone", *words)
