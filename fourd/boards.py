@@ -38,7 +38,8 @@ class CalibrationBoard:
         marker_m: side of a marker in metres, or None for a chessboard.
         dictionary: name of the markers' dictionary in OpenCV, such as DICT_4X4_50, or None for a chessboard.
         inverted: whether dark and bright are exchanged.
-        double_sided: whether the back shows the mirrored pattern, so that each corner is one point on both sides.
+        double_sided: whether the back shows the mirrored pattern, so that each corner is one point on both sides. Only
+            markers distinguish the two sides.
         legacy_pattern: whether the pattern is that of OpenCV before version 4.6, which differs if ``rows`` is even.
 
     Raises:
@@ -63,6 +64,11 @@ class CalibrationBoard:
         if not (math.isfinite(self.square_m) and 0 < self.square_m < MAX_SQUARES):
             raise ValueError(f"square_m: expected the side of a square in metres, got {self.square_m:g}; measure it")
         if self.dictionary is None:
+            if self.double_sided:
+                raise ValueError(
+                    "double_sided: expected a ChArUco board, got a chessboard, whose back looks like its front; use "
+                    "markers, or remove double_sided"
+                )
             if (self.columns + self.rows) % 2 == 0:
                 raise ValueError(
                     f"columns and rows: expected one odd and one even number, got {self.columns} and {self.rows}; such "
@@ -154,8 +160,8 @@ def read_board(path: Path) -> CalibrationBoard:
         raise UserError(f"{path}: pattern: expected charuco or chessboard, got '{pattern}'; correct the value")
     needed = {"columns", "rows", "square_m"} | ({"marker_m", "dictionary"} if pattern == "charuco" else set())
     for key in data:
-        if key not in kinds or (pattern == "chessboard" and key in ("marker_m", "dictionary", "legacy_pattern")):
-            known = sorted(kinds) if pattern == "charuco" else sorted(needed | {"inverted", "double_sided"})
+        if key not in kinds or (pattern == "chessboard" and key not in needed | {"inverted"}):
+            known = sorted(kinds) if pattern == "charuco" else sorted(needed | {"inverted"})
             near = get_close_matches(key, known, 1, 0.0)[0]
             raise UserError(
                 f"{path}: {key}: expected one of {', '.join(known)} for a {pattern} board, got '{key}'; did you mean "

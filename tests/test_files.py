@@ -9,6 +9,7 @@ import pytest
 
 from fourd.files import (
     UNFINISHED,
+    atomic_folder,
     atomic_path,
     is_unused,
     remove_unfinished,
@@ -64,3 +65,27 @@ def test_temporary_files_of_one_target_are_removed(tmp_path: Path) -> None:
     left = [path.name for path in tmp_path.iterdir()]
     assert len(left) == 1
     assert left[0].startswith(f"{UNFINISHED}scene-2-")
+
+
+def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    """Catches a failed write that changes the folder, old files that stay in it, and leftovers beside it."""
+    target = tmp_path / "results"
+    with atomic_folder(target) as folder:
+        (folder / "a.txt").write_text("first")
+    with pytest.raises(RuntimeError), atomic_folder(target) as folder:
+        (folder / "a.txt").write_text("second")
+        raise RuntimeError
+    assert (target / "a.txt").read_text() == "first"
+    with atomic_folder(target) as folder:
+        (folder / "b.txt").write_text("third")
+    assert [path.name for path in target.iterdir()] == ["b.txt"]
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
+    """Catches a leftover folder that stops every later command in this place."""
+    leftover = tmp_path / f"{UNFINISHED}results-abc"
+    leftover.mkdir()
+    (leftover / "a.txt").write_text("half")
+    remove_unfinished(tmp_path)
+    assert not leftover.exists()

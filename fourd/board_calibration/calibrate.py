@@ -40,7 +40,7 @@ DRAWING = "rig.png"
 MAX_FRAMES = 400
 """Maximum number of frames that are searched if --frames is not given."""
 MIN_FRAMES = 3
-SAMPLED_PICTURES = 8
+SAMPLED_PICTURES = 5
 """Number of images per camera in which the reason is searched if no board is found."""
 RATIO_PICTURES = 6
 MAX_RATIO_DIFFERENCE = 0.04
@@ -124,12 +124,13 @@ def _check_counts(
     for name in offsets:
         if name not in names:
             raise UserError(f"--offset: expected cameras among {', '.join(names)}, got '{name}'; name one of them")
+    files = video_files(cameras)
     for camera in cameras:
-        is_pictures = isinstance(camera.frames, PictureFiles)
-        count = len(camera.frames.paths) if isinstance(camera.frames, PictureFiles) else indices[camera.name].frames
+        if isinstance(camera.frames, PictureFiles):
+            where, count = camera.frames.paths[0].parent, len(camera.frames.paths)
+        else:
+            where, count = files[camera.name], indices[camera.name].frames
         if count < MIN_FRAMES:
-            path = camera.frames.paths[0].parent if isinstance(camera.frames, PictureFiles) else video_files([camera])
-            where = path if is_pictures else next(iter(video_files([camera]).values()))
             raise UserError(
                 f"{where}: expected at least {MIN_FRAMES} frames of a moving board, got {count}; film the board for "
                 "half a minute"

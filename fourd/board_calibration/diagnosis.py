@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.board_calibration.detection import BoardDetector
 from fourd.boards import CalibrationBoard, charuco_board, dictionary_names, load_dictionary
 
 Array = NDArray[np.float64]
@@ -25,6 +24,13 @@ INLIER_SQUARES = 0.25
 """Maximum distance of a marker from its place on a board, in squares."""
 MAX_PX = 800
 """Longer side of the reduced images in which other chessboards are searched."""
+FEW_PICTURES = 3
+"""Number of images that are searched before all images. Searching an image for all dictionaries is slow."""
+MAX_TRIALS = 60
+"""Number of random samples per homography. Most markers are right, and many sizes of boards are tried."""
+MAX_FITTED_PICTURES = 3
+ENOUGH_PLACED = 0.9
+"""Share of the markers that lie at their places, above which no further size of the board is tried."""
 MAX_CHESSBOARD_PICTURES = 3
 """Maximum number of images in which chessboards of other sizes are searched, which is slow."""
 
@@ -42,25 +48,34 @@ class MarkerImage:
     corners: Array
 
 
-def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """The change of a board's file with which the board is found in some of the images (H, W) uint8.
+@dataclass(frozen=True, eq=False)
+class _FoundMarkers:
+    """Markers of one dictionary, found in images that were inverted or mirrored."""
 
-    Dictionaries, numbers of squares, the inverted board and the mirrored board are tried. Returns None if nothing is
-    found.
+    inverted: bool
+    mirrored: bool
+    dictionary: str
+    images: tuple[MarkerImage, ...]
+
+
+def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
+    """The changes of a board's file, as keys and values, with which the board is found in some of the images.
+
+    Dictionaries, numbers of squares, the inverted board and the mirrored board are tried on images (H, W) uint8.
+    Returns None if nothing is found.
     """
-    for inverted, mirrored in product((board.inverted, not board.inverted), (False, True)):
-        turned = [_transform(picture, inverted, mirrored) for picture in pictures]
-        changed = replace(board, inverted=inverted, double_sided=board.double_sided or mirrored)
-        fix = _suggest_markers(changed, turned)
-        if fix is not None or _is_found(replace(changed, inverted=False, double_sided=False), turned):
-            changes = [] if fix is None else [fix]
-            if inverted != board.inverted:
-                changes.append(f"inverted = {str(inverted).lower()}")
-            if mirrored and not board.double_sided:
-                changes.append("double_sided = true")
-            if changes:
-                return ", ".join(changes)
-    return _suggest_chessboard(board, pictures[:MAX_CHESSBOARD_PICTURES])
+    few = pictures[:: max(1, len(pictures) // FEW_PICTURES)]
+    best = _search_markers(board, few) or (_search_markers(board, pictures) if len(few) < len(pictures) else None)
+    if best is None:
+        return _suggest_chessboard(board, pictures[:MAX_CHESSBOARD_PICTURES])
+    changes = _marker_changes(board, best.dictionary, best.images)
+    if changes is None:
+        return None
+    if best.inverted != board.inverted:
+        changes.append(f"inverted = {str(best.inverted).lower()}")
+    if best.mirrored and not board.double_sided:
+        changes.append("double_sided = true")
+    return ", ".join(changes) or None
 
 
 def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> float | None:
@@ -88,59 +103,65 @@ def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> f
     return float(np.median(ratios)) if ratios else None
 
 
+def _search_markers(board: CalibrationBoard, pictures: Sequence[Grey]) -> _FoundMarkers | None:
+    """The dictionary with the most markers, in the images as they are, inverted or mirrored; None without markers."""
+    best, most = None, 0
+    for inverted, mirrored in product((board.inverted, not board.inverted), (False, True)):
+        turned = [_transform(picture, inverted, mirrored) for picture in pictures]
+        for name in _families():
+            found = [each for each in (_find_markers(some, name) for some in turned) if len(each.ids) >= MIN_MARKERS]
+            count = sum(len(each.ids) for each in found)
+            if count > most:
+                best, most = _FoundMarkers(inverted, mirrored, name, tuple(found)), count
+    return best
+
+
 def _transform(picture: Grey, inverted: bool, mirrored: bool) -> Grey:
     turned = 255 - picture if inverted else picture
     return np.ascontiguousarray(turned[:, ::-1]) if mirrored else turned
 
 
-def _is_found(board: CalibrationBoard, pictures: Sequence[Grey]) -> bool:
-    detector = BoardDetector(board)
-    return any(detector.detect(picture, 0, 0) is not None for picture in pictures)
-
-
-def _suggest_markers(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """The dictionary and the numbers of squares that fit the markers in the images, as keys of the board's file."""
-    best, most = None, 0
-    for name in _distinct_dictionaries():
-        found = [_find_markers(picture, name) for picture in pictures]
-        count = sum(len(each.ids) for each in found if len(each.ids) >= MIN_MARKERS)
-        if count > most:
-            best, most = (name, found), count
-    if best is None:
+def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerImage]) -> list[str] | None:
+    """Changes of a board's file that fit the markers in the images, or None if no board fits them."""
+    size = _fit_size(board, name, sorted(found, key=lambda each: -len(each.ids))[:MAX_FITTED_PICTURES])
+    if size is None:
         return None
-    name, found = best
+    columns, rows, legacy = size
+    largest = columns * rows // 2 - 1
     changes = []
     if board.dictionary is None:
         changes.append('pattern = "charuco"')
-    largest = max(int(each.ids.max(initial=0)) for each in found)
     if board.dictionary is None or not _contains(board.dictionary, name, largest):
-        changes.append(f'dictionary = "{name}"')
-    size = _fit_size(board, name, found)
-    if size is not None:
-        columns, rows, legacy = size
-        if (columns, rows) != (board.columns, board.rows):
-            changes.append(f"columns = {columns}, rows = {rows}")
-        if legacy != board.legacy_pattern:
-            changes.append(f"legacy_pattern = {str(legacy).lower()}")
-    return ", ".join(changes) or None
+        smallest = next(each for each in _distinct_dictionaries() if _contains(each, name, largest))
+        changes.append(f'dictionary = "{smallest}"')
+    if (columns, rows) != (board.columns, board.rows):
+        changes.append(f"columns = {columns}, rows = {rows}")
+    if legacy != board.legacy_pattern:
+        changes.append(f"legacy_pattern = {str(legacy).lower()}")
+    return changes
 
 
-def _fit_size(board: CalibrationBoard, name: str, found: Sequence[MarkerImage]) -> tuple[int, int, bool] | None:
-    """Columns, rows and legacy pattern that fit the places of the markers in the images; the board's if possible."""
-    images = sorted((each for each in found if len(each.ids) >= MIN_MARKERS), key=lambda each: -len(each.ids))[:3]
-    largest = max((int(each.ids.max()) for each in images), default=0)
+def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage]) -> tuple[int, int, bool] | None:
+    """Columns, rows and legacy pattern that fit the places of the markers in the images; the board's if possible.
+
+    Returns None if no board fits most of the markers. Some markers are false detections.
+    """
+    total = sum(len(each.ids) for each in images)
     sizes = [(board.columns, board.rows, board.legacy_pattern)]
     tried = range(3, MAX_TRIED_SQUARES + 1)
     sizes += sorted(product(tried, tried, (False, True)), key=lambda size: size[0] * size[1])
-    best, most = None, 0
     available = len(load_dictionary(name).bytesList)
+    typical = float(np.median(np.concatenate([each.ids for each in images])))
+    best, most = None, total / 2
     for columns, rows, legacy in sizes:
-        if not largest < columns * rows // 2 <= available:
+        if not typical < columns * rows // 2 <= available:
             continue
         places = _marker_places(CalibrationBoard(columns, rows, 1.0, 0.5, name, legacy_pattern=legacy))
         count = sum(_count_placed(places, each) for each in images)
         if count > most:
             best, most = (columns, rows, legacy), count
+        if most >= ENOUGH_PLACED * total:
+            break
     return best
 
 
@@ -150,7 +171,9 @@ def _count_placed(places: Array, found: MarkerImage) -> int:
     if known.sum() < MIN_MARKERS:
         return 0
     centres = found.corners[known].mean(axis=1)
-    homography, inliers = cv2.findHomography(centres, places[found.ids[known]], cv2.RANSAC, INLIER_SQUARES)
+    homography, inliers = cv2.findHomography(
+        centres, places[found.ids[known]], cv2.RANSAC, INLIER_SQUARES, maxIters=MAX_TRIALS
+    )
     return 0 if homography is None else int(inliers.sum())
 
 
@@ -175,6 +198,16 @@ def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImag
     unique = [index for index, count in Counter(np.ravel(ids).tolist()).items() if count == 1]
     kept = np.isin(np.ravel(ids), unique)
     return MarkerImage(np.ravel(ids)[kept].astype(np.intp), np.concatenate(corners).astype(np.float64)[kept])
+
+
+def _families() -> list[str]:
+    """The largest dictionary of each family. The smaller dictionaries of a family contain its first markers."""
+    names = _distinct_dictionaries()
+    return [
+        name
+        for index, name in enumerate(names)
+        if not any(_contains(other, name, len(load_dictionary(name).bytesList) - 1) for other in names[index + 1 :])
+    ]
 
 
 def _distinct_dictionaries() -> list[str]:

@@ -152,7 +152,7 @@ def project(state: RigState, corners: Corners) -> Projection:
         distortion = np.zeros(5) if camera.distortion is None else camera.distortion
         found, jacobian = cv2.projectPoints(safe[rows], np.zeros(3), np.zeros(3), camera.intrinsics, distortion)
         jacobian = np.asarray(jacobian).reshape(len(rows), 2, -1)
-        pixels[rows] = found[:, 0]
+        pixels[rows] = np.asarray(found).reshape(-1, 2)
         by_point[rows] = jacobian[..., 3:6]
         lens = jacobian[..., 6:15]
         by_camera[rows, :, LENS.start : LENS.start + lens.shape[-1]] = lens

@@ -114,8 +114,9 @@ class BoardRenderer:
             return 0, 0, self.camera.width, self.camera.height
         distortion = np.zeros(5) if self.camera.distortion is None else self.camera.distortion
         pixels, _ = cv2.projectPoints(in_camera, np.zeros(3), np.zeros(3), self.camera.intrinsics, distortion)
-        low = np.floor(pixels[:, 0].min(axis=0)).astype(int) - 4
-        high = np.ceil(pixels[:, 0].max(axis=0)).astype(int) + 4
+        flat_pixels = np.asarray(pixels).reshape(-1, 2)
+        low = np.floor(flat_pixels.min(axis=0)).astype(int) - 4
+        high = np.ceil(flat_pixels.max(axis=0)).astype(int) + 4
         left, top = np.maximum(low, 0)
         right, bottom = np.minimum(high, (self.camera.width, self.camera.height))
         return (int(left), int(top), int(right), int(bottom)) if left < right and top < bottom else None
@@ -128,5 +129,5 @@ def _sample_rays(camera: Camera) -> NDArray[np.float32]:
     pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
     distortion = np.zeros(5) if camera.distortion is None else camera.distortion
     flat = cv2.undistortPoints(pixels, camera.intrinsics, distortion, criteria=UNDISTORT_STEPS)
-    rays = np.concatenate([flat[:, 0], np.ones((len(flat), 1))], axis=1)
+    rays = np.concatenate([np.asarray(flat).reshape(-1, 2), np.ones((len(flat), 1))], axis=1)
     return rays.reshape(*x.shape, 3).astype(np.float32)

@@ -140,6 +140,7 @@ def write_grey_video(path: Path, pictures: Iterator[Picture], fps: int) -> None:
     options = {"crf": "10", "preset": "veryfast", "threads": "1"} if encoder == "libx264" else {"qscale": "1"}
     with av.open(str(path), "w") as container:
         stream = container.add_stream(encoder, rate=fps, options=options)
+        assert isinstance(stream, av.VideoStream)
         for number, picture in enumerate(pictures):
             if number == 0:
                 stream.height, stream.width = picture.shape

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from fourd.errors import UserError
 from fourd.matting.sequence import MatteSettings
+from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.make import create_run, make_scene
 from fourd.pipeline.stage import Context
 from fourd.ply import write_ply
@@ -97,6 +98,16 @@ def test_other_folders_are_not_used_for_results(ball_capture: Path, tmp_path: Pa
     (tmp_path / "scene.work" / "mine.txt").write_text("mine")
     with pytest.raises(UserError, match="expected a folder made by fourd make"):
         make_scene(ball_capture, tmp_path / "scene.4dv", SMALL, MatteSettings(), Context())
+
+
+def test_a_calibration_is_for_videos(ball_capture: Path, tmp_path: Path) -> None:
+    """Catches a given calibration that is silently ignored, and an import that is not repeated after its change."""
+    out = tmp_path / "scene.4dv"
+    with pytest.raises(UserError, match=r"--calibration: expected videos without a calibration, got the capture"):
+        make_scene(ball_capture, out, SMALL, MatteSettings(), Context(), calibration=ball_capture)
+    assert not (tmp_path / "scene.work").exists()
+    (stage,) = stages_to_capture(tmp_path / "videos", tmp_path / "capture", ball_capture)
+    assert ball_capture in [artefact.path for artefact in stage.inputs]
 
 
 def test_stages_of_a_full_scene_depend_on_what_they_read(ball_capture: Path, tmp_path: Path) -> None:

@@ -44,19 +44,17 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Make the capture, unless a finished capture with the same options exists."""
     console = Console(stderr=True)
-    given = {
-        "frames": None if arguments.frames is None else _frame_count(arguments.frames),
-        "cameras": arguments.cameras,
-        "size": arguments.size,
-    }
-    numbers = {name: value for name, value in given.items() if value is not None}
+    defaults = BoardSettings(seed=arguments.seed) if arguments.board else SynthSettings(seed=arguments.seed)
+    frames = defaults.frames if arguments.frames is None else _frame_count(arguments.frames)
+    cameras = defaults.cameras if arguments.cameras is None else arguments.cameras
+    size = defaults.size if arguments.size is None else arguments.size
     if arguments.board:
-        videos = BoardSettings(**numbers, seed=arguments.seed)
+        videos = BoardSettings(frames, cameras, size, arguments.seed)
         make_board_videos(arguments.out, videos, Tracker(console).track)
         line = f"{arguments.out}: {videos.cameras} videos of {videos.frames} frames, {videos.board.describe()}"
         console.print(line, soft_wrap=True, markup=False, highlight=False)
         return
-    settings = SynthSettings(**numbers, seed=arguments.seed, gloss=arguments.gloss, fps=arguments.fps)
+    settings = SynthSettings(frames, cameras, size, arguments.seed, arguments.gloss, arguments.fps)
     if is_finished(arguments.out, settings):
         console.print(f"{arguments.out}: already finished with these settings", soft_wrap=True)
         return

@@ -1,0 +1,73 @@
+"""A recording of a real rig: four web cameras and an inverted, double-sided board whose back one camera sees."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fourd.capture.calibration import Calibration, read_calibration
+from fourd.cli.main import main
+
+RIG = Path(__file__).parents[2].parent / "shared" / "captures" / "charuco_rig"
+LENSES = RIG / "truth" / "camera_array.toml"
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not RIG.is_dir(), reason=f"no real capture at {RIG}"),
+]
+
+
+def compare_pairs(found: dict[str, Calibration]) -> tuple[float, float]:
+    """Largest angle of a pair in degrees, and largest distance as a share of the limit, against Caliscope's poses.
+
+    The limit is 2.5% of the baseline, and at least 18 mm.
+    """
+    truth = tomllib.loads(LENSES.read_text())["cameras"]
+    first = [(each.rotation, each.translation) for each in found.values()]
+    second = [(np.array(truth[str(k)]["rotation"]), np.array(truth[str(k)]["translation"])) for k in range(4)]
+    angles, shares = [], []
+    for i in range(4):
+        for j in range(i):
+            poses = []
+            for some in (first, second):
+                rotation = some[i][0] @ some[j][0].T
+                poses.append((rotation, some[i][1] - rotation @ some[j][1]))
+            (rotation, position), (true_rotation, true_position) = poses
+            cosine = (np.trace(rotation @ true_rotation.T) - 1) / 2
+            angles.append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))))
+            limit = max(0.018, 0.025 * float(np.linalg.norm(true_position)))
+            shares.append(float(np.linalg.norm(position - true_position)) / limit)
+    return max(angles), max(shares)
+
+
+def test_poses_with_known_lenses(tmp_path: Path) -> None:
+    """Catches the back of the board with the wrong corners, and a rig that disagrees with another program's."""
+    out = tmp_path / "calibration"
+    words = ["calibrate", RIG, "--board", RIG / "board.toml", "-o", out, "--intrinsics", LENSES]
+    assert main([str(word) for word in words]) == 0
+    degrees, share = compare_pairs(read_calibration(out))
+    assert degrees < 0.6
+    assert share < 0.4
+    report = json.loads((out / "report.json").read_text())
+    assert max(camera["fit_px"] for camera in report["cameras"].values()) < 0.9
+
+
+def test_lenses_from_the_board(tmp_path: Path) -> None:
+    """Catches focal lengths that are wrong, and a report that hides that the principal points are uncertain."""
+    out = tmp_path / "calibration"
+    assert main([str(word) for word in ["calibrate", RIG, "--board", RIG / "board.toml", "-o", out]]) == 0
+    truth = tomllib.loads(LENSES.read_text())["cameras"]
+    found = read_calibration(out)
+    for name, camera in found.items():
+        true = np.array(truth[name.removeprefix("cam_")]["matrix"])
+        assert np.abs(np.diag(camera.intrinsics)[:2] / np.diag(true)[:2] - 1).max() < 0.02
+    degrees, share = compare_pairs(found)
+    # The board hardly turns in this recording, so that principal points and orientations are uncertain by a degree.
+    assert degrees < 2.5
+    assert share < 1
+    report = json.loads((out / "report.json").read_text())
+    assert any("principal point is uncertain" in line for c in report["cameras"].values() for line in c["warnings"])

@@ -1,0 +1,158 @@
+"""The fit of a rig: derivatives, accuracy, cameras that are joined through others, outliers, and its errors."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fourd.board_calibration import solver
+from fourd.board_calibration.detection import BoardView
+from fourd.board_calibration.fit import choose_kept_out, fit_rig
+from fourd.board_calibration.report import coverage, report_cameras
+from fourd.board_calibration.rig import Poses, RigState, collect_corners, project
+from fourd.boards import CalibrationBoard
+from fourd.errors import UserError
+from fourd.progress import untracked
+from fourd.synth.board_videos import BoardSettings, board_pose
+from tests.board_calibration.rigs import largest_differences, rig_input, seen_views
+
+SETTINGS = BoardSettings(frames=40, cameras=3)
+
+
+def true_state(settings: BoardSettings, frames: range) -> RigState:
+    cameras, _ = seen_views(settings, frames)
+    poses = [board_pose(settings, float(frame)) for frame in frames]
+    return RigState(
+        tuple(cameras), Poses(np.stack([p.rotation for p in poses]), np.stack([p.translation for p in poses]))
+    )
+
+
+def test_derivatives_are_those_of_the_projection() -> None:
+    """Catches a wrong sign or order of a parameter, with which the solver needs many steps or stops early."""
+    frames = range(3)
+    state = true_state(SETTINGS, frames)
+    _, views = seen_views(SETTINGS, frames)
+    corners = collect_corners(SETTINGS.board, views, frames)
+    found = project(state, corners)
+    for parameter in range(15):
+        step = np.zeros((3, 15))
+        step[:, parameter] = 1e-6
+        moved = project(solver._move(state, step, np.zeros((3, 6))), corners)
+        slope = (moved.pixels - found.pixels) / 1e-6
+        assert np.abs(slope - found.by_camera[..., parameter]).max() < 1e-2, parameter
+    for parameter in range(6):
+        step = np.zeros((3, 6))
+        step[:, parameter] = 1e-6
+        moved = project(solver._move(state, np.zeros((3, 15)), step), corners)
+        assert np.abs((moved.pixels - found.pixels) / 1e-6 - found.by_board[..., parameter]).max() < 1e-2, parameter
+
+
+def test_the_rig_is_recovered() -> None:
+    """Catches a bias of lenses or poses, and a prior that outweighs precise corners."""
+    cameras, views = seen_views(SETTINGS, range(40))
+    fit = fit_rig(rig_input(SETTINGS, views), untracked)
+    focal, degrees, position = largest_differences(fit.cameras, cameras)
+    assert focal < 0.1
+    assert degrees < 0.1
+    assert position < 0.2
+    for index in range(3):
+        kept_out = fit.rms(index, kept_out=True)
+        assert kept_out is not None
+        # The noise is 0.05 px along each axis.
+        assert 0.05 < kept_out < 0.1
+        assert fit.std[index, 6] < 0.002 * cameras[index].intrinsics[0, 0]
+    assert fit.kept_out.sum() == 8
+
+
+def test_known_lenses_are_kept() -> None:
+    """Catches a known lens that is adjusted, or a lens without intrinsics that is not."""
+    cameras, views = seen_views(SETTINGS, range(20))
+    fit = fit_rig(rig_input(SETTINGS, views, [cameras[0], None, cameras[2]]), untracked)
+    for index in (0, 2):
+        assert np.array_equal(fit.cameras[index].intrinsics, cameras[index].intrinsics)
+    assert fit.estimated.tolist() == [False, True, False]
+    assert not fit.std[0].any()
+    assert largest_differences(fit.cameras, cameras)[1] < 0.1
+
+
+def test_cameras_are_joined_through_others() -> None:
+    """Catches a rig that needs a frame that all cameras see: here, the first camera and the last share no frame."""
+    cameras, views = seen_views(SETTINGS, range(40), {0: range(20), 2: range(20, 40)})
+    fit = fit_rig(rig_input(SETTINGS, views), untracked)
+    assert sorted((pair.first, pair.second) for pair in fit.pairs) == [(0, 1), (1, 2)]
+    assert largest_differences(fit.cameras, cameras)[1] < 0.15
+
+
+def test_separate_groups_of_cameras_are_named() -> None:
+    """Catches a rig whose groups of cameras have no known relative pose."""
+    settings = replace(SETTINGS, cameras=4)
+    _, views = seen_views(settings, range(40), {0: range(20), 1: range(20), 2: range(20, 40), 3: range(20, 40)})
+    with pytest.raises(UserError, match=r"^videos: .* separate groups: a and b; c and d; film the board where"):
+        fit_rig(rig_input(settings, views), untracked)
+
+
+def test_wrong_corners_do_not_matter() -> None:
+    """Catches a few corners that are 20 px wrong and bend the rig."""
+    cameras, views = seen_views(SETTINGS, range(40))
+    generator = np.random.default_rng(1)
+    for view in views[::4]:
+        view.pixels[generator.integers(len(view.pixels))] += generator.choice([-20, 20], 2)
+    fit = fit_rig(rig_input(SETTINGS, views), untracked)
+    focal, degrees, _ = largest_differences(fit.cameras, cameras)
+    assert focal < 0.15
+    assert degrees < 0.1
+
+
+def test_boards_of_different_sizes_are_refused() -> None:
+    """Catches one camera that sees a board with larger squares, which no rigid rig explains."""
+    _, views = seen_views(SETTINGS, range(40))
+    larger = replace(SETTINGS, board=replace(SETTINGS.board, square_m=0.1, marker_m=0.075))
+    _, others = seen_views(larger, range(40))
+    mixed = [view for view in views if view.camera != 2] + [view for view in others if view.camera == 2]
+    with pytest.raises(UserError, match=r"expected one rigid board of 80 mm squares .* squares of the same size"):
+        fit_rig(rig_input(SETTINGS, mixed), untracked)
+
+
+def test_too_few_views_are_refused() -> None:
+    """Catches a lens that is estimated from two views, and a board that one camera alone sees."""
+    _, views = seen_views(SETTINGS, range(40), {1: range(2)})
+    with pytest.raises(UserError, match=r"videos: b: expected the board in at least 5 frames, got [12];"):
+        fit_rig(rig_input(SETTINGS, views), untracked)
+    _, views = seen_views(SETTINGS, range(40), {1: (), 2: ()})
+    with pytest.raises(UserError, match=r"expected two cameras that see the board, got a alone"):
+        fit_rig(rig_input(SETTINGS, views), untracked)
+
+
+def test_rare_views_stay_in_the_fit() -> None:
+    """Catches a frame kept out of the fit that is one of few for a camera or a pair of cameras."""
+    few = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(8)]
+    assert choose_kept_out(few, range(8)) == set()
+    many = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(30)]
+    assert choose_kept_out(many, range(30)) == {2, 7, 12, 17, 22, 27}
+
+
+def test_badly_determined_values_are_reported() -> None:
+    """Catches a report that is silent about a board that is always frontal and small in the image."""
+    frontal = CalibrationBoard(7, 5, 0.02, 0.015, "DICT_4X4_50")
+    settings = BoardSettings(frames=12, cameras=2, board=frontal)
+    cameras, _ = seen_views(settings, range(1))
+    views = []
+    for frame in range(12):
+        shift = np.array([0.02 * frame, 0, 1.5])
+        for index, camera in enumerate(cameras):
+            flat = frontal.corners[:, :2] * (1, -1) + shift[:2]
+            pixels = flat / shift[2] * camera.intrinsics[0, 0] + camera.intrinsics[:2, 2]
+            noise = np.random.default_rng([frame, index]).normal(0, 0.1, pixels.shape)
+            views.append(BoardView(index, frame, np.arange(24), pixels + noise))
+    fit = fit_rig(rig_input(settings, views), untracked)
+    lines = "\n".join(line for camera in report_cameras(fit, ("a", "b")) for line in camera.warnings)
+    for words in ("only 12 views", "of the image, so the distortion", "always frontal", "focal length is uncertain"):
+        assert words in lines
+
+
+def test_coverage_is_the_share_of_cells() -> None:
+    """Catches a coverage that counts corners instead of cells, or cells outside the image."""
+    pixels = np.array([[1.0, 1], [2, 2], [79, 59], [-5, 3], [80.5, 10]])
+    assert coverage(pixels, 80, 60) == pytest.approx(2 / 48)
