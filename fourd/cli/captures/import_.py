@@ -16,9 +16,11 @@ from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
 from fourd.capture.frame_rate import check_rate
+from fourd.capture.video_list import MAX_OFFSET
 from fourd.cli.options import FramesPerSecond, describe, option
 from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
+from fourd.importing.frame_geometry import CalibratedFrames
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import Tracker
 
@@ -27,7 +29,14 @@ WORDS_HELP = (
     "SRC: input folder or file. OUT: capture folder to create."
 )
 
-OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
+OFFSET_HELP = (
+    "Number of frames by which the video of camera CAM is late. Fractions are allowed. Example for two cameras: "
+    "cam02=3,cam05=-1.5."
+)
+SCALE_HELP = (
+    "CAM,CAM=METRES: distance between the optical centres of two cameras. One world unit becomes one metre. "
+    "FACTOR, such as 0.5: the frames of videos and their calibrations are reduced by this factor."
+)
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
     "world's origin and axes. If two cameras see the chessboard, it also sets the unit."
@@ -77,9 +86,17 @@ class Arguments:
     ] = "auto"
     calibrate: bool = False
     """Calibrate the cameras from the images, and ignore a calibration in SRC."""
-    scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
-    """Distance in metres between the optical centres of two cameras. The world is scaled so that one world unit is one
-    metre."""
+    calibrated_frames: Annotated[
+        CalibratedFrames,
+        describe(
+            "Frames for which calibrations of videos with rotation metadata are meant: turned upright, or as stored.",
+            "auto: the size of the calibration decides.",
+        ),
+    ] = "auto"
+    scale: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="CAM,CAM=METRES|FACTOR", help=SCALE_HELP, help_behavior_hint="(repeatable)"),
+    ] = field(default=())
     board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
 
 
@@ -105,6 +122,7 @@ def run(arguments: Arguments) -> None:
 
 
 def _options(arguments: Arguments) -> ImportOptions:
+    distance, reduce = _scale(arguments.scale)
     return ImportOptions(
         copy=arguments.copy,
         unpack=arguments.unpack,
@@ -115,23 +133,45 @@ def _options(arguments: Arguments) -> ImportOptions:
         resize=arguments.resize,
         centres=arguments.centres,
         calibrate=arguments.calibrate,
-        distance=None if arguments.scale is None else _distance(arguments.scale),
+        reduce=reduce,
+        calibrated_frames=arguments.calibrated_frames,
+        distance=distance,
         board=None if arguments.board is None else _board(arguments.board),
     )
 
 
-def _offsets(words: Sequence[str]) -> dict[str, int]:
-    found: dict[str, int] = {}
+def _offsets(words: Sequence[str]) -> dict[str, float]:
+    found: dict[str, float] = {}
     for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
         name, _, frames = part.rpartition("=")
         try:
-            value = int(frames)
+            value = float(frames)
         except ValueError:
-            value, name = 0, ""
-        if not name or name in found:
+            value, name = 0.0, ""
+        if not name or name in found or not abs(value) < MAX_OFFSET:
             raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
-        found[name] = value
+        found[name] = int(value) if value == int(value) else value
     return found
+
+
+def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
+    """Parse the values of --scale: a known distance, or None, and the factor on the size of the frames."""
+    distances = [_distance(word) for word in words if "=" in word or "," in word]
+    factors = [word for word in words if "=" not in word and "," not in word]
+    if len(distances) > 1 or len(factors) > 1:
+        raise UserError(
+            f"--scale: expected at most one distance and one factor, got {' '.join(words)}; give one of each"
+        )
+    try:
+        factor = float(factors[0]) if factors else 1.0
+    except ValueError:
+        factor = 0.0
+    if not 0 < factor <= 1:
+        raise UserError(
+            f"--scale: expected CAM,CAM=METRES or a factor above 0 and at most 1, got '{factors[0]}'; write it as "
+            "cam01,cam02=2.35 or 0.5"
+        )
+    return distances[0] if distances else None, factor
 
 
 def _distance(text: str) -> Distance:
