@@ -66,7 +66,7 @@ class CalibrationSettings:
     intrinsics: Path | None = None
     frames: str | None = None
     floor_frame: int | None = None
-    offsets: Mapping[str, int] = field(default_factory=dict)
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
 
 def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log: Log, warn: Log, track: Track) -> None:
@@ -117,7 +117,7 @@ def check_out(out: Path) -> None:
 
 
 def _check_counts(
-    cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
+    cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, float]
 ) -> None:
     """Raise UserError for one camera, for a video with too few frames, and for an unknown camera in the offsets."""
     names = [camera.name for camera in cameras]

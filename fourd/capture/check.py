@@ -203,7 +203,7 @@ class _Check:
             size = (video.index.width, video.index.height)
             self.nbytes += video.path.stat().st_size
             self._check_size(video.path, name, calibrations.get(name), size, is_matte=False)
-        self.fps = common_rate(videos)
+        self.fps = self._try(common_rate, videos)
         return [frame_name(number) for number in range(common_frames(videos))]
 
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:

@@ -287,7 +287,7 @@ def _list_video_frames(path: Path, videos: Mapping[str, Video]) -> list[str]:
 
 
 def _open_video(video: Video, selected: range) -> Footage:
-    numbers = [number + video.offset for number in selected]
+    numbers = [video.number(number) for number in selected]
     images = VideoFrames(VideoReader(video.path, video.index), numbers)
     return Footage(images, None, (video.index.width, video.index.height))
 

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from math import floor
 from pathlib import Path
 
 import av
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.capture.frame_rate import standard_rate
 from fourd.capture.matroska import missing_bytes
+from fourd.capture.video_picture import reduced_size, to_rgb, transfer_of, turn_of
 from fourd.errors import UserError
 
-MAX_JITTER = 0.25
+MAX_JITTER = 0.05
 """Maximum deviation of a frame's time from a constant frame rate, in frame intervals.
 
-A dropped frame causes a deviation of at least 0.5.
+If a frame deviates more, the index stores the time of every frame.
 """
+GAP = 1.5
+"""Factor on the median frame interval above which an interval contains dropped frames."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +32,18 @@ class VideoIndex:
     """Frame size, frame times and keyframes of a video.
 
     Attributes:
-        width: width of the decoded frames in pixels.
+        width: width of the decoded frames in pixels, after they are turned upright and reduced.
         height: height of the decoded frames in pixels.
         frames: number of frames.
         start: presentation time of frame 0 in seconds.
-        fps: frame rate in 1/s.
+        fps: frame rate in 1/s. If the frame times are uneven, it is the rate without dropped frames.
         keyframes: ascending numbers of the frames that can be decoded without earlier frames.
+        turn: angle in degrees by which the metadata of the video turns the stored frames counter-clockwise: a multiple
+            of 90.
+        transfer: "HLG" or "PQ" for HDR video, which is converted to sRGB, otherwise "".
+        scale: factor in (0, 1] by which the decoded frames are reduced.
+        tick: unit in seconds of ``times``.
+        times: presentation time of each frame after frame 0, in ticks, if the frame times are uneven; otherwise empty.
     """
 
     width: int
@@ -40,10 +52,38 @@ class VideoIndex:
     start: Fraction
     fps: Fraction
     keyframes: tuple[int, ...]
+    turn: int = 0
+    transfer: str = ""
+    scale: float = 1.0
+    tick: Fraction = Fraction(1)
+    times: tuple[int, ...] = ()
+
+    @property
+    def stored_size(self) -> tuple[int, int]:
+        """Width and height in pixels of the frames before they are turned upright."""
+        return (self.height, self.width) if self.turn % 180 else (self.width, self.height)
+
+    def reduce(self, scale: float) -> VideoIndex:
+        """The index of the same video, whose frames are reduced by ``scale`` in (0, 1] when they are decoded."""
+        width, height = reduced_size(self.width, self.height, scale)
+        return replace(self, width=width, height=height, scale=scale)
 
     def time(self, frame: int) -> Fraction:
         """Presentation time of a frame in seconds."""
-        return self.start + frame / self.fps
+        return self.start + self.elapsed(frame)
+
+    def elapsed(self, frame: int) -> Fraction:
+        """Time in seconds from frame 0 to a frame."""
+        return self.times[frame] * self.tick if self.times else frame / self.fps
+
+    def nearest(self, seconds: Fraction) -> int:
+        """Number of the frame whose time after frame 0 is nearest to ``seconds``; the later frame of two."""
+        if not self.times:
+            return min(max(floor(seconds * self.fps + Fraction(1, 2)), 0), self.frames - 1)
+        ticks = seconds / self.tick
+        after = min(bisect_right(self.times, ticks), self.frames - 1)
+        before = max(after - 1, 0)
+        return after if self.times[after] - ticks <= ticks - self.times[before] else before
 
     def keyframe_before(self, frame: int) -> int:
         """Number of the last keyframe at or before ``frame``; 0 if there is no such keyframe."""
@@ -55,7 +95,8 @@ def index_video(path: Path) -> VideoIndex:
     """Create a video's index from its packets, and decode the first and the last frame as a check.
 
     Raises:
-        UserError: if the file is not a video, is truncated, or has rotation metadata or a variable frame rate.
+        UserError: if the file is not a video, is truncated, has fewer than 2 frames or frames without times, or if its
+            metadata mirrors the frames or turns them by an angle that is not a multiple of 90 degrees.
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy the video again")
@@ -65,12 +106,23 @@ def index_video(path: Path) -> VideoIndex:
                 raise UserError(f"{path}: expected a video, got a file without a video stream; remove the file")
             stream = container.streams.video[0]
             declared = stream.frames
-            packets = [(packet.pts, packet.is_keyframe) for packet in container.demux(stream) if packet.pts is not None]
+            # The edit list of an MP4 can exclude frames. The decoder discards them.
+            found = [
+                (packet.pts, packet.is_keyframe, packet.is_discard) for packet in container.demux(stream) if packet.size
+            ]
             base = stream.time_base
-        if not packets or base is None:
+        if not found:
             raise UserError(f"{path}: expected a video with frames, got no frames; copy the file again")
-        if len(packets) < declared:
-            raise _truncated(path, len(packets), declared)
+        if len(found) < declared:
+            raise _truncated(path, len(found), declared)
+        packets = [(pts, is_key) for pts, is_key, is_discarded in found if pts is not None and not is_discarded]
+        if not packets or base is None:
+            raise _no_times(path, f"{len(found)} frames without times")
+        if len(packets) == 1:
+            raise UserError(
+                f"{path}: expected a video of at least 2 frames, got 1; record the video again, or put this frame as "
+                f"an image into the folder {path.stem}/"
+            )
         missing = missing_bytes(path)
         if missing:
             size = path.stat().st_size
@@ -79,10 +131,13 @@ def index_video(path: Path) -> VideoIndex:
                 "the video again"
             )
         packets.sort()
-        fps = _constant_rate(path, np.array([pts for pts, _ in packets], np.int64), base)
-        width, height = _first_size(path)
+        times = np.array([pts for pts, _ in packets], np.int64)
+        fps, is_even = _frame_rate(path, times, base)
+        ticks = () if is_even else tuple((times - times[0]).tolist())
+        width, height, turn, transfer = first_frame(path)
         keyframes = tuple(number for number, (_, is_key) in enumerate(packets) if is_key)
-        index = VideoIndex(width, height, len(packets), packets[0][0] * base, fps, keyframes)
+        start = packets[0][0] * base
+        index = VideoIndex(width, height, len(packets), start, fps, keyframes, turn, transfer, 1.0, base, ticks)
         with VideoReader(path, index) as reader:
             reader.read(len(packets) - 1)
     except (av.FFmpegError, OSError, ValueError) as error:
@@ -154,18 +209,24 @@ class VideoReader:
             found = self._decode_until(number)
         if found is None:
             raise _truncated(self.path, self._next, self.index.frames)
-        return np.asarray(found.to_ndarray(format="rgb24"), np.uint8)
+        return to_rgb(found, self.index.turn, self.index.transfer, self.index.scale)
 
     def _decode_until(self, wanted: int) -> av.VideoFrame | None:
         """Decode frames up to the frame number ``wanted``; return the frame ``wanted``, or None if it is missing."""
         for frame in self._frames:
             if frame.pts is None or frame.time_base is None:
                 continue
-            number = round((frame.pts * frame.time_base - self.index.start) * self.index.fps)
+            number = self._number(frame.pts * frame.time_base - self.index.start)
             self._next = number + 1
             if number >= wanted:
                 return frame if number == wanted else None
         return None
+
+    def _number(self, elapsed: Fraction) -> int:
+        """Frame number from the time after frame 0. It can be outside the video, unlike the result of ``nearest``."""
+        if not self.index.times:
+            return round(elapsed * self.index.fps)
+        return bisect_left(self.index.times, round(elapsed / self.index.tick))
 
     def _seek(self, frame: int) -> None:
         if self._container is None:
@@ -178,46 +239,52 @@ class VideoReader:
         self._next = frame
 
 
-def _first_size(path: Path) -> tuple[int, int]:
-    """Width and height in pixels of the first frame.
+def first_frame(path: Path) -> tuple[int, int, int, str]:
+    """Width and height in pixels of the upright first frame, its turn in degrees, and its HDR transfer function.
 
     Raises:
-        UserError: if the video has rotation metadata or no frame can be decoded.
+        UserError: if no frame can be decoded, or the metadata mirrors the frames or turns them by another angle than a
+            multiple of 90 degrees.
     """
     with av.open(str(path)) as container:
         for frame in container.decode(video=0):
-            if frame.rotation % 360:
+            turn = turn_of(frame)
+            if turn is None:
                 raise UserError(
-                    f"{path}: expected frames stored upright, got rotation metadata of {frame.rotation % 360} degrees; "
-                    f"rotate the frames with: ffmpeg -i {path.name} -crf 12 upright-{path.name}"
+                    f"{path}: expected frames turned by a multiple of 90 degrees and not mirrored, got another display "
+                    f"matrix; rotate the frames with: ffmpeg -i {path.name} -crf 12 upright-{path.name}"
                 )
-            return frame.width, frame.height
+            width, height = (frame.height, frame.width) if turn % 180 else (frame.width, frame.height)
+            return width, height, turn, transfer_of(frame)
     raise UserError(f"{path}: expected a video with frames, got no frame that can be decoded; copy the file again")
 
 
-def _constant_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> Fraction:
-    """Compute the constant frame rate in 1/s from presentation times, which may be rounded to the container's ticks.
+def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fraction, bool]:
+    """Frame rate in 1/s from the ascending presentation times of at least 2 frames, and whether the times are even.
+
+    The times may be rounded to the container's ticks ``base``, in seconds. If the times are uneven, as in videos of
+    phones, intervals with dropped frames do not count.
 
     Raises:
-        UserError: if the frame rate is not constant.
+        UserError: if several frames have the same time.
     """
-    if len(pts) == 1:
-        return Fraction(1)
+    steps = np.diff(pts)
+    if steps.min() <= 0:
+        number = int(np.argmax(steps <= 0))
+        raise _no_times(path, f"frames {number} and {number + 1} at the same time")
     step = Fraction(int(pts[-1] - pts[0]), len(pts) - 1)
-    if step <= 0:
-        raise UserError(
-            f"{path}: expected frames at increasing times, got several frames at the same time; re-encode the video "
-            "with ffmpeg"
-        )
-    jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step)) / float(step)
-    if jitter.max() > MAX_JITTER and jitter.max() * float(step) > 1:
-        steps = np.diff(pts) * float(base)
-        raise UserError(
-            f"{path}: expected a constant frame rate, got frame intervals of {1e3 * steps.min():.1f} to "
-            f"{1e3 * steps.max():.1f} ms (first deviation at frame {int(np.argmax(jitter > MAX_JITTER))}); re-encode "
-            f"the video with: ffmpeg -i {path.name} -fps_mode cfr -crf 12 even-{path.name}"
-        )
-    return (1 / (step * base)).limit_denominator(1001)
+    jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step))
+    if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
+        return (1 / (step * base)).limit_denominator(1001), True
+    usual = steps[steps <= GAP * np.median(steps)]
+    return standard_rate(1 / (Fraction(int(usual.sum()), len(usual)) * base)), False
+
+
+def _no_times(path: Path, got: str) -> UserError:
+    return UserError(
+        f"{path}: expected frames at increasing times, got {got}; write times of, for example, 30 frames per second "
+        f"with: ffmpeg -r 30 -i {path.name} -crf 12 timed-{path.name}"
+    )
 
 
 def _truncated(path: Path, got: int, declared: int) -> UserError:

@@ -1,23 +1,35 @@
-"""Reading and writing of videos.json, which lists the videos of a capture with their indices and offsets in frames."""
+"""Reading and writing of videos.json, which lists the videos of a capture with their indices and offsets in frames.
+
+The frames of a capture are at even times on a common clock. From each video, the frame nearest to each time is used.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
+from math import floor
 from pathlib import Path
 from typing import Any
 
+from fourd.capture.frame_rate import format_rate
 from fourd.capture.layout import DERIVED, VIDEOS, find_videos
 from fourd.capture.video import VideoIndex, index_video
+from fourd.capture.video_picture import HLG, PQ
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 
 NAME = "videos.json"
 CACHE = DERIVED / NAME
 """Cache file in a capture for indices of videos that videos.json does not list, for example during an import."""
-VERSION = 1
+VERSION = 2
+OFFSET_DECIMALS = 4
+MAX_OFFSET = 1e9
+FRACTIONS = ("start", "fps", "tick")
+"""Fields of an index that are stored as strings with fractions."""
+MAX_DRIFT_FRAMES = 0.5
+"""Largest drift between two videos over their duration at which their frame rates count as equal."""
 
 Entry = dict[str, Any]
 
@@ -29,17 +41,49 @@ class Video:
     Attributes:
         path: the video file.
         index: frame count, times and keyframes of the video.
-        offset: frame number in the video that corresponds to frame 0 of the capture; at least 0.
+        offset: time from the video's first frame to frame 0 of the capture, in frames of the capture; at least 0.
+        fps: frame rate of the capture in 1/s, or None for the frame rate of the video.
     """
 
     path: Path
     index: VideoIndex
-    offset: int
+    offset: float
+    fps: Fraction | None = None
+
+    @property
+    def rate(self) -> Fraction:
+        """Frame rate of the capture in 1/s."""
+        return self.fps or self.index.fps
+
+    def seconds(self, frame: int) -> Fraction:
+        """Time of a frame of the capture in seconds after the video's first frame."""
+        return (frame + Fraction(self.offset)) / self.rate
+
+    def number(self, frame: int) -> int:
+        """Number of the video's frame that is nearest in time to a frame of the capture."""
+        return self.index.nearest(self.seconds(frame))
 
     @property
     def frames_left(self) -> int:
-        """Number of frames of the video from frame ``offset`` to the end, at least 0."""
-        return max(0, self.index.frames - self.offset)
+        """Number of frames of the capture from frame 0 to the end of the video, at least 0."""
+        last = self.index.elapsed(self.index.frames - 1) + 1 / (2 * self.index.fps)
+        return max(0, floor(last * self.rate - Fraction(self.offset)) + 1)
+
+    def clock_error(self, frames: int) -> tuple[float, int]:
+        """Largest difference in seconds between the time of a frame of the capture and of the video's frame.
+
+        Args:
+            frames: number of frames of the capture.
+
+        Returns:
+            The largest difference and the frame of the capture at which it occurs.
+        """
+        seconds = ((self.seconds(frame), frame) for frame in range(frames))
+        return max((abs(float(self.index.elapsed(self.index.nearest(at)) - at)), frame) for at, frame in seconds)
+
+    def drifts_from(self, fps: Fraction) -> bool:
+        """Whether the video drifts by more than half a frame from a video with the frame rate ``fps``."""
+        return abs(float(self.index.fps / fps) - 1) * self.index.frames > MAX_DRIFT_FRAMES
 
 
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
@@ -57,11 +101,12 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
     """
     files = find_videos(capture / VIDEOS)
     path, cache = capture / NAME, capture / CACHE
+    fps = read_clock(path)
     listed, cached = read_entries(path), read_entries(cache)
     videos = {}
     for name in files if names is None else [name for name in names if name in files]:
         if name in listed:
-            videos[name] = load_video(path, files[name], listed[name])
+            videos[name] = replace(load_video(path, files[name], listed[name]), fps=fps)
         else:
             videos[name] = load_video(cache, files[name], cached.get(name))
     return videos
@@ -69,18 +114,49 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
 
 def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
     """Atomically write the videos.json of a capture."""
-    write_entries(capture / NAME, {name: make_entry(video) for name, video in videos.items()})
+    write_entries(capture / NAME, {name: make_entry(video) for name, video in videos.items()}, common_rate(videos))
 
 
-def write_entries(path: Path, entries: Mapping[str, Entry]) -> None:
-    """Atomically write the entries of videos by camera name to a file in the format of videos.json."""
-    write_text_atomically(path, json.dumps({"version": VERSION, "cameras": entries}, indent=1) + "\n")
+def write_entries(path: Path, entries: Mapping[str, Entry], fps: Fraction | None = None) -> None:
+    """Atomically write the entries of videos by camera name to a file in the format of videos.json.
+
+    ``fps`` is the frame rate of the capture in 1/s, or None in a cache file.
+    """
+    content = {"version": VERSION, **({} if fps is None else {"fps": str(fps)}), "cameras": entries}
+    write_text_atomically(path, json.dumps(content, indent=1) + "\n")
 
 
-def align_offsets(offsets: Mapping[str, int]) -> dict[str, int]:
-    """Shift all offsets by the same number so that the smallest is 0."""
+def align_offsets(offsets: Mapping[str, float]) -> dict[str, float]:
+    """Shift all offsets by the same number so that the smallest is 0. Offsets have at most 4 decimals."""
     least = min(offsets.values(), default=0)
-    return {name: offset - least for name, offset in offsets.items()}
+    return {name: round(offset - least, OFFSET_DECIMALS) for name, offset in offsets.items()}
+
+
+def align_videos(
+    files: Mapping[str, Path], indices: Mapping[str, VideoIndex], offsets: Mapping[str, float]
+) -> dict[str, Video]:
+    """Put videos on a common clock, which has the lowest frame rate of all videos.
+
+    Args:
+        files: path of each video by camera name.
+        indices: index of each video.
+        offsets: delays of the videos in frames of the common clock.
+
+    Raises:
+        UserError: if a video ends before another video starts.
+    """
+    starts = align_offsets({name: offsets.get(name, 0) for name in files})
+    fps = min((indices[name].fps for name in files), default=None)
+    videos = {name: Video(path, indices[name], starts[name], fps) for name, path in files.items()}
+    for name, video in videos.items():
+        if not video.frames_left:
+            duration = video.index.frames / video.index.fps
+            raise UserError(
+                f"{video.path}: expected a video that overlaps in time with the other videos, got "
+                f"{float(duration):.3g} s that end before another video starts; change the --offset of '{name}', or "
+                "leave the video out"
+            )
+    return videos
 
 
 def common_frames(videos: Mapping[str, Video]) -> int:
@@ -89,14 +165,25 @@ def common_frames(videos: Mapping[str, Video]) -> int:
 
 
 def common_rate(videos: Mapping[str, Video]) -> Fraction | None:
-    """Frame rate of the capture in 1/s: the lowest rate of the videos, or None if there is no video."""
-    return min((video.index.fps for video in videos.values()), default=None)
+    """Frame rate of the capture in 1/s, or None if there is no video.
+
+    Raises:
+        UserError: if videos that are not on a common clock have different frame rates.
+    """
+    fps = min((video.rate for video in videos.values()), default=None)
+    for video in videos.values():
+        if fps is not None and video.fps is None and video.drifts_from(fps):
+            raise UserError(
+                f"{video.path}: expected {format_rate(fps)} frames per second, like another video, got "
+                f"{format_rate(video.index.fps)}; put the videos on a common clock with: fourd import"
+            )
+    return fps
 
 
 def make_entry(video: Video) -> Entry:
     """Create a video's entry for videos.json."""
     status = video.path.stat()
-    index = asdict(video.index) | {"start": str(video.index.start), "fps": str(video.index.fps)}
+    index = asdict(video.index) | {name: str(getattr(video.index, name)) for name in FRACTIONS}
     return {
         "file": video.path.name,
         "bytes": status.st_size,
@@ -121,13 +208,12 @@ def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
     if entry is None:
         return Video(path, index_video(path), 0)
     try:
-        offset, values = int(entry["offset"]), dict(entry["index"])
-        values |= {name: Fraction(values[name]) for name in ("start", "fps")}
-        index = VideoIndex(**values | {"keyframes": tuple(int(number) for number in values["keyframes"])})
-        if offset < 0 or min(index.frames, index.width, index.height) < 1 or index.fps <= 0:
+        offset = entry["offset"]
+        index = _load_index(dict(entry["index"]))
+        if not (isinstance(offset, int | float) and 0 <= offset < MAX_OFFSET):
             raise ValueError
         if not is_entry_current(entry, path):
-            index = index_video(path)
+            index = index_video(path).reduce(index.scale)
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise _damaged(listing, f"the index of {path.name}") from error
     return Video(path, index, offset)
@@ -141,13 +227,43 @@ def read_entries(path: Path) -> dict[str, Entry]:
     """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        if content["version"] != VERSION:
-            raise UserError(f"{path}: expected version {VERSION}, got {content['version']}; import again")
+        if content["version"] not in range(1, VERSION + 1):
+            raise UserError(f"{path}: expected version {VERSION} or older, got {content['version']}; import again")
         return dict(content["cameras"])
     except FileNotFoundError:
         return {}
     except (ValueError, KeyError, TypeError) as error:
         raise _damaged(path, "the list of this capture's videos") from error
+
+
+def read_clock(path: Path) -> Fraction | None:
+    """Read the capture's frame rate in 1/s from videos.json, or None if the file does not exist or has no rate.
+
+    Raises:
+        UserError: if the file is damaged.
+    """
+    try:
+        fps = json.loads(path.read_text(encoding="utf-8")).get("fps") if path.exists() else None
+        rate = None if fps is None else Fraction(fps)
+        if rate is not None and rate <= 0:
+            raise ValueError
+    except (ValueError, TypeError, AttributeError, ZeroDivisionError) as error:
+        raise _damaged(path, "the list of this capture's videos") from error
+    return rate
+
+
+def _load_index(values: dict[str, Any]) -> VideoIndex:
+    """Create an index from its JSON values. Raises TypeError, KeyError or ValueError for invalid values."""
+    values |= {name: Fraction(values[name]) for name in FRACTIONS if name in values}
+    values["times"] = tuple(int(ticks) for ticks in values.get("times", ()))
+    index = VideoIndex(**values | {"keyframes": tuple(int(number) for number in values["keyframes"])})
+    is_turned = index.turn in (0, 90, 180, 270) and index.transfer in ("", HLG, PQ) and 0 < index.scale <= 1
+    has_times = not index.times or len(index.times) == index.frames
+    if min(index.frames, index.width, index.height) < 1 or min(index.fps, index.tick) <= 0:
+        raise ValueError
+    if not (is_turned and has_times):
+        raise ValueError
+    return index
 
 
 def _damaged(listing: Path, expected: str) -> UserError:

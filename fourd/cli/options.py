@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from fourd.capture.video_list import MAX_OFFSET
 from fourd.errors import UserError
 from fourd.parallel import core_count
 
@@ -86,18 +87,18 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
     return None if text is None else tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def parse_offsets(words: Sequence[str]) -> dict[str, int]:
+def parse_offsets(words: Sequence[str]) -> dict[str, float]:
     """Parse the values of --offset, CAM=FRAMES separated by commas, to frames by camera name."""
-    found: dict[str, int] = {}
+    found: dict[str, float] = {}
     for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
         name, _, frames = part.rpartition("=")
         try:
-            value = int(frames)
+            value = float(frames)
         except ValueError:
-            value, name = 0, ""
-        if not name or name in found:
+            value, name = 0.0, ""
+        if not name or name in found or not abs(value) < MAX_OFFSET:
             raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
-        found[name] = value
+        found[name] = int(value) if value == int(value) else value
     return found
 
 

@@ -49,4 +49,4 @@ def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imp
     unused = sorted(set(found) - set(pairs.values()))
     if unused:
         notes.append(f"cameras without images, not imported: {', '.join(unused)}")
-    return Imported(tuple(cameras), tuple(notes))
+    return replace(imported, cameras=tuple(cameras), notes=tuple(notes))

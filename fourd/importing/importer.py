@@ -18,8 +18,9 @@ from fourd.capture.video_index import cached_indices
 from fourd.errors import UserError
 from fourd.files import remove_unfinished
 from fourd.importing.detection import Format
+from fourd.importing.frame_geometry import CalibratedFrames, match_calibrations, reduced_indices
 from fourd.importing.given_calibration import apply_calibration
-from fourd.importing.imported import Imported, video_files
+from fourd.importing.imported import Imported, VideoFile, video_files
 from fourd.importing.record import (
     ImportRecord,
     check_same_source,
@@ -49,12 +50,15 @@ class ImportOptions:
     Attributes:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
-        offsets: delay of each camera's video in frames.
+        offsets: delay of each camera's video in frames of the capture.
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
         fps: frame rate of images in 1/s, or None if it is not known.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
+        reduce: factor in (0, 1] by which the frames of videos are reduced.
+        calibrated_frames: frames of rotated videos for which the calibrations are meant; see
+            :func:`fourd.importing.frame_geometry.match_calibrations`.
         distance: known distance between two cameras, which sets the unit.
         board: chessboard in the first frames, which sets the world's origin and axes.
         calibration: folder with intri.yml and extri.yml for videos without a calibration.
@@ -62,13 +66,15 @@ class ImportOptions:
 
     copy: bool = False
     unpack: bool = False
-    offsets: dict[str, int] = field(default_factory=dict)
+    offsets: dict[str, float] = field(default_factory=dict)
     sync: bool = False
     apply_sync: bool = False
     fps: float | None = None
     resize: str = "auto"
     centres: PrincipalPointMode = "auto"
     calibrate: bool = False
+    reduce: float = 1.0
+    calibrated_frames: CalibratedFrames = "auto"
     distance: Distance | None = None
     board: Board | None = None
     calibration: str | None = None
@@ -105,7 +111,7 @@ def import_source(
     same = before is not None and (before.calibration, before.files, before.options) == (calibration, files, asked)
     if before is not None and same and before.done and _has_calibration(out):
         remove_unfinished(out, deep=True)
-        indices = cached_indices(video_files(imported.cameras), out, track)
+        indices = _read_indices(imported, out, options, track)
         _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
         log("the import is already done with these options; nothing to change")
         for line in before.warnings:
@@ -113,14 +119,15 @@ def import_source(
         return
     started = before or ImportRecord(str(source.resolve()), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
-    check_unpacked(out, started, files, started.offsets)
+    check_unpacked(out, started, files, started.offsets, options.reduce)
     write_record(out, record)
     remove_unfinished(out, deep=True)
-    indices = cached_indices(video_files(imported.cameras), out, track)
+    indices = _read_indices(imported, out, options, track)
     offsets = dict(options.offsets)
     if options.sync or options.apply_sync:
         offsets = _estimate_offsets(imported, indices, out, options, log, track)
-    check_unpacked(out, started, files, offsets)
+    check_unpacked(out, started, files, offsets, options.reduce)
+    imported = _match_calibrations(imported, indices, options, log)
     warnings: list[str] = []
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
@@ -141,6 +148,13 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
     if options.apply_sync and options.offsets:
         raise UserError("--apply-sync: expected no --offset, got both options; choose one")
     check_import(imported, ImportSettings(options.copy, options.unpack, options.offsets))
+    for camera in imported.cameras if options.reduce != 1 else ():
+        if not isinstance(camera.frames, VideoFile) or camera.masks is not None:
+            got = "masks" if camera.masks else "images"
+            raise UserError(
+                f"--scale {options.reduce:g}: expected videos without masks, got {got} "
+                f"of '{camera.name}'; omit the option and train with image_scale: {options.reduce:g} instead"
+            )
     names = [camera.name for camera in imported.cameras]
     uncalibrated = [camera.name for camera in imported.cameras if camera.calibration is None]
     if options.calibrate or len(uncalibrated) == len(names):
@@ -164,17 +178,31 @@ def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Impo
     return replace(imported, fps=stored if options.fps is None else standard_rate(options.fps))
 
 
+def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
+    """Indices of the videos, whose frames are reduced by the option --scale."""
+    return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
+
+
+def _match_calibrations(imported: Imported, indices: Indices, options: ImportOptions, log: Log) -> Imported:
+    cameras, notes = match_calibrations(imported.cameras, indices, options.calibrated_frames, options.reduce)
+    for note in notes:
+        log(note)
+    return replace(imported, cameras=cameras)
+
+
 def _has_calibration(out: Path) -> bool:
     return (out / INTRINSICS_NAME).is_file() and (out / EXTRINSICS_NAME).is_file()
 
 
 def _estimate_offsets(
     imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
-) -> dict[str, int]:
+) -> dict[str, float]:
     """Estimate and log the offsets. Returns the offsets to apply."""
     found = find_offsets(imported.cameras, indices, out, track)
     names = [camera.name for camera in imported.cameras]
-    applied = confident_offsets(names, found) if options.apply_sync else dict(options.offsets)
+    applied: dict[str, float] = dict(options.offsets)
+    if options.apply_sync:
+        applied = dict(confident_offsets(names, found))
     for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True):
         is_small = 0 < abs(frames) <= UNRELIABLE_FRAMES
         hint = f"; offsets up to {UNRELIABLE_FRAMES} frames are within the error of the estimate" if is_small else ""
@@ -189,7 +217,7 @@ def _estimate_offsets(
 def _calibrate(
     imported: Imported,
     indices: Indices,
-    offsets: dict[str, int],
+    offsets: dict[str, float],
     options: ImportOptions,
     needs_calibration: bool,
     log: Log,
@@ -236,7 +264,7 @@ def _write(
     indices: Indices,
     out: Path,
     options: ImportOptions,
-    offsets: dict[str, int],
+    offsets: dict[str, float],
     track: Track,
     *,
     with_calibration: bool,

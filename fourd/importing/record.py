@@ -28,7 +28,7 @@ class ImportRecord:
         calibration: hash of the source's calibration; see :func:`digests`.
         files: hash of the names and sizes of the source's files; see :func:`digests`.
         options: options of the command.
-        offsets: applied delays of the videos in frames.
+        offsets: applied delays of the videos in frames of the capture.
         unpacked: whether the videos' frames were written as images, with these offsets.
         done: whether the import finished.
         warnings: warnings of the import.
@@ -39,7 +39,7 @@ class ImportRecord:
     calibration: str
     files: str
     options: dict[str, Any]
-    offsets: dict[str, int]
+    offsets: dict[str, float]
     unpacked: bool
     done: bool
     warnings: tuple[str, ...]
@@ -75,11 +75,16 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
         )
 
 
-def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, int]) -> None:
-    """Raise UserError when the folder's frames were unpacked from other videos or with other offsets."""
+def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, float], reduce: float) -> None:
+    """Raise UserError when the folder's frames were unpacked from other videos, with other offsets or a scale."""
     if before.unpacked and before.files != files:
         raise UserError(
             f"{out}: expected the videos unpacked into this folder, got other videos; import into another folder"
+        )
+    if before.unpacked and before.options.get("reduce", 1) != reduce:
+        raise UserError(
+            f"{out}: expected the scale of the frames in this folder ({before.options.get('reduce', 1):g}), got "
+            f"{reduce:g}; import into another folder"
         )
     if before.unpacked and before.offsets != dict(offsets):
         raise UserError(
@@ -113,5 +118,5 @@ def digests(imported: Imported) -> tuple[str, str]:
     return calibrations.hexdigest(), files.hexdigest()
 
 
-def _format(offsets: Mapping[str, int]) -> str:
-    return ", ".join(f"{name}={frames}" for name, frames in offsets.items() if frames) or "none"
+def _format(offsets: Mapping[str, float]) -> str:
+    return ", ".join(f"{name}={frames:g}" for name, frames in offsets.items() if frames) or "none"

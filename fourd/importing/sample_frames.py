@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from fourd.capture.camera_frames import CameraFrames, PictureFrames, VideoFrames
 from fourd.capture.decoding import decode_rgb, decode_rgb_bytes
 from fourd.capture.video import VideoIndex, VideoReader
-from fourd.capture.video_list import align_offsets
+from fourd.capture.video_list import Video, align_videos
 from fourd.errors import UserError
-from fourd.importing.imported import EncodedPictures, Frames, ImportedCamera, PictureFiles
+from fourd.importing.imported import EncodedPictures, Frames, ImportedCamera, PictureFiles, video_files
 
 Picture = NDArray[np.uint8]
 
@@ -44,24 +44,22 @@ class SynchronizedFrames:
     """
 
     def __init__(
-        self, cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
+        self, cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], offsets: Mapping[str, float]
     ) -> None:
         """Open the frames of ``cameras``.
 
         Args:
             cameras: the source's cameras.
             indices: video indices by camera name.
-            offsets: delays of the videos in frames.
+            offsets: delays of the videos in frames of the common clock.
 
         Raises:
             UserError: when there is no frame that all cameras have.
         """
         self.names = tuple(camera.name for camera in cameras)
-        starts = align_offsets({name: offsets.get(name, 0) for name in indices})
+        videos = align_videos(video_files(cameras), indices, offsets)
         self._stack = ExitStack()
-        opened = [
-            self._open_frames(camera.frames, indices.get(camera.name), starts.get(camera.name, 0)) for camera in cameras
-        ]
+        opened = [self._open_frames(camera.frames, videos.get(camera.name)) for camera in cameras]
         self._sources = tuple(source for source, _ in opened)
         self.counts = tuple(count for _, count in opened)
         self.count = max(0, min(self.counts, default=0))
@@ -82,11 +80,11 @@ class SynchronizedFrames:
         """Read the images of all cameras for one frame number."""
         return [source.read(frame) for source in self._sources]
 
-    def _open_frames(self, frames: Frames, index: VideoIndex | None, start: int) -> tuple[CameraFrames, int]:
+    def _open_frames(self, frames: Frames, video: Video | None) -> tuple[CameraFrames, int]:
         if isinstance(frames, PictureFiles):
             return PictureFrames(frames.paths, decode_rgb), len(frames.paths)
         if isinstance(frames, EncodedPictures):
             return EncodedFrames(frames), frames.count
-        assert index is not None
-        reader = self._stack.enter_context(VideoReader(frames.path, index))
-        return VideoFrames(reader, range(start, index.frames)), index.frames - start
+        assert video is not None
+        reader = self._stack.enter_context(VideoReader(video.path, video.index))
+        return VideoFrames(reader, [video.number(frame) for frame in range(video.frames_left)]), video.frames_left

@@ -10,16 +10,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from fourd.capture.calibration import write_calibration
 from fourd.capture.frame_rate import NAME as RATE_NAME
 from fourd.capture.frame_rate import write_rate
 from fourd.capture.layout import VIDEOS, frame_name
 from fourd.capture.video import VideoIndex, VideoReader
-from fourd.capture.video_list import Video, align_offsets, common_frames, common_rate, write_video_list
+from fourd.capture.video_list import Video, align_videos, common_frames, common_rate, write_video_list
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_bytes_atomically
+from fourd.importing.clock import describe_clock, describe_pictures
 from fourd.importing.imported import (
     EncodedPictures,
     Frames,
@@ -33,9 +33,6 @@ from fourd.progress import Track
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 JPEG_QUALITY = 95
-LONG_KEYFRAME_INTERVAL = 250
-"""Keyframe interval, in frames, above which a note suggests --unpack. Reading a frame decodes all frames since the last
-keyframe."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +42,12 @@ class ImportSettings:
     Attributes:
         copy: copy files instead of linking them.
         unpack: write the frames of videos as images.
-        offsets: delay of each camera's video in frames, relative to the other videos.
+        offsets: delay of each camera's video in frames of the capture, relative to the other videos.
     """
 
     copy: bool = False
     unpack: bool = False
-    offsets: Mapping[str, int] = field(default_factory=dict)
+    offsets: Mapping[str, float] = field(default_factory=dict)
 
 
 def write_capture(
@@ -68,15 +65,16 @@ def write_capture(
         track: wraps loops to report progress.
 
     Returns:
-        Notes for the user, one line each: frame rates, unused frames and long keyframe intervals.
+        Notes for the user, one line each: rotation, HDR, frame rates, unused frames and long keyframe
+        intervals.
 
     Raises:
         UserError: when a camera's name is not a valid file name, a video cannot be used, or an offset is for an unknown
             camera.
     """
     check_import(imported, settings)
-    videos = _align_videos(imported.cameras, indices, settings.offsets)
-    notes = _check_rates(videos)
+    videos = align_videos(video_files(imported.cameras), indices, settings.offsets)
+    notes = [*describe_pictures(videos), *describe_clock(videos)]
     if videos and len(videos) < len(imported.cameras):
         raise UserError(
             f"{out}: expected videos or images of all cameras, got videos of some; import the cameras with images alone"
@@ -126,45 +124,6 @@ def _check_names(cameras: Sequence[ImportedCamera]) -> None:
         seen.add(camera.name)
 
 
-def _align_videos(
-    cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, int]
-) -> dict[str, Video]:
-    """Videos by camera name, with offsets that are shifted so that the smallest is 0."""
-    files = video_files(cameras)
-    starts = align_offsets({name: offsets.get(name, 0) for name in files})
-    videos = {name: Video(path, indices[name], starts[name]) for name, path in files.items()}
-    for name, video in videos.items():
-        if not video.frames_left:
-            raise UserError(
-                f"--offset: expected less than {video.index.frames} frames for '{name}', got {video.offset}"
-            )
-    return videos
-
-
-def _check_rates(videos: Mapping[str, Video]) -> list[str]:
-    """Return notes on frame rates and frame counts. Raises UserError if the frame rates differ."""
-    if not videos:
-        return []
-    first, reference = next(iter(videos.items()))
-    for video in videos.values():
-        if abs(video.index.fps / reference.index.fps - 1) * video.index.frames > 0.5:
-            raise UserError(
-                f"{video.path}: expected {float(reference.index.fps):g} frames per second, like {first}, "
-                f"got {float(video.index.fps):g}; convert this video to that rate, or leave it out"
-            )
-    notes = [f"{len(videos)} videos at {float(reference.index.fps):g} frames per second"]
-    count = common_frames(videos)
-    for name, video in videos.items():
-        if video.frames_left > count:
-            notes.append(f"{name}: the last {video.frames_left - count} frames are not used: other videos end earlier")
-        if video.offset:
-            notes.append(f"{name}: its first {video.offset} frames are skipped because of the offsets")
-        longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
-        if longest > LONG_KEYFRAME_INTERVAL:
-            notes.append(f"{name}: {longest} frames between keyframes: --unpack makes random access faster")
-    return notes
-
-
 def _write_videos(videos: Mapping[str, Video], out: Path, copy: bool, track: Track) -> None:
     written = {}
     for name in track(list(videos), len(videos), "copying" if copy else "linking"):
@@ -194,7 +153,7 @@ def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
             if target.exists():
                 continue
             with atomic_path(target) as temporary:
-                bgr = cv2.cvtColor(reader.read(number + video.offset), cv2.COLOR_RGB2BGR)
+                bgr = cv2.cvtColor(reader.read(video.number(number)), cv2.COLOR_RGB2BGR)
                 cv2.imwrite(str(temporary), bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
 

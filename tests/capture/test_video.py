@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -18,10 +19,9 @@ from fourd.capture.video_list import CACHE, NAME, Video, align_offsets, common_f
 from fourd.errors import UserError
 from fourd.progress import untracked
 from tests.capture.numbered_videos import KEYFRAME_INTERVAL, number_of, write_numbered_video
+from tests.capture.phone_videos import write_display_matrix
 
 KINDS = [("video.mp4", "libx264"), ("video.webm", "libvpx-vp9")]
-MATRIX_OFFSET = 40
-"""Bytes from the end of the tag tkhd to the rotation matrix (ISO 14496-12, version 0)."""
 
 
 def decode_sequentially(path: Path) -> list[np.ndarray]:
@@ -150,14 +150,30 @@ def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
         assert missing_bytes(path) == 0
 
 
-def test_dropped_frame_is_refused(tmp_path: Path) -> None:
-    """Catches a video with a dropped frame that is accepted. After a dropped frame, the cameras are out of sync by one
-    frame."""
+def test_dropped_frame_keeps_the_times_of_later_frames(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches a dropped frame after which all later frames have a wrong time or a wrong number."""
     times = [*range(20), *range(21, 41)]
-    assert_refused(
-        write_numbered_video(tmp_path / "video.mp4", times=times),
-        r"constant frame rate, got frame intervals of 33.3 to 66.7 ms.*-fps_mode cfr",
-    )
+    path = write_numbered_video(tmp_path / "video.mp4", times=times)
+    index = index_video(path)
+    assert (index.frames, index.fps) == (40, 30)
+    assert [index.nearest(Fraction(time, 30)) for time in times] == list(range(40))
+    assert index.nearest(Fraction(203, 300)) == 20
+    with VideoReader(path, index) as reader:
+        for frame in rng.permutation(40).tolist():
+            assert number_of(reader.read(frame)) == frame
+
+
+def test_videos_without_usable_times_are_refused(tmp_path: Path) -> None:
+    """Catches a traceback or a wrong frame rate for one frame, and for frames without different times."""
+    assert_refused(write_numbered_video(tmp_path / "one.mp4", range(1)), "expected a video of at least 2 frames, got 1")
+    path = tmp_path / "raw.h264"
+    with av.open(str(write_numbered_video(tmp_path / "video.mp4"))) as source, av.open(str(path), "w") as target:
+        stream = target.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(video=0):
+            if packet.size:
+                packet.stream = stream
+                target.mux(packet)
+    assert_refused(path, r"expected frames at increasing times, got .*; write times of, .* with: ffmpeg -r 30")
 
 
 def test_rounded_times_are_a_constant_rate(tmp_path: Path) -> None:
@@ -166,15 +182,11 @@ def test_rounded_times_are_a_constant_rate(tmp_path: Path) -> None:
     assert index_video(path).fps == 30
 
 
-def test_rotation_metadata_is_refused(tmp_path: Path) -> None:
-    """Catches a phone's video that players show rotated but that is decoded without the rotation."""
-    path = write_numbered_video(tmp_path / "video.mp4")
-    content = bytearray(path.read_bytes())
-    offset = content.index(b"tkhd") + 4 + MATRIX_OFFSET
-    rotation = [0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30]
-    content[offset : offset + 36] = b"".join(value.to_bytes(4, "big", signed=True) for value in rotation)
-    path.write_bytes(content)
-    assert_refused(path, r"expected frames stored upright, got rotation metadata of (90|270) degrees.*ffmpeg -i")
+@pytest.mark.parametrize("matrix", [(-1, 0, 0, 1), (0, 1, 1, 0), (0.6, 0.8, -0.8, 0.6)])
+def test_mirrored_and_oblique_videos_are_refused(matrix: tuple[float, ...], tmp_path: Path) -> None:
+    """Catches a mirrored or oblique display matrix that is rounded to a turn."""
+    path = write_display_matrix(write_numbered_video(tmp_path / "video.mp4"), matrix)
+    assert_refused(path, r"expected frames turned by a multiple of 90 degrees and not mirrored.*ffmpeg -i")
 
 
 def test_videos_of_one_name_are_refused(tmp_path: Path) -> None:
@@ -246,8 +258,8 @@ def test_damaged_list_is_reported(text: str, tmp_path: Path) -> None:
 
 def test_newer_list_is_refused(tmp_path: Path) -> None:
     """Catches a file of a newer format version that is read as the current version."""
-    (tmp_path / NAME).write_text(json.dumps({"version": 2, "cameras": {}}))
-    with pytest.raises(UserError, match="expected version 1, got 2"):
+    (tmp_path / NAME).write_text(json.dumps({"version": 3, "cameras": {}}))
+    with pytest.raises(UserError, match="expected version 2 or older, got 3"):
         list_videos(tmp_path)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +19,7 @@ from fourd.capture.frame_rate import check_rate
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
+from fourd.importing.frame_geometry import CalibratedFrames
 from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.progress import Tracker
@@ -27,7 +29,14 @@ WORDS_HELP = (
     "SRC: input folder or file. OUT: capture folder to create."
 )
 
-OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
+OFFSET_HELP = (
+    "Number of frames by which the video of camera CAM is late. Fractions are allowed. Example for two cameras: "
+    "cam02=3,cam05=-1.5."
+)
+SCALE_HELP = (
+    "CAM,CAM=METRES: distance between the optical centres of two cameras. One world unit becomes one metre. "
+    "FACTOR, such as 0.5: the frames of videos and their calibrations are reduced by this factor."
+)
 CALIBRATION_HELP = (
     "Calibration of the videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes. SRC is then "
     "read as videos."
@@ -82,9 +91,17 @@ class Arguments:
     calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     calibrate: bool = False
     """Calibrate the cameras from the images, and ignore a calibration in SRC."""
-    scale: Annotated[str | None, option("CAM,CAM=METRES", "the source's unit")] = None
-    """Distance in metres between the optical centres of two cameras. The world is scaled so that one world unit is one
-    metre."""
+    calibrated_frames: Annotated[
+        CalibratedFrames,
+        describe(
+            "Frames for which calibrations of videos with rotation metadata are meant: turned upright, or as stored.",
+            "auto: the size of the calibration decides.",
+        ),
+    ] = "auto"
+    scale: Annotated[
+        tyro.conf.UseAppendAction[tuple[str, ...]],
+        tyro.conf.arg(metavar="CAM,CAM=METRES|FACTOR", help=SCALE_HELP, help_behavior_hint="(repeatable)"),
+    ] = field(default=())
     board: Annotated[str | None, option("COLSxROWSxSQUARE_M", "none", BOARD_HELP)] = None
 
 
@@ -111,6 +128,7 @@ def run(arguments: Arguments) -> None:
 
 
 def _options(arguments: Arguments) -> ImportOptions:
+    distance, reduce = _scale(arguments.scale)
     return ImportOptions(
         copy=arguments.copy,
         unpack=arguments.unpack,
@@ -122,9 +140,31 @@ def _options(arguments: Arguments) -> ImportOptions:
         centres=arguments.centres,
         calibrate=arguments.calibrate,
         calibration=None if arguments.calibration is None else str(arguments.calibration.resolve()),
-        distance=None if arguments.scale is None else _distance(arguments.scale),
+        reduce=reduce,
+        calibrated_frames=arguments.calibrated_frames,
+        distance=distance,
         board=None if arguments.board is None else _board(arguments.board),
     )
+
+
+def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
+    """Parse the values of --scale: a known distance, or None, and the factor on the size of the frames."""
+    distances = [_distance(word) for word in words if "=" in word or "," in word]
+    factors = [word for word in words if "=" not in word and "," not in word]
+    if len(distances) > 1 or len(factors) > 1:
+        raise UserError(
+            f"--scale: expected at most one distance and one factor, got {' '.join(words)}; give one of each"
+        )
+    try:
+        factor = float(factors[0]) if factors else 1.0
+    except ValueError:
+        factor = 0.0
+    if not 0 < factor <= 1:
+        raise UserError(
+            f"--scale: expected CAM,CAM=METRES or a factor above 0 and at most 1, got '{factors[0]}'; write it as "
+            "cam01,cam02=2.35 or 0.5"
+        )
+    return distances[0] if distances else None, factor
 
 
 def _distance(text: str) -> Distance:

@@ -177,12 +177,21 @@ def _video(path: Path) -> Rows:
             frames = stream.frames or round(seconds * rate)
             return [
                 ("frames", f"{frames} at {format_rate(rate)} per second, {seconds:.2f} s"),
-                ("image size", f"{stream.width} x {stream.height}"),
+                ("image size", _turned_size(path)),
                 ("codec", stream.codec_context.name),
                 ("size", _bytes(path.stat().st_size)),
             ]
     except av.FFmpegError as error:
         raise UserError(f"{path}: expected a whole video, got a damaged file; copy it again") from error
+
+
+def _turned_size(path: Path) -> str:
+    """The size of a video's upright frames, and the conversions that fourd applies to the frames."""
+    from fourd.capture.video import first_frame
+
+    width, height, turn, transfer = first_frame(path)
+    turned = f", turned by {360 - turn} degrees clockwise" if turn else ""
+    return f"{width} x {height}{turned}" + (f", HDR ({transfer})" if transfer else "")
 
 
 def _run(path: Path) -> Rows:

@@ -13,6 +13,7 @@ import av
 from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, Calibration, read_calibration
 from fourd.capture.decoding import picture_size
+from fourd.capture.video import first_frame
 from fourd.errors import UserError
 from fourd.importing.folders import find_frames, join_calibrations, list_entries, match_names
 from fourd.importing.imported import Frames, Imported, PictureFiles, VideoFile
@@ -72,13 +73,11 @@ def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames
 
 
 def _size(frames: Frames) -> tuple[int, int]:
-    """Read (width, height) from the header of the first image or video."""
+    """Read (width, height) from the header of the first image, or from the upright first frame of a video."""
     if isinstance(frames, PictureFiles):
         return picture_size(frames.paths[0])
     assert isinstance(frames, VideoFile)
     try:
-        with av.open(str(frames.path)) as container:
-            stream = container.streams.video[0]
-            return stream.width, stream.height
+        return first_frame(frames.path)[:2]
     except (av.FFmpegError, OSError, ValueError, IndexError) as error:
         raise UserError(f"{frames.path}: expected a whole video, got '{error}'; copy it again") from error

@@ -1,0 +1,144 @@
+"""Conversion of decoded video frames to upright sRGB images: rotation, reduced size, and tone mapping of HDR video.
+
+HDR signals (ITU-R BT.2100) are converted in these steps:
+
+1. HLG: the inverse OETF gives scene light E. The OOTF with the system gamma 1.2 and a peak of 1000 cd/m2 gives display
+   light ``1000 Y^0.2 E``, where Y is the luminance of E. PQ: the EOTF (SMPTE ST 2084) gives display light.
+2. Display light is divided by 203 cd/m2, the reference white of ITU-R BT.2408.
+3. The primaries are converted from BT.2020 to BT.709. Negative values are set to 0.
+4. Let m be the maximum of red, green and blue. The colour is scaled by f(m) / m. Up to the knee 0.85, f(m) = m, so
+   colours do not change. Above the knee, ``f(m) = 0.85 + 0.15 (1 - exp(-(m - 0.85) / 0.15))``.
+5. The transfer function of sRGB (IEC 61966-2-1) is applied.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+from av.video.reformatter import ColorRange, Colorspace, ColorTrc
+from numpy.typing import NDArray
+
+Picture = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+
+HLG, PQ = "HLG", "PQ"
+TRANSFERS = {int(ColorTrc.ARIB_STD_B67): HLG, int(ColorTrc.SMPTE2084): PQ}
+REFERENCE_WHITE = 203.0
+"""Luminance in cd/m2 of diffuse white in HDR video (ITU-R BT.2408). It becomes the white of the sRGB image."""
+HLG_PEAK = 1000.0
+HLG_GAMMA = 1.2
+KNEE = 0.85
+MAX_TURN_ERROR = 1
+"""Largest deviation in degrees of a display matrix from a multiple of 90 degrees."""
+LEVELS = 1 << 12
+"""Number of entries of the tables of transfer functions. HDR video has 10 or 12 bits."""
+BT2020_LUMINANCE = (0.2627, 0.6780, 0.0593)
+BT709_FROM_BT2020 = (
+    (1.660491, -0.587641, -0.072850),
+    (-0.124550, 1.132900, -0.008349),
+    (-0.018151, -0.100579, 1.118730),
+)
+"""Linear light in BT.709 primaries from linear light in BT.2020 primaries (ITU-R BT.2087, table 4, inverse)."""
+
+
+def transfer_of(frame: av.VideoFrame) -> str:
+    """The HDR transfer function of a frame: "HLG", "PQ", or "" if the frame is not HDR."""
+    return TRANSFERS.get(int(frame.color_trc or 0), "")
+
+
+def turn_of(frame: av.VideoFrame) -> int | None:
+    """Angle in degrees by which a frame must be turned counter-clockwise to be upright: 0, 90, 180 or 270.
+
+    Returns None if the display matrix of the frame has another angle, or mirrors the frame.
+    """
+    side_data: Any = frame.side_data  # PyAV declares other keys than it accepts
+    if "DISPLAYMATRIX" in side_data:
+        a, b, _, c, d = np.frombuffer(side_data["DISPLAYMATRIX"], np.int32)[:5].tolist()
+        if a * d - b * c < 0:
+            return None
+    turn = round(frame.rotation / 90) * 90
+    return turn % 360 if abs(turn - frame.rotation) <= MAX_TURN_ERROR else None
+
+
+def to_rgb(frame: av.VideoFrame, turn: int, transfer: str, scale: float) -> Picture:
+    """Convert a decoded frame to an upright sRGB image (H, W, 3) uint8.
+
+    Args:
+        frame: the decoded frame.
+        turn: angle in degrees by which the image is turned counter-clockwise: 0, 90, 180 or 270.
+        transfer: HDR transfer function of the frame, see :func:`transfer_of`.
+        scale: factor in (0, 1] on width and height. The size is rounded to whole pixels.
+    """
+    if transfer:
+        rgb = _tone_map(_hdr_signal(frame), transfer)
+    else:
+        rgb = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+    if scale != 1:
+        size = reduced_size(rgb.shape[1], rgb.shape[0], scale)
+        rgb = np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.ascontiguousarray(np.rot90(rgb, turn // 90), np.uint8)
+
+
+def reduced_size(width: int, height: int, scale: float) -> tuple[int, int]:
+    """Width and height times ``scale``, rounded to whole pixels like :meth:`fourd.cameras.Camera.rescale`."""
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _hdr_signal(frame: av.VideoFrame) -> Floats:
+    """The non-linear RGB signal (H, W, 3) in [0, 1] of an HDR frame, from its YCbCr signal (ITU-R BT.2100, table 6).
+
+    libswscale resamples the chroma planes and converts the bit depth. The matrix is applied here in floating point.
+    """
+    planes = frame.reformat(format="yuv444p16le").to_ndarray(format="yuv444p16le").astype(np.float32)
+    y, cb, cr = planes if planes.shape[0] == 3 else np.moveaxis(planes, 2, 0)
+    if int(frame.color_range or 0) == int(ColorRange.JPEG):
+        y, cb, cr = y / 65535, cb / 65535 - 0.5, cr / 65535 - 0.5
+    else:
+        y, cb, cr = (y / 256 - 16) / 219, (cb / 256 - 128) / 224, (cr / 256 - 128) / 224
+    red_weight, green_weight, blue_weight = BT2020_LUMINANCE
+    if int(frame.colorspace or 0) == int(Colorspace.ITU709):
+        red_weight, green_weight, blue_weight = 0.2126, 0.7152, 0.0722
+    red = y + 2 * (1 - red_weight) * cr
+    blue = y + 2 * (1 - blue_weight) * cb
+    green = (y - red_weight * red - blue_weight * blue) / green_weight
+    return np.stack([red, green, blue], axis=2).clip(0, 1)
+
+
+def _tone_map(signal: Floats, transfer: str) -> Picture:
+    """Convert a non-linear HDR signal (H, W, 3) in [0, 1] with BT.2020 primaries to sRGB (H, W, 3) uint8."""
+    light, encoded, hlg_gain = _tables(transfer)
+    linear = light[np.round(signal * (LEVELS - 1)).astype(np.int32)]
+    if transfer == HLG:
+        luminance = linear @ np.array(BT2020_LUMINANCE, np.float32)
+        linear = linear * hlg_gain[np.round(luminance * (LEVELS - 1)).astype(np.int32)][..., None]
+    display = np.maximum(cv2.transform(linear, np.array(BT709_FROM_BT2020, np.float32)), 0)
+    largest = np.maximum(display.max(axis=2, keepdims=True), 1e-6)
+    mapped = KNEE + (1 - KNEE) * (1 - np.exp(-(largest - KNEE) / (1 - KNEE)))
+    display = display * np.where(largest > KNEE, mapped / largest, 1)
+    return np.asarray(encoded[np.round(np.sqrt(display.clip(0, 1)) * (LEVELS - 1)).astype(np.int32)])
+
+
+@cache
+def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
+    """Tables of a transfer function and of sRGB.
+
+    Returns:
+        Linear light by signal, in units of the reference white (for HLG: scene light in [0, 1]). The 8-bit sRGB value
+        by the square root of linear light. For HLG, the OOTF's factor from scene to display light by luminance.
+    """
+    steps = np.linspace(0, 1, LEVELS)
+    if transfer == HLG:
+        a, b, c = 0.17883277, 0.28466892, 0.55991073
+        light = np.where(steps <= 0.5, steps**2 / 3, (np.exp((steps - c) / a) + b) / 12)
+    else:
+        m1, m2, c1, c2, c3 = 1305 / 8192, 2523 / 32, 107 / 128, 2413 / 128, 2392 / 128
+        power = steps ** (1 / m2)
+        light = 10_000 / REFERENCE_WHITE * (np.maximum(power - c1, 0) / (c2 - c3 * power)) ** (1 / m1)
+    gain = HLG_PEAK / REFERENCE_WHITE * steps ** (HLG_GAMMA - 1)
+    linear = steps**2
+    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return light.astype(np.float32), np.round(255 * srgb).astype(np.uint8), gain.astype(np.float32)

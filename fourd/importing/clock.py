@@ -1,0 +1,71 @@
+"""Notes of an import on the common clock of videos, and on the conversion of their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fourd.capture.frame_rate import format_rate
+from fourd.capture.video_list import Video, common_frames
+from fourd.capture.video_picture import HLG_PEAK, KNEE, REFERENCE_WHITE
+
+LONG_KEYFRAME_INTERVAL = 250
+"""Keyframe interval, in frames, above which a note suggests --unpack. Reading a frame decodes all frames since the last
+keyframe."""
+MIN_TOLD_SECONDS = 5e-4
+"""Smallest error of the frame times that a note tells."""
+
+
+def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
+    """Notes on videos that are turned upright, converted from HDR or reduced, one line for each conversion."""
+    notes = []
+    for turn in (90, 180, 270):
+        names = [name for name, video in videos.items() if video.index.turn == turn]
+        if names:
+            # The display matrix is usually named by the clockwise angle.
+            notes.append(f"{', '.join(names)}: frames are turned by {360 - turn} degrees clockwise, as the video says")
+    hdr = {name: video.index.transfer for name, video in videos.items() if video.index.transfer}
+    if hdr:
+        kinds = " and ".join(sorted(set(hdr.values())))
+        peak = f", HLG peak {HLG_PEAK:g}" if "HLG" in kinds else ""
+        notes.append(
+            f"{', '.join(hdr)}: HDR video ({kinds}, BT.2020) is tone-mapped to sRGB: white is {REFERENCE_WHITE:g} cd/m2"
+            f"{peak}, values above {KNEE:g} of white are compressed"
+        )
+        plain = [name for name in videos if name not in hdr]
+        if plain:
+            notes.append(f"{', '.join(plain)}: these videos are not HDR; colours may differ from those of HDR cameras")
+    for scale in sorted({video.index.scale for video in videos.values()} - {1.0}):
+        notes.append(f"frames are decoded at {scale:g} times their size")
+    return notes
+
+
+def describe_clock(videos: Mapping[str, Video]) -> list[str]:
+    """Notes on frame rates, the error of frame times, unused frames and long keyframe intervals."""
+    if not videos:
+        return []
+    rate = next(iter(videos.values())).rate
+    count = common_frames(videos)
+    notes = [f"{len(videos)} videos at {format_rate(rate)} frames per second"]
+    others = {name: video for name, video in videos.items() if video.drifts_from(rate)}
+    if others:
+        rates = ", ".join(f"{name} {format_rate(video.index.fps)}" for name, video in others.items())
+        notes[0] += f", the lowest rate; frames of the other videos are picked by their times ({rates})"
+    uneven = [name for name, video in videos.items() if video.index.times]
+    if uneven:
+        notes.append(f"{', '.join(uneven)}: uneven frame times; frames are picked by their times")
+    errors = {name: video.clock_error(count) for name, video in videos.items()}
+    worst = max(errors, key=lambda name: errors[name][0])
+    seconds, frame = errors[worst]
+    if seconds >= MIN_TOLD_SECONDS:
+        notes.append(f"largest error of the frame times: {1e3 * seconds:.1f} ms ({worst}, frame {frame})")
+    for name, video in videos.items():
+        if video.frames_left > count:
+            notes.append(f"{name}: the last {video.frames_left - count} frames are not used: other videos end earlier")
+        if video.offset:
+            notes.append(f"{name}: its first {video.offset:g} frames are skipped because of the offsets")
+        longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
+        if longest > LONG_KEYFRAME_INTERVAL:
+            notes.append(f"{name}: {longest} frames between keyframes: --unpack makes random access faster")
+    return notes

@@ -1,0 +1,121 @@
+"""Calibrations of videos whose frames are turned upright by metadata, or reduced in size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.capture.video import VideoIndex
+from fourd.errors import UserError
+from fourd.importing.imported import ImportedCamera
+
+CalibratedFrames = Literal["auto", "turned", "stored"]
+"""Frames for which a calibration is meant: turned upright by the metadata of the video, or as stored."""
+
+
+def turn_camera(camera: Camera, degrees: int) -> Camera:
+    """Return the camera whose image is the image of ``camera``, turned counter-clockwise by ``degrees``.
+
+    A turn by 90 degrees maps the pixel (x, y) of a W pixels wide image to (y, W - x), and camera axes (X, Y, Z) to
+    (Y, -X, Z). Lens distortion is given by OpenCV's coefficients. The radial coefficients do not change. The tangential
+    coefficients (p2, p1) and the thin prism coefficients (s1, s3) and (s2, s4) are vectors in the image.
+
+    Raises:
+        ValueError: if the camera has skew or a tilted sensor, or ``degrees`` is not a multiple of 90.
+    """
+    if degrees % 90:
+        raise ValueError(f"degrees: expected a multiple of 90, got {degrees}")
+    for _ in range(degrees % 360 // 90):
+        camera = _quarter_turn(camera)
+    return camera
+
+
+def _quarter_turn(camera: Camera) -> Camera:
+    k = camera.intrinsics
+    distortion = camera.distortion
+    if abs(k[0, 1]) > 1e-9 or (distortion is not None and np.any(distortion.ravel()[12:])):
+        raise ValueError("expected a camera without skew and without a tilted sensor")
+    intrinsics = np.array([[k[1, 1], 0, k[1, 2]], [0, k[0, 0], camera.width - k[0, 2]], [0, 0, 1]])
+    turn = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    return replace(
+        camera,
+        intrinsics=intrinsics,
+        rotation=turn @ camera.rotation,
+        translation=turn @ camera.translation,
+        width=camera.height,
+        height=camera.width,
+        distortion=None if distortion is None else _turn_distortion(distortion),
+    )
+
+
+def _turn_distortion(distortion: NDArray[np.float64]) -> NDArray[np.float64]:
+    turned = distortion.copy()
+    flat, given = turned.reshape(-1), distortion.reshape(-1)
+    for x, y in ((3, 2), (8, 10), (9, 11)):
+        if max(x, y) < len(given):
+            flat[x], flat[y] = given[y], -given[x]
+    return turned
+
+
+def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[str, VideoIndex]:
+    """The indices of videos whose frames are reduced by the factor ``reduce`` in (0, 1]."""
+    return {name: index if reduce == 1 else index.reduce(reduce) for name, index in indices.items()}
+
+
+def match_calibrations(
+    cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], meant: CalibratedFrames, reduce: float
+) -> tuple[tuple[ImportedCamera, ...], list[str]]:
+    """Turn and reduce calibrations like the frames of their videos.
+
+    With "auto", the size of a calibration tells whether it is meant for the turned or for the stored frames of a video
+    that is turned by 90 degrees. Otherwise, a calibration is meant for the turned frames, as players and OpenCV show
+    them.
+
+    Args:
+        cameras: the source's cameras.
+        indices: indices of the videos by camera name; their frames are already reduced.
+        meant: frames for which the calibrations are meant.
+        reduce: factor in (0, 1] on the size of the frames.
+
+    Returns:
+        The cameras with the changed calibrations, and notes for the user.
+
+    Raises:
+        UserError: if a calibration cannot be turned.
+    """
+    found, groups = [], dict[str, list[str]]()
+    for camera in cameras:
+        calibration, index = camera.calibration, indices.get(camera.name)
+        if calibration is not None and index is not None:
+            if index.turn:
+                is_stored, reason = _is_for_stored(calibration, index, meant)
+                text = f"the calibration is meant for {'the stored' if is_stored else 'the turned'} frames ({reason})"
+                groups.setdefault(text + (", so it is turned too" if is_stored else ""), []).append(camera.name)
+                calibration = _turned(camera.name, calibration, index.turn) if is_stored else calibration
+            calibration = calibration if reduce == 1 else calibration.rescale(reduce)
+        found.append(replace(camera, calibration=calibration))
+    return tuple(found), [f"{', '.join(names)}: {text}" for text, names in groups.items()]
+
+
+def _turned(name: str, calibration: Camera, turn: int) -> Camera:
+    try:
+        return turn_camera(calibration, turn)
+    except ValueError as error:
+        raise UserError(f"camera '{name}': {error}; calibrate the turned frames of its video") from error
+
+
+def _is_for_stored(calibration: Camera, index: VideoIndex, meant: CalibratedFrames) -> tuple[bool, str]:
+    """Whether a calibration is meant for the stored frames of a turned video, and the reason."""
+    if meant != "auto":
+        return meant == "stored", f"--calibrated-frames {meant}"
+    width, height = calibration.width, calibration.height
+    stored_width, stored_height = index.stored_size
+    if index.turn % 180 == 0 or width == height or stored_width == stored_height:
+        return False, "its size is that of both; change this with --calibrated-frames stored"
+    is_stored = (width > height) == (stored_width > stored_height)
+    return is_stored, f"its size is {width} x {height}"
