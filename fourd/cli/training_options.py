@@ -49,7 +49,8 @@ class TrainingOptions:
     """Flags and --set override the config file. The config file overrides the defaults."""
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
-    """object: reconstruct only the foreground in the mattes, on black. full: also reconstruct a static background."""
+    """object: reconstruct only the foreground in the mattes, on black. full: also reconstruct a static background. With
+    full, fourd make needs no mattes for captures of one frame or in which nothing moves."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
     """YAML file with config keys. docs/configuration.md lists all keys."""
     assignments: Annotated[

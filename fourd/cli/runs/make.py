@@ -1,4 +1,5 @@
-"""Make a 4D scene from videos or a capture: import, check, mattes, plates, carving, training and baking."""
+"""Make a 4D scene from videos or a capture: import, check, calibration repair, mattes, plates, carving, training and
+baking."""
 
 from __future__ import annotations
 
@@ -20,8 +21,8 @@ from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
 SOURCE_HELP = (
-    "A capture, or any input of fourd import, such as a folder of videos. To set time offsets or the scale, run fourd "
-    "import first."
+    "A capture, or any input of fourd import, such as a folder of videos or a session with a calibration folder. To "
+    "set time offsets or the scale, run fourd import first."
 )
 CALIBRATION_HELP = (
     "Calibration of a folder of videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes."
@@ -30,7 +31,8 @@ CALIBRATION_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """The result of every stage is cached. Run an interrupted command again to resume it."""
+    """Prints the stages and the expected duration first. The result of every stage is cached. Run an interrupted
+    command again to resume it."""
 
     capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]]
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
