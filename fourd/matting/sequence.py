@@ -9,7 +9,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
+from fourd.capture.layout import MATTES, parse_frame_range, refuse_symlinks, sample_indices
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
@@ -33,7 +33,7 @@ from fourd.progress import Track
 
 Picture = NDArray[np.uint8]
 
-VERSION = 2
+VERSION = 3
 STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = Path(".fourd") / "mattes.png"
@@ -62,7 +62,8 @@ class MatteSettings:
 def make_mattes(selection: Selection, settings: MatteSettings, workers: int, track: Track) -> int:
     """Write the mattes of a capture's undistorted images as ``.fourd/mattes/CAM/FRAME.png``.
 
-    Mattes from an earlier call with the same inputs and settings are kept. If the inputs or settings differ, all
+    The models are learned from the whole recording, whatever frames are selected. Mattes from an earlier call with the
+    same inputs and settings are kept, also those of frames that are not selected. If the inputs or settings differ, all
     mattes are computed again.
 
     Args:
@@ -78,11 +79,15 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         UserError: if no subject moves, the moving regions of the views do not intersect in space, no screen colour is
             found, or the network file is invalid.
     """
-    capture = selection.open(mattes=False)
+    # Models are learned from the whole recording, and --frames only selects the mattes to write. Optical flow may
+    # therefore reach frames that are not selected.
+    recording = replace(selection, frames=None)
+    capture = recording.open(mattes=False)
     folder = capture.path / MATTES
     refuse_symlinks(capture.path, folder)
     _prepare_folder(folder, matte_key(capture, settings))
-    missing = [frame for frame in range(capture.frame_count) if not _is_made(folder, capture, frame)]
+    chosen = parse_frame_range(selection.frames, capture.frame_count)
+    missing = [frame for frame in chosen if not _is_made(folder, capture, frame)]
     if not missing:
         return 0
     if settings.method == "rvm":
@@ -95,7 +100,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         model = folder.parent / MODEL_NAME
         if not model.exists():
             _learn_subject_model(capture, settings, model, track)
-    jobs = [_Job(selection, model, folder, tuple(block)) for block in split_into_blocks(missing, workers)]
+    jobs = [_Job(recording, model, folder, tuple(block)) for block in split_into_blocks(missing, workers)]
     for _ in track(run_jobs(_make_frames, jobs, workers), len(missing), "mattes"):
         pass
     return len(missing)

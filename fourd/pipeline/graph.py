@@ -37,6 +37,7 @@ class RunRequest:
             points are carved.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
+        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
     """
 
     capture: Path
@@ -44,6 +45,7 @@ class RunRequest:
     train: TrainConfig
     points_from: Path | None = None
     lpips_weights: Path | None = None
+    accept_mattes: bool = False
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
@@ -60,7 +62,13 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
     if adjusted:
         stages.append(adjust_stage(capture, run, AdjustSettings.of(selection, train.refine)))
     if request.points_from is None:
-        carving = CarveStageSettings(selection, train.points, trim=train.trim_hull, inset=train.hull_inset)
+        carving = CarveStageSettings(
+            selection,
+            train.points,
+            trim=train.trim_hull,
+            inset=train.hull_inset,
+            accept_mattes=request.accept_mattes,
+        )
         stages.append(carve_run_stage(capture, run, carving, adjusted))
     else:
         given = GivenPointSettings(selection, train.points, train.seed)

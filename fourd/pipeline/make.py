@@ -30,6 +30,7 @@ def make_scene(
     *,
     points_from: Path | None = None,
     lpips_weights: Path | None = None,
+    accept_mattes: bool = False,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
@@ -46,6 +47,7 @@ def make_scene(
         points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
+        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
 
     Raises:
         UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
@@ -64,7 +66,7 @@ def make_scene(
     runner.run(imports)
     # The other stages depend on the contents of the imported capture.
     capture = work / CAPTURE if imports else source
-    request = RunRequest(capture, work / RUN, train, points_from, lpips_weights)
+    request = RunRequest(capture, work / RUN, train, points_from, lpips_weights, accept_mattes)
     runner.run(stages_to_scene(request, mattes, out))
 
 

@@ -51,6 +51,7 @@ def run(arguments: Arguments) -> None:
         Context(console, worker_count(arguments.workers)),
         points_from=options.points_from,
         lpips_weights=options.lpips_weights,
+        accept_mattes=options.accept_mattes,
     )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True
