@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.matting.channels import channel_max
 from fourd.matting.motion.background_model import BackgroundModel, fit_background
-from fourd.matting.motion.channels import channel_max
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.evidence import Appearance, probability
 from fourd.matting.motion.local_colours import LocalColours
