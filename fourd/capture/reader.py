@@ -171,7 +171,7 @@ class Capture:
                 f"'{self.names[index]}', got {width} x {height}; export the frame again at the expected size"
             )
         if distorted.distortion is not None and not is_undistorted:
-            maps = self._cache.get(index, lambda: _undistortion_maps(distorted))
+            maps = self._cache.get(index, lambda: undistortion_maps(distorted))
             picture = np.asarray(cv2.remap(picture, maps[0], maps[1], cv2.INTER_LINEAR), np.uint8)
         if (camera.width, camera.height) != (width, height):
             interpolation = cv2.INTER_AREA if camera.width < width else cv2.INTER_LINEAR
@@ -347,7 +347,7 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
         raise UserError(f"{path / 'intri.yml'}: camera '{name}': {error}; calibrate that camera again") from error
 
 
-def _undistortion_maps(camera: Camera) -> NDArray[np.float32]:
+def undistortion_maps(camera: Camera) -> NDArray[np.float32]:
     """Maps (2, H, W) of x and y from each pixel of the undistorted image to its position in the distorted image.
 
     The centre of the first pixel has the coordinate 0 in OpenCV and 0.5 in fourd. The principal point is therefore

@@ -133,7 +133,7 @@ def hull_bounds(
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
     for half in (1.5 * reach, 3 * reach, 6 * reach):
-        cells, size = _candidate_cells(views, half)
+        cells, size = candidate_cells(views, half)
         if cells.shape[1] == 0:
             break
         lower = cells.min(axis=1) - size / 2
@@ -202,7 +202,7 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
         others = views.without(index)
         cells = np.zeros((3, 0), dtype=np.float32)
         for agreement in (1.0, 0.9, 0.8, 0.65, 0.5):
-            cells, _ = _candidate_cells(replace(others, agreement=agreement), half)
+            cells, _ = candidate_cells(replace(others, agreement=agreement), half)
             if cells.shape[1]:
                 break
         distance, sees = view_distance(view, cells)
@@ -210,7 +210,7 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
     return shares
 
 
-def _candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
+def candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
     """Find the cells that may contain the object, and subdivide them until COARSE_CELLS cells span the object.
 
     Returns:

@@ -76,6 +76,8 @@ class TrainingOptions:
     """Learn an affine colour correction for each camera."""
     points_from: Annotated[Path | None, option("DIR", "points are carved from the mattes")] = None
     """Folder with your own initial points in world units, as one PLY file per frame: 000000.ply and so on."""
+    accept_mattes: bool = False
+    """Train even if carving keeps less than a third of what the mattes show."""
     max_seconds: Annotated[float | None, option("SECONDS", "1800 for fourd make without --max-steps, else none")] = None
     """Stop after this many seconds of training. fourd train needs --max-steps or --max-seconds."""
     max_steps: Annotated[int | None, option("INT", "none")] = None

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
-from fourd.matting.edges import BAND, estimate_edge_alpha, remove_small_regions, soften_edge
+from fourd.matting.edges import BAND, estimate_edge_alpha, remove_small_regions
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -119,8 +119,7 @@ def chroma_matte(rgb: Picture, screen: ScreenColour) -> Picture:
     threshold = max(SUBJECT_DISTANCE, SPREAD_FACTOR * screen.spread)
     subject = remove_small_regions((from_screen > threshold).astype(np.uint8))
     radius = max(2, round(BAND * max(rgb.shape[:2])))
-    alpha = soften_edge(subject, np.ascontiguousarray(rgb), radius)
-    return np.asarray(255 * estimate_edge_alpha(rgb, subject, alpha, radius) + 0.5, np.uint8)
+    return np.asarray(255 * estimate_edge_alpha(rgb, subject, radius) + 0.5, np.uint8)
 
 
 def screen_distance(rgb: Picture, screen: ScreenColour) -> Floats:

@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.matting.channels import channel_sum
+
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
@@ -13,15 +15,23 @@ SMOOTHING = 2.0
 COLOUR_EDGE = 10.0
 BAND = 1 / 400
 """Half the width of the soft edge, as a share of the image's longest side."""
-EDGE_VARIANCE = 40.0
-"""Regularisation of the guided filter in squared 8-bit values. Areas with a lower colour variance are smoothed."""
 MIN_REGION_SHARE = 1 / 300
 """Minimum area of a connected region or hole, as a share of the subject's area. Smaller regions are removed, and
 smaller holes are filled."""
 MARGIN_PX = 16
-MIN_CONTRAST = 30.0
-"""Minimum RGB distance, in 8-bit values, between subject and background at which alpha is estimated from colours."""
-MIN_NEARBY = 0.01
+NOISE_VARIANCE = np.float32(16.0)
+"""Variance of a pixel's value around the mixture of subject and background, in squared 8-bit values. It covers camera
+noise and image compression."""
+SUBJECT_VARIANCE = np.float32(60.0)
+"""Variance added to the subject's local colour variance, because shading changes the colours towards the edge."""
+NEARBY_VARIANCE = np.float32(12.0)
+"""Variance added to the local colour variance of a background that is estimated from nearby pixels."""
+PLATE_VARIANCE = np.float32(9.0)
+PRIOR_DEVIATION = 0.35
+"""Standard deviation of alpha around the blurred mask."""
+ALPHAS = 11
+"""Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
+MIN_NEARBY = 0.005
 MIN_CONFIDENCE = 0.9
 """Minimum confidence of a background colour that is used to estimate alpha."""
 
@@ -30,8 +40,7 @@ def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = Non
     """Compute a full-resolution matte (H, W) uint8, 255 = subject.
 
     The log-odds are upsampled with an edge-preserving filter guided by the image (fast global smoother, Min et al.
-    2014). A guided filter (He et al. 2013) aligns the soft edge with the image. Finally, the alpha of edge pixels is
-    estimated from the colours on both sides of the edge.
+    2014). The alpha of edge pixels is then estimated from the colours on both sides of the edge.
 
     Args:
         log_odds: (h, w) log-odds at any resolution; positive values are the subject.
@@ -50,58 +59,83 @@ def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = Non
         part = cv2.ximgproc.fastGlobalSmootherFilter(picture, part, SMOOTHING, COLOUR_EDGE)
     subject = remove_small_regions((part > 0).astype(np.uint8))
     radius = max(1, round(BAND * max(height, width)))
-    alpha = soften_edge(subject, picture, radius)
     known = None if background is None else background[rows, columns]
-    alpha = estimate_edge_alpha(picture, subject, alpha, max(2, radius), known)
+    alpha = estimate_edge_alpha(picture, subject, radius, known)
     result[rows, columns] = (255 * alpha + 0.5).astype(np.uint8)
     return result
 
 
-def soften_edge(subject: Picture, rgb: Picture, radius: int) -> Floats:
-    """Compute soft alpha (H, W) in [0, 1] from a binary mask (H, W) uint8, 1 = subject.
+def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background: Floats | None = None) -> Floats:
+    """Estimate alpha (H, W) in [0, 1] near the edge of a binary mask (H, W) uint8, 1 = subject.
 
-    A guided filter (He et al. 2013) aligns the mask's edge with the image. Only pixels within ``radius`` of the mask's
-    edge change.
+    An edge pixel's colour is a mixture of the subject's and the background's colour, which have Gaussian distributions.
+    Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al. 2001). The prior is a Gaussian around the
+    blurred mask, so that the mask decides where the colours of both sides are similar.
+
+    The subject's colour is a local mean inside the mask. The background's colour is a local mean outside the mask, or
+    the colour in ``background`` (H, W, 4) where the confidence is high. Only pixels within three times ``radius`` of
+    the mask's edge change.
     """
-    soft = cv2.ximgproc.guidedFilter(rgb, subject.astype(np.float32), 2 * radius, EDGE_VARIANCE)
-    square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    edge = cv2.dilate(subject, square) != cv2.erode(subject, square)
-    # The guided filter's output does not reach 0 and 1 exactly, so its range is stretched.
-    return np.where(edge, np.clip(1.15 * soft - 0.075, 0, 1), subject)
-
-
-def estimate_edge_alpha(
-    rgb: Picture, subject: Picture, alpha: Floats, radius: int, background: Floats | None = None
-) -> Floats:
-    """Estimate alpha (H, W) in [0, 1]: an edge pixel is a mixture of the subject's and the background's colour.
-
-    The subject's colour is a local mean inside the subject. The background's colour is a local mean outside the
-    subject, or the colour in ``background`` (H, W, 4) where the confidence is high. Where the contrast of subject and
-    background is too low, ``alpha`` is kept.
-    """
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
-    inside = np.asarray(cv2.erode(subject, disc), np.float32)
-    outside = 1 - np.asarray(cv2.dilate(subject, disc), np.float32)
-    edge = (inside == 0) & (outside == 0)
+    inside = np.asarray(cv2.erode(subject, _disc(radius)), np.float32)
+    outside = 1 - np.asarray(cv2.dilate(subject, _disc(2 * radius)), np.float32)
+    edge = (cv2.dilate(subject, _disc(3 * radius)) > 0) & (cv2.erode(subject, _disc(3 * radius)) == 0)
     value = rgb.astype(np.float32)
-    (front, front_near), (back, back_near) = (_local_mean(value, mask, radius) for mask in (inside, outside))
+    front, front_variance, front_near = _local_colours(value, inside, 1.5 * radius)
+    back, back_variance, back_near = _local_colours(value, outside, 3.0 * radius)
+    back_variance += NEARBY_VARIANCE
     has_back = back_near > MIN_NEARBY
     if background is not None:
         is_known = background[..., 3] > MIN_CONFIDENCE
-        back = np.where(is_known[..., None], background[..., :3], back)
+        back[is_known], back_variance[is_known] = background[is_known, :3], PLATE_VARIANCE
         has_back |= is_known
-    contrast = front - back
-    squared = np.square(contrast).sum(axis=-1)
-    share = ((value - back) * contrast).sum(axis=-1) / np.maximum(squared, 1)
-    is_estimated = edge & (front_near > MIN_NEARBY) & has_back & (squared > MIN_CONTRAST**2)
-    return np.where(is_estimated, np.clip(share, 0, 1), alpha).astype(np.float32)
+    edge &= (front_near > MIN_NEARBY) & has_back
+    prior = np.asarray(cv2.GaussianBlur(subject.astype(np.float32), (0, 0), float(radius)), np.float32)
+    alpha = subject.astype(np.float32)
+    alpha[edge] = _posterior_alpha(
+        value[edge],
+        (front[edge], front_variance[edge] + SUBJECT_VARIANCE),
+        (back[edge], back_variance[edge]),
+        prior[edge],
+    )
+    return alpha
 
 
-def _local_mean(value: Floats, mask: Floats, radius: int) -> tuple[Floats, Floats]:
-    """Gaussian-weighted mean colour (H, W, 3) of nearby pixels in ``mask`` (H, W), and the sum of weights (H, W)."""
-    near = np.asarray(cv2.GaussianBlur(mask, (0, 0), 1.5 * radius), np.float32)
-    total = np.asarray(cv2.GaussianBlur(value * mask[..., None], (0, 0), 1.5 * radius), np.float32)
-    return (total / np.maximum(near, 1e-6)[..., None]).astype(np.float32), near
+def _posterior_alpha(value: Floats, front: tuple[Floats, Floats], back: tuple[Floats, Floats], prior: Floats) -> Floats:
+    """Posterior mean (N,) of alpha for the colours ``value`` (N, 3).
+
+    ``front`` and ``back`` are the means and the variances (N, 3) of the colours of subject and background.
+    """
+    total, weighted = np.zeros(len(value), np.float32), np.zeros(len(value), np.float32)
+    costs = []
+    alphas = np.linspace(0, 1, ALPHAS, dtype=np.float32)
+    for alpha in alphas:
+        variance = alpha**2 * front[1] + (1 - alpha) ** 2 * back[1] + NOISE_VARIANCE
+        difference = value - alpha * front[0] - (1 - alpha) * back[0]
+        cost = channel_sum(np.square(difference) / variance + np.log(variance))
+        costs.append(cost + np.square((alpha - prior) / np.float32(PRIOR_DEVIATION)))
+    lowest = np.minimum.reduce(costs)
+    for alpha, cost in zip(alphas, costs, strict=True):
+        weight = np.exp(0.5 * (lowest - cost))
+        total += weight
+        weighted += alpha * weight
+    return weighted / total
+
+
+def _local_colours(value: Floats, mask: Floats, deviation_px: float) -> tuple[Floats, Floats, Floats]:
+    """Gaussian-weighted mean and variance (H, W, 3) of nearby pixels in ``mask``, and the sum of weights."""
+
+    def blur(plane: Floats) -> Floats:
+        return np.asarray(cv2.GaussianBlur(plane, (0, 0), deviation_px), np.float32)
+
+    near = blur(mask)
+    share = (1 / np.maximum(near, 1e-6))[..., None]
+    mean = blur(value * mask[..., None]) * share
+    variance = np.maximum(blur(np.square(value) * mask[..., None]) * share - np.square(mean), 0)
+    return mean, variance, near
+
+
+def _disc(radius: int) -> Picture:
+    return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1)), np.uint8)
 
 
 def remove_small_regions(subject: Picture) -> Picture:

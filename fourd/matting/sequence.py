@@ -9,7 +9,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -18,22 +18,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.capture import Capture
-from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
+from fourd.capture.layout import MATTES, parse_frame_range, refuse_symlinks, sample_indices
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
+from fourd.matting.mask_files import find_masks, read_mask
 from fourd.matting.motion.mattes import matting_cameras, refine_background
+from fourd.matting.motion.paint import Paint, read_strokes
 from fourd.matting.motion.sampling import sample_capture
 from fourd.matting.motion.saved_model import load_matte_maker, save_subject
 from fourd.matting.motion.subject import learn_subject
-from fourd.matting.rvm import load_rvm
+from fourd.matting.onnx_network import OnnxNetwork, load_onnx
+from fourd.matting.rvm import RVM, load_rvm
 from fourd.matting.selection import Selection
 from fourd.parallel import run_jobs, split_into_blocks
 from fourd.progress import Track
 
 Picture = NDArray[np.uint8]
 
-VERSION = 2
+VERSION = 3
 STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = Path(".fourd") / "mattes.png"
@@ -47,22 +50,30 @@ class MatteSettings:
     """Settings of matting.
 
     Attributes:
-        method: "motion" needs no network. "chroma" needs a screen of one colour. "rvm" needs a network file.
+        method: "motion" needs no network. "chroma" needs a screen of one colour. "rvm" and "onnx" need a network file.
+            "masks" needs masks of another program.
         seed: random seed for subsampling colours.
         screen: screen colour "R,G,B", each 0 to 255, or None to estimate the colour for each camera.
         rvm: TorchScript file of the Robust Video Matting network.
+        onnx: ONNX file of Robust Video Matting or of a segmentation network.
+        masks: folder with CAM/FRAME.png of another program, aligned with the recorded images.
+        paint: painted images that correct mattes by motion.
     """
 
-    method: Literal["motion", "chroma", "rvm"] = "motion"
+    method: Literal["motion", "chroma", "rvm", "onnx", "masks"] = "motion"
     seed: int = 0
     screen: str | None = None
     rvm: Path | None = None
+    onnx: Path | None = None
+    masks: Path | None = None
+    paint: tuple[Paint, ...] = ()
 
 
 def make_mattes(selection: Selection, settings: MatteSettings, workers: int, track: Track) -> int:
     """Write the mattes of a capture's undistorted images as ``.fourd/mattes/CAM/FRAME.png``.
 
-    Mattes from an earlier call with the same inputs and settings are kept. If the inputs or settings differ, all
+    The models are learned from the whole recording, whatever frames are selected. Mattes from an earlier call with the
+    same inputs and settings are kept, also those of frames that are not selected. If the inputs or settings differ, all
     mattes are computed again.
 
     Args:
@@ -78,15 +89,25 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         UserError: if no subject moves, the moving regions of the views do not intersect in space, no screen colour is
             found, or the network file is invalid.
     """
-    capture = selection.open(mattes=False)
+    # Models are learned from the whole recording, and --frames only selects the mattes to write. Optical flow may
+    # therefore reach frames that are not selected.
+    recording = replace(selection, frames=None)
+    capture = recording.open(mattes=False)
     folder = capture.path / MATTES
     refuse_symlinks(capture.path, folder)
-    _prepare_folder(folder, matte_key(capture, settings))
-    missing = [frame for frame in range(capture.frame_count) if not _is_made(folder, capture, frame)]
+    # Invalid painted images are reported before the models are learned.
+    read_strokes(settings.paint, capture, matting_cameras(capture))
+    model_key = matte_key(capture, replace(settings, paint=()))
+    _prepare_folder(folder, matte_key(capture, settings), model_key)
+    chosen = parse_frame_range(selection.frames, capture.frame_count)
+    missing = [frame for frame in chosen if not _is_made(folder, capture, frame)]
     if not missing:
         return 0
-    if settings.method == "rvm":
+    if settings.method in ("rvm", "onnx"):
         _make_network_mattes(capture, settings, folder, missing, track)
+        return len(missing)
+    if settings.method == "masks":
+        _convert_masks(capture, settings, folder, missing, track)
         return len(missing)
     model: Path | tuple[ScreenColour, ...]
     if settings.method == "chroma":
@@ -95,7 +116,9 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
         model = folder.parent / MODEL_NAME
         if not model.exists():
             _learn_subject_model(capture, settings, model, track)
-    jobs = [_Job(selection, model, folder, tuple(block)) for block in split_into_blocks(missing, workers)]
+    jobs = [
+        _Job(recording, model, folder, tuple(block), settings.paint) for block in split_into_blocks(missing, workers)
+    ]
     for _ in track(run_jobs(_make_frames, jobs, workers), len(missing), "mattes"):
         pass
     return len(missing)
@@ -106,25 +129,32 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
     digest = hashlib.sha256(
         json.dumps([VERSION, asdict(settings), capture.names, capture.frame_names], default=str).encode()
     )
-    for pattern in INPUTS:
-        for path in sorted(capture.path.glob(pattern)):
+    given = [path for path in (settings.rvm, settings.onnx) if path is not None]
+    given += [paint.path for paint in settings.paint]
+    given += [] if settings.masks is None else sorted(settings.masks.glob("*/*"))
+    for path in (*(path for pattern in INPUTS for path in sorted(capture.path.glob(pattern))), *given):
+        if path.is_file():
             status = path.stat()
             digest.update(f"{path.name} {status.st_size} {status.st_mtime_ns}".encode())
     return digest.hexdigest()
 
 
-def _prepare_folder(folder: Path, key: str) -> None:
-    """Delete mattes that were computed with another key, and unfinished files of killed processes."""
+def _prepare_folder(folder: Path, key: str, model_key: str) -> None:
+    """Delete mattes that were computed with another key, and unfinished files of killed processes.
+
+    The models are kept if only the painted images changed, which ``model_key`` does not depend on.
+    """
     state = folder.parent / STATE
     try:
-        known = json.loads(state.read_text(encoding="utf-8")).get("key")
-    except (OSError, ValueError, AttributeError):
-        known = None
-    if known != key:
-        shutil.rmtree(folder, ignore_errors=True)
+        known = dict(json.loads(state.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        known = {}
+    if known.get("model") != model_key:
         (folder.parent / MODEL_NAME).unlink(missing_ok=True)
+    if known.get("key") != key:
+        shutil.rmtree(folder, ignore_errors=True)
         (folder.parent / SHEET.name).unlink(missing_ok=True)
-        write_text_atomically(state, json.dumps({"version": VERSION, "key": key}) + "\n")
+        write_text_atomically(state, json.dumps({"version": VERSION, "key": key, "model": model_key}) + "\n")
     remove_unfinished(folder.parent)
     remove_unfinished(folder, deep=True)
 
@@ -166,9 +196,15 @@ def _make_network_mattes(
     The network starts at the first frame even if the first frame's matte exists, because the recurrent state depends on
     all earlier frames.
     """
-    if settings.rvm is None:
+    network: RVM | OnnxNetwork
+    if settings.method == "onnx":
+        if settings.onnx is None:
+            raise UserError("--onnx: expected a network file for --method onnx, got none; pass --onnx FILE")
+        network = load_onnx(settings.onnx)
+    elif settings.rvm is None:
         raise UserError("--rvm: expected a network file for --method rvm, got none; pass --rvm FILE")
-    network = load_rvm(settings.rvm)
+    else:
+        network = load_rvm(settings.rvm)
     for index, name in enumerate(capture.names):
         remaining = [frame for frame in missing if not (folder / name / f"{capture.frame_names[frame]}.png").exists()]
         if not remaining:
@@ -180,6 +216,19 @@ def _make_network_mattes(
                 write_matte(folder / name / f"{capture.frame_names[frame]}.png", matte)
 
 
+def _convert_masks(
+    capture: Capture, settings: MatteSettings, folder: Path, missing: Sequence[int], track: Track
+) -> None:
+    """Undistort the masks of another program."""
+    if settings.masks is None:
+        raise UserError("--masks: expected a folder for --method masks, got none; pass --masks FOLDER")
+    paths = find_masks(settings.masks, capture, list(missing))
+    for (camera, frame), path in track(paths.items(), len(paths), "masks"):
+        matte = folder / capture.names[camera] / f"{capture.frame_names[frame]}.png"
+        if not matte.exists():
+            write_matte(matte, read_mask(path, capture, camera))
+
+
 @dataclass(frozen=True)
 class _Job:
     """Job of a worker process: the frames whose mattes it computes.
@@ -189,12 +238,14 @@ class _Job:
         model: file of the learned model, or the screen colour of each camera.
         folder: output folder.
         frames: frame indices.
+        paint: painted images.
     """
 
     selection: Selection
     model: Path | tuple[ScreenColour, ...]
     folder: Path
     frames: tuple[int, ...]
+    paint: tuple[Paint, ...] = ()
 
 
 def _make_frames(job: _Job) -> Iterator[int]:
@@ -202,9 +253,10 @@ def _make_frames(job: _Job) -> Iterator[int]:
     cv2.setNumThreads(1)
     capture = job.selection.open(mattes=False)
     maker = load_matte_maker(job.model, matting_cameras(capture)) if isinstance(job.model, Path) else None
+    strokes = read_strokes(job.paint, capture, matting_cameras(capture))
     for frame in job.frames:
         if maker is not None:
-            mattes = maker.mattes(capture, frame)
+            mattes = maker.mattes(capture, frame, strokes)
         elif isinstance(job.model, tuple):
             mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.model)]
         for name, matte in zip(capture.names, mattes, strict=True):

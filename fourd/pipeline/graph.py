@@ -39,6 +39,7 @@ class RunRequest:
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
         still: whether the scene has no foreground; see :mod:`fourd.pipeline.stages.still`.
+        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
     """
 
     capture: Path
@@ -47,6 +48,7 @@ class RunRequest:
     points_from: Path | None = None
     lpips_weights: Path | None = None
     still: bool = False
+    accept_mattes: bool = False
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
@@ -65,7 +67,13 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
     if request.still:
         stages.append(no_points_stage(capture, run, selection))
     elif request.points_from is None:
-        carving = CarveStageSettings(selection, train.points, trim=train.trim_hull, inset=train.hull_inset)
+        carving = CarveStageSettings(
+            selection,
+            train.points,
+            trim=train.trim_hull,
+            inset=train.hull_inset,
+            accept_mattes=request.accept_mattes,
+        )
         stages.append(carve_run_stage(capture, run, carving, adjusted))
     else:
         given = GivenPointSettings(selection, train.points, train.seed)

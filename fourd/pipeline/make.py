@@ -40,6 +40,7 @@ def make_scene(
     points_from: Path | None = None,
     lpips_weights: Path | None = None,
     imports: ImportOptions | None = None,
+    accept_mattes: bool = False,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
@@ -60,6 +61,7 @@ def make_scene(
             :func:`~fourd.training.losses.lpips.load_lpips`.
         imports: options of the import. A frame rate is also stored in a source that needs no import. With None, the
             default options are used.
+        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
 
     Raises:
         UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
@@ -89,7 +91,7 @@ def make_scene(
         train = still_config(train, capture, context.log)
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
-    request = RunRequest(capture, work / RUN, train, points_from, lpips_weights, is_still)
+    request = RunRequest(capture, work / RUN, train, points_from, lpips_weights, is_still, accept_mattes)
     runner.run(stages_to_scene(request, mattes, out))
 
 

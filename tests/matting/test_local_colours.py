@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.matting.motion.channels import channel_max, channel_min, channel_sum
+from fourd.matting.channels import channel_max, channel_min, channel_sum
 from fourd.matting.motion.colour_models import BINS as COARSE_BINS
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.local_colours import BINS, LocalColours

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,19 @@ def test_changed_settings_invalidate_mattes(tmp_path: Path) -> None:
     picture = capture / "images" / "00" / "000001.png"
     picture.write_bytes(picture.read_bytes() + b"\0")
     assert make_mattes(Selection(capture), MatteSettings(seed=1), 1, untracked) == 3
+
+
+def test_models_are_learned_from_the_whole_recording(made: Path, tmp_path: Path) -> None:
+    """Catches a background that is learned only from the frames of --frames, and mattes of other frames that are
+    deleted."""
+    capture = tmp_path / "capture"
+    shutil.copytree(made, capture, ignore=shutil.ignore_patterns(".fourd"), copy_function=shutil.copy2)
+    assert make_mattes(Selection(capture, frames="2:4"), MatteSettings(), 1, untracked) == 2
+    found = contents(capture)
+    assert {Path(name).name for name in found} == {"000002.png", "000003.png"}
+    assert make_mattes(Selection(capture, frames="3:6"), MatteSettings(), 1, untracked) == 2
+    expected = {name: data for name, data in contents(made).items() if Path(name).stem >= "000002"}
+    assert contents(capture) == expected
 
 
 def test_a_capture_without_motion_is_an_error(tmp_path: Path) -> None:

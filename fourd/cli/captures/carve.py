@@ -57,6 +57,8 @@ class Arguments:
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     seed: int = 0
     """Random seed for the order in which points are stored."""
+    accept_mattes: bool = False
+    """Carve even if the points keep less than a third of what the mattes show."""
     workers: Workers = None
 
 
@@ -73,6 +75,7 @@ def run(arguments: Arguments) -> None:
         arguments.trim,
         arguments.inset,
         arguments.seed,
+        arguments.accept_mattes,
     )
     console = Console(stderr=True)
     Runner(Context(console, worker_count(arguments.workers))).run([carve_stage(capture, folder, settings)])

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import tyro
 from rich.console import Console
 
 from fourd.capture.layout import MATTES
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, describe, option, worker_count
+from fourd.errors import UserError
+from fourd.matting.motion.paint import parse_paint
 from fourd.matting.plates import FOLDER as PLATES
 from fourd.matting.sequence import SHEET, MatteSettings
 from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
@@ -23,10 +26,11 @@ class MatteOptions:
     """How to make mattes for a capture without the folder masks/."""
 
     method: Annotated[
-        Literal["motion", "chroma", "rvm"],
+        Literal["motion", "chroma", "rvm", "onnx", "masks"],
         describe(
             "motion: detect the subject by motion and multi-view consistency, without a pretrained network.",
             "chroma: chroma key (green screen). rvm: Robust Video Matting, a pretrained network that needs --rvm.",
+            "onnx: a network that needs --onnx. masks: masks of another program, which need --masks.",
         ),
     ] = "motion"
     screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
@@ -34,9 +38,30 @@ class MatteOptions:
     rvm: Annotated[Path | None, option("FILE", "none")] = None
     """TorchScript file of Robust Video Matting, for --method rvm. TorchScript executes code: use only trusted files."""
 
+    onnx: Annotated[Path | None, option("FILE", "none")] = None
+    """ONNX file for --method onnx: Robust Video Matting, or a network with one image input and one mask output. Needs
+    fourd[onnx]."""
+    masks: Annotated[Path | None, option("FOLDER", "none")] = None
+    """Folder with CAM/FRAME.png for --method masks. The masks are aligned with the recorded images."""
+    paint: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(metavar="CAM:FRAME=FILE.png", help_behavior_hint="(repeatable)"),
+        tyro.conf.UseAppendAction,
+    ] = ()
+    """Correct mattes by motion with a painted image: white is the subject, black the background, grey or transparent
+    unknown. The correction spreads to neighbouring frames and to the other views."""
+
     def settings(self, seed: int) -> MatteSettings:
-        """Settings of the matting stage."""
-        return MatteSettings(self.method, seed, self.screen, self.rvm)
+        """Settings of the matting stage. Raises UserError for options of another method."""
+        for name, method in (("screen", "chroma"), ("rvm", "rvm"), ("onnx", "onnx"), ("masks", "masks")):
+            if getattr(self, name) is not None and self.method != method:
+                raise UserError(
+                    f"--{name}: expected --method {method}, got --method {self.method}; add --method {method}"
+                )
+        if self.paint and self.method != "motion":
+            raise UserError(f"--paint: expected --method motion, got --method {self.method}; edit the mattes in place")
+        paint = tuple(parse_paint(text) for text in self.paint)
+        return MatteSettings(self.method, seed, self.screen, self.rvm, self.onnx, self.masks, paint)
 
 
 @dataclass(frozen=True)
@@ -61,6 +86,10 @@ def run(arguments: Arguments) -> None:
     settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
     context = Context(Console(stderr=True), worker_count(arguments.workers))
     masks = has_masks(capture)
+    if masks and arguments.mattes.paint:
+        raise UserError(
+            f"--paint: expected a capture without {MASKS}/, got {capture / MASKS}; edit these masks instead"
+        )
     Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
     lines = [
         f"{capture / MASKS}: the capture has masks, so no mattes were made"

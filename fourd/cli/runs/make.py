@@ -63,6 +63,7 @@ def run(arguments: Arguments) -> None:
         points_from=options.points_from,
         lpips_weights=options.lpips_weights,
         imports=ImportOptions(calibration=given, fps=arguments.fps),
+        accept_mattes=options.accept_mattes,
     )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True

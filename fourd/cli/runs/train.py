@@ -54,7 +54,14 @@ def run(arguments: Arguments) -> None:
     else:
         config = options.train_config()
         require_new_run(arguments.out)
-        request = RunRequest(arguments.capture, arguments.out, config, options.points_from, options.lpips_weights)
+        request = RunRequest(
+            arguments.capture,
+            arguments.out,
+            config,
+            options.points_from,
+            options.lpips_weights,
+            options.accept_mattes,
+        )
         stages = stages_to_run(request)
     Runner(context).run(stages)
     console.print(f"{arguments.out}: trained; next: fourd eval {arguments.out}", soft_wrap=True)

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.matting.motion.channels import channel_sum
+from fourd.matting.channels import channel_sum
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.matting.channels import channel_max, channel_min
 from fourd.matting.motion.agreement import NO_CELL_LOG_ODDS, VoxelGrid
 from fourd.matting.motion.background_model import BackgroundModel
-from fourd.matting.motion.channels import channel_max, channel_min
 from fourd.matting.motion.colour_models import ColourHistogram
+from fourd.matting.motion.local_evidence import LocalEvidence
 
 Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
@@ -111,18 +112,57 @@ def combine_views(
     pictures: Sequence[Picture],
     motions: Sequence[Floats | None],
     grid: VoxelGrid | None,
+    local: Sequence[LocalEvidence] | None = None,
+    painted: Sequence[Floats | None] | None = None,
 ) -> ViewEvidence:
     """Combine each camera's log-odds with the visual hull of the other views.
 
-    ``grid`` is None for a single camera or parallel cameras. Without a grid, each camera is processed independently.
+    Args:
+        appearances: colour models of each camera.
+        pictures: one frame's image (h, w, 3) of each camera.
+        motions: length (h, w) of the optical flow in pixels in each camera, or None for a capture of one frame.
+        grid: voxels of the hull, or None for a single camera or parallel cameras. Without a grid, each camera is
+            processed independently.
+        local: local colours of the background. With local colours, the result is corrected in a second pass: the result
+            of the first pass gives the local colours of the subject, and both give a second hull.
+        painted: log-odds (h, w) that the user painted, by camera; 0 where nothing is painted.
     """
+    strokes = [None] * len(pictures) if painted is None else painted
     own = [
         appearance.log_odds(rgb, motion) for appearance, rgb, motion in zip(appearances, pictures, motions, strict=True)
     ]
+    own = [_add_strokes(odds, stroke) for odds, stroke in zip(own, strokes, strict=True)]
+    views = _add_hull(appearances, own, pictures, grid)
+    if local is not None:
+        corrected = [
+            evidence.add(odds, combined, rgb, appearance.subject)
+            for evidence, odds, combined, rgb, appearance in zip(
+                local, own, views.log_odds, pictures, appearances, strict=True
+            )
+        ]
+        corrected = [_add_strokes(odds, stroke) for odds, stroke in zip(corrected, strokes, strict=True)]
+        views = _add_hull(appearances, corrected, pictures, grid)
+    if painted is None:
+        return views
+    fixed = [_add_strokes(odds, stroke) for odds, stroke in zip(views.log_odds, strokes, strict=True)]
+    return ViewEvidence(tuple(fixed), views.off_hull)
+
+
+def _add_strokes(odds: Floats, painted: Floats | None) -> Floats:
+    """Add painted log-odds, and limit the sum at painted pixels to MAX_LOG_ODDS."""
+    if painted is None:
+        return odds
+    return np.where(painted == 0, odds, np.clip(odds + painted, -MAX_LOG_ODDS, MAX_LOG_ODDS))
+
+
+def _add_hull(
+    appearances: Sequence[Appearance], own: Sequence[Floats], pictures: Sequence[Picture], grid: VoxelGrid | None
+) -> ViewEvidence:
+    """Add the evidence of the other views' visual hull to the log-odds ``own`` (h, w) of each camera."""
     scores = None if grid is None else grid.scores(own)
     log_odds, off_hull = [], []
     for index, (appearance, rgb) in enumerate(zip(appearances, pictures, strict=True)):
-        odds = own[index]
+        odds = own[index].copy()
         prior = np.full(odds.shape, NO_CELL_LOG_ODDS) if scores is None else scores.prior(index)
         on_hull = prior > HULL_THRESHOLD
         if scores is not None:

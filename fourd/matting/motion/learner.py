@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.matting.channels import channel_max
 from fourd.matting.motion.background_model import BackgroundModel, fit_background
-from fourd.matting.motion.channels import channel_max
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.evidence import Appearance, probability
 from fourd.matting.motion.local_colours import LocalColours
@@ -37,6 +37,8 @@ CONFIRMED_FRAMES = 1.5
 A frame counts if the pixel is outside the other views' hull and the pixel's colour matches the background model.
 """
 MIN_CONFIRMATION = np.float32(0.03)
+TRUST_SLOPE = np.float32(5.0)
+"""A trusted probability confirms background below the inverse of this value."""
 
 
 @dataclass(eq=False)
@@ -89,13 +91,14 @@ class Learner:
         """Replace the subject colours of ``appearance``."""
         self.appearance = replace(self.appearance, subject=colours)
 
-    def update(self, alpha: Floats, off_hull: Flags, rng: np.random.Generator) -> None:
+    def update(self, alpha: Floats, off_hull: Flags, rng: np.random.Generator, is_trusted: bool = False) -> None:
         """Update the camera's models of subject and background.
 
         Args:
             alpha: (T, h, w) probabilities that a pixel shows the subject.
             off_hull: (T, h, w) bool, True outside the other views' visual hull.
             rng: random generator for subsampling colours.
+            is_trusted: whether a low probability alone confirms the background inside the other views' hull.
         """
         rgb = self.sample.rgb
         dilated = np.stack([cv2.dilate(frame, np.ones((3, 3), np.uint8)) for frame in alpha])
@@ -103,7 +106,11 @@ class Learner:
         free *= np.maximum(self._stillness, off_hull)
         odds = self._colour_log_odds(self._confirmed_background(free * off_hull))
         weights = free * np.maximum(_background_weight(odds), np.float32(0.5) * off_hull)
-        self._set_background(weights, weights * np.maximum(_background_confirmation(odds), off_hull))
+        confirmation = np.maximum(_background_confirmation(odds), off_hull)
+        if is_trusted:
+            trusted = np.clip(1 - TRUST_SLOPE * dilated, 0, 1)
+            weights, confirmation = np.maximum(weights, trusted), np.maximum(confirmation, trusted)
+        self._set_background(weights, weights * confirmation)
         confident = alpha > 0.8
         if confident.sum() > 500:
             self.subject = ColourHistogram.from_colours(_subsample(rgb[confident], rng))

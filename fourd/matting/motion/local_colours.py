@@ -17,8 +17,6 @@ BINS = 16
 SPREAD_BINS = 0.6
 REACH_PX = 20.0
 """Standard deviation of the spatial smoothing in pixels."""
-STEP_PX = 10
-"""Grid spacing in pixels: half of REACH_PX, so that interpolation artefacts are negligible."""
 GLOBAL_WEIGHT = 4.0
 """Weight of the whole image's histogram in each local histogram, as a number of pixels.
 
@@ -28,33 +26,49 @@ The whole image's histogram dominates at grid points that are far from all count
 
 @dataclass(frozen=True, eq=False)
 class LocalColours:
-    """Local colour distributions: log densities (rows, columns, BINS ** 3) float32 over 8-bit RGB space."""
+    """Local colour distributions over 8-bit RGB space.
+
+    Attributes:
+        log_density: (rows, columns, bins ** 3) float32 log densities at the grid points.
+        step_px: grid spacing in pixels.
+        bins: number of bins along each colour axis.
+    """
 
     log_density: Floats
+    step_px: int
+    bins: int
 
     @staticmethod
-    def from_picture(rgb: Picture, counted: NDArray[np.bool_]) -> LocalColours:
-        """Compute local histograms of an image (h, w, 3) from the pixels for which ``counted`` (h, w) is True."""
+    def from_picture(
+        rgb: Picture, counted: NDArray[np.bool_], reach_px: float = REACH_PX, bins: int = BINS
+    ) -> LocalColours:
+        """Compute local histograms of an image (h, w, 3) from the pixels for which ``counted`` (h, w) is True.
+
+        ``reach_px`` is the standard deviation of the spatial smoothing in pixels. The grid spacing is half of it, so
+        that interpolation artefacts are negligible. The time is proportional to ``bins`` ** 3 / ``reach_px`` ** 2.
+        """
         height, width = counted.shape
-        rows, columns = height // STEP_PX + 2, width // STEP_PX + 2
+        step = max(1, round(reach_px / 2))
+        rows, columns = height // step + 2, width // step + 2
         y, x = np.nonzero(counted)
-        cells = ((y // STEP_PX) * columns + x // STEP_PX) * BINS**3 + bin_indices(rgb[counted], BINS)
-        shape = (rows, columns, BINS, BINS, BINS)
-        counts = np.bincount(cells, minlength=rows * columns * BINS**3).reshape(shape).astype(np.float32)
-        reach = REACH_PX / STEP_PX
+        cells = ((y // step) * columns + x // step) * bins**3 + bin_indices(rgb[counted], bins)
+        shape = (rows, columns, bins, bins, bins)
+        counts = np.bincount(cells, minlength=rows * columns * bins**3).reshape(shape).astype(np.float32)
+        reach = reach_px / step
         counts = gaussian_filter(counts, (reach, reach, *(SPREAD_BINS,) * 3), mode="constant", truncate=2.5)
         overall = counts.sum(axis=(0, 1))
         overall /= max(float(overall.sum()), 1e-9)
         total = counts.sum(axis=(2, 3, 4), keepdims=True)
         share = (counts + GLOBAL_WEIGHT * overall) / (total + GLOBAL_WEIGHT)
-        return LocalColours(log_density(share, BINS).reshape(rows, columns, -1))
+        return LocalColours(log_density(share, bins).reshape(rows, columns, -1), step, bins)
 
     def log_likelihood(self, rgb: Picture) -> Floats:
         """Log densities (h, w) at an image's colours (h, w, 3), interpolated bilinearly between grid points."""
         height, width = rgb.shape[:2]
         rows, columns = self.log_density.shape[:2]
-        bins = bin_indices(rgb, BINS)
-        (upper, down), (left, right) = _interpolation(height, rows), _interpolation(width, columns)
+        bins = bin_indices(rgb, self.bins)
+        upper, down = _interpolation(height, rows, self.step_px)
+        left, right = _interpolation(width, columns, self.step_px)
         down, right = down[:, None], right[None]
 
         def at(row: int, column: int) -> Floats:
@@ -65,12 +79,12 @@ class LocalColours:
         return np.asarray((1 - down) * above + down * below, np.float32)
 
 
-def _interpolation(size: int, points: int) -> tuple[NDArray[np.intp], Floats]:
-    """Linear interpolation along one image axis of ``size`` pixels with ``points`` grid points.
+def _interpolation(size: int, points: int, step_px: int) -> tuple[NDArray[np.intp], Floats]:
+    """Linear interpolation along one image axis of ``size`` pixels with ``points`` grid points, ``step_px`` apart.
 
     Returns:
         For each pixel, the index of the grid point before the pixel, and the weight in [0, 1] of the next grid point.
     """
-    position = (np.arange(size) + 0.5) / STEP_PX - 0.5
+    position = (np.arange(size) + 0.5) / step_px - 0.5
     before = np.clip(np.floor(position), 0, points - 2).astype(np.intp)
     return before, np.clip(position - before, 0, 1).astype(np.float32)

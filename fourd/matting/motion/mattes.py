@@ -15,6 +15,8 @@ from fourd.matting.edges import refine_matte
 from fourd.matting.motion.agreement import VoxelGrid
 from fourd.matting.motion.background_model import BackgroundModel
 from fourd.matting.motion.evidence import Appearance, combine_views
+from fourd.matting.motion.local_evidence import LocalEvidence, local_evidence
+from fourd.matting.motion.paint import Strokes, strokes_in_frame
 from fourd.matting.motion.sampling import flow_frame, flow_length_px, learning_frames, reduce_picture
 from fourd.matting.motion.subject import Subject
 
@@ -36,11 +38,13 @@ class MatteMaker:
         appearances: one appearance per camera, at the image size of ``cameras``.
         cameras: cameras of the reduced images from which log-odds are computed.
         grid: voxel grid for multi-view consistency, or None if the views cannot be combined.
+        local: local colours of each camera's background.
     """
 
     appearances: tuple[Appearance, ...]
     cameras: tuple[Camera, ...]
     grid: VoxelGrid | None
+    local: tuple[LocalEvidence, ...]
 
     @staticmethod
     def from_subject(subject: Subject, backgrounds: Sequence[BackgroundModel], cameras: Sequence[Camera]) -> MatteMaker:
@@ -52,10 +56,11 @@ class MatteMaker:
             appearance.with_background(fine) for appearance, fine in zip(subject.appearances, backgrounds, strict=True)
         )
         grid = None if subject.box is None else VoxelGrid.covering(*subject.box, cameras)
-        return MatteMaker(appearances, tuple(cameras), grid)
+        local = local_evidence(backgrounds, [appearance.region for appearance in appearances])
+        return MatteMaker(appearances, tuple(cameras), grid, tuple(local))
 
-    def mattes(self, capture: Capture, frame: int) -> list[Picture]:
-        """Compute the matte (H, W) uint8 of each camera for one frame."""
+    def mattes(self, capture: Capture, frame: int, strokes: Sequence[Strokes] = ()) -> list[Picture]:
+        """Compute the matte (H, W) uint8 of each camera for one frame, with the user's ``strokes`` on any frames."""
         other = flow_frame(frame, capture.frame_count)
         pictures: list[Picture] = []
         small: list[Picture] = []
@@ -74,7 +79,8 @@ class MatteMaker:
         matched = [
             appearance.match_exposure(picture) for appearance, picture in zip(self.appearances, small, strict=True)
         ]
-        views = combine_views(self.appearances, matched, motions, self.grid)
+        painted = strokes_in_frame(strokes, capture, self.cameras, frame) if strokes else None
+        views = combine_views(self.appearances, matched, motions, self.grid, self.local, painted)
         return [
             refine_matte(odds, picture, _sharp_background(appearance, picture))
             for odds, picture, appearance in zip(views.log_odds, pictures, self.appearances, strict=True)

@@ -84,12 +84,18 @@ def reduce_picture(picture: Picture, camera: Camera) -> Picture:
 
 def flow_length_px(before: Picture, after: Picture) -> Floats:
     """Length (H, W) in pixels of the optical flow between two images (H, W, 3) (DIS, Kroeger et al. 2016)."""
+    return np.linalg.norm(flow_field(before, after), axis=-1).astype(np.float32)
+
+
+def flow_field(before: Picture, after: Picture) -> Floats:
+    """Optical flow (H, W, 2) in pixels, x then y, between two images (H, W, 3) (DIS, Kroeger et al. 2016).
+
+    The flow is 0 for images with a side below 32 pixels.
+    """
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     grey = [cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) for picture in (before, after)]
-    if min(grey[0].shape) < 32:
-        return np.zeros(grey[0].shape, np.float32)
-    flow = search.calc(grey[0], grey[1], np.zeros((*grey[0].shape, 2), np.float32))
-    return np.linalg.norm(flow, axis=-1).astype(np.float32)
+    still = np.zeros((*grey[0].shape, 2), np.float32)
+    return still if min(grey[0].shape) < 32 else np.asarray(search.calc(grey[0], grey[1], still), np.float32)
 
 
 def _scale(cameras: tuple[Camera, ...], frames: int) -> float:

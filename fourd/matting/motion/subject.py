@@ -23,6 +23,7 @@ from fourd.matting.motion.agreement import VoxelGrid
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.evidence import Appearance, combine_views, probability
 from fourd.matting.motion.learner import Learner
+from fourd.matting.motion.local_evidence import LocalEvidence, local_evidence
 from fourd.matting.motion.motion_extent import MotionExtent
 from fourd.matting.motion.sampling import CameraSample
 from fourd.progress import Track
@@ -31,6 +32,9 @@ Floats = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 
 ITERATIONS = 4
+LOCAL_ITERATIONS = 1
+"""Number of iterations, after the others, whose E-step uses local colours. Their M-step trusts the probabilities inside
+the other views' hull too, so that background between the subject's limbs becomes known."""
 MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels in at least one camera. With fewer changing pixels in every camera, there is no
 moving subject."""
@@ -87,21 +91,29 @@ def learn_subject(samples: Sequence[CameraSample], names: Sequence[str], seed: i
         for sample, extent, region in track(inputs, len(samples), "initialisation")
     ]
     _pool_subject_colours(learners)
-    for _ in track(range(ITERATIONS), ITERATIONS, "learning"):
+    iterations = ITERATIONS + LOCAL_ITERATIONS
+    for number in track(range(iterations), iterations, "learning"):
+        local = None if number < ITERATIONS else _local_evidence(learners)
         frames = [
             combine_views(
                 [learner.appearance for learner in learners],
                 [sample.rgb[frame] for sample in samples],
                 [sample.motion_px[frame].astype(np.float32) for sample in samples],
                 grid,
+                local,
             )
             for frame in range(len(samples[0].rgb))
         ]
         for index, learner in enumerate(learners):
             alpha = np.stack([probability(views.log_odds[index]) for views in frames])
-            learner.update(alpha, np.stack([views.off_hull[index] for views in frames]), rng)
+            learner.update(alpha, np.stack([views.off_hull[index] for views in frames]), rng, local is not None)
         _pool_subject_colours(learners)
     return Subject(tuple(learner.appearance for learner in learners), cameras, box)
+
+
+def _local_evidence(learners: Sequence[Learner]) -> list[LocalEvidence]:
+    appearances = [learner.appearance for learner in learners]
+    return local_evidence([each.background for each in appearances], [each.region for each in appearances])
 
 
 def _pool_subject_colours(learners: Sequence[Learner]) -> None:

@@ -7,12 +7,16 @@ from pathlib import Path
 
 from fourd.capture import Capture, open_capture
 from fourd.carving import carve_capture
+from fourd.carving.matte_quality import measure_mattes
 from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
 from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run_views
 from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
+
+MEASURED_FRAMES = 6
+"""Number of frames whose mattes are measured before carving."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class CarveStageSettings:
         trim: whether to remove protruding parts of the hull that no silhouette needs.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: random seed for the order of the points.
+        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
     """
 
     selection: DataSelection
@@ -52,6 +57,7 @@ class CarveStageSettings:
     trim: bool = True
     inset: float = 0.0
     seed: int = 0
+    accept_mattes: bool = False
 
 
 def carve_stage(capture: Path, hull: Path, settings: CarveStageSettings) -> Stage[CarveFiles, CarveStageSettings]:
@@ -91,6 +97,8 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
             f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
             f"make mattes with: fourd matte {capture.path}"
         )
+    if not settings.accept_mattes:
+        _require_hull(capture, settings, context)
     files.hull.parent.mkdir(parents=True, exist_ok=True)
     carve_capture(
         capture,
@@ -104,6 +112,19 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
         track=context.track,
         workers=context.workers,
     )
+
+
+def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
+    """Raise UserError if the hulls of a few frames keep less than a third of what the mattes show."""
+    quality = measure_mattes(
+        capture,
+        agreement=settings.agreement,
+        least_views=settings.least_views,
+        max_frames=MEASURED_FRAMES,
+        track=context.track,
+    )
+    if quality is not None:
+        quality.require_hull(capture.path)
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:

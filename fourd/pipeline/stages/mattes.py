@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.capture import open_capture
+from fourd.capture import Capture, open_capture
+from fourd.capture.layout import DERIVED
 from fourd.capture.video_index import index_capture
+from fourd.carving.matte_quality import measure_mattes
 from fourd.matting.contact_sheet import write_contact_sheet
 from fourd.matting.selection import Selection
 from fourd.matting.sequence import SHEET, MatteSettings, make_mattes
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
+
+QUALITY = DERIVED / "matte_quality.json"
+"""File with the share of each matte that the other views explain, by frame and camera."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,16 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
     sheet = files.capture / SHEET
     if made or not sheet.exists():
         views = None if settings.views is None else list(settings.views)
-        write_contact_sheet(
-            open_capture(files.capture, views=views, frames=settings.frames), sheet, track=context.track
-        )
+        capture = open_capture(files.capture, views=views, frames=settings.frames)
+        write_quality(capture, context)
+        write_contact_sheet(capture, sheet, track=context.track)
+
+
+def write_quality(capture: Capture, context: Context) -> None:
+    """Measure how well the views' mattes agree, write the shares to QUALITY, and report poor mattes."""
+    quality = measure_mattes(capture, track=context.track)
+    if quality is None:
+        return
+    quality.save(capture.path / QUALITY)
+    for line in quality.warnings():
+        context.log(line)

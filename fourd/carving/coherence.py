@@ -1,0 +1,122 @@
+"""Agreement of mattes: how much of each matte the visual hull of the other views explains.
+
+The score needs no ground truth. It is a directed form of silhouette coherence (Hernandez et al. 2007), which compares
+silhouettes with the silhouettes of their visual hull. A matte that shows too much is not explained by the other views.
+If the matte of one view misses a part of the object, the hull misses this part too, and all other mattes get low
+scores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.carving.bounds import candidate_cells, viewing_region
+from fourd.carving.hull import Silhouettes, refine, view_distance
+from fourd.carving.silhouette import Floats
+
+Flags = NDArray[np.bool_]
+
+MAX_CELLS = 40_000
+"""Cells are subdivided while there are at most so many of them."""
+THRESHOLD = 128
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCoherence:
+    """Agreement of the mattes of one frame. Views with an empty matte have the value NaN.
+
+    Attributes:
+        explained: (C,) share in [0, 1] of each view's matte that the silhouette of the other views' hull covers.
+        kept: (C,) share in [0, 1] of each view's matte that the silhouette of the hull of all views covers.
+        overlap: (C,) intersection over union of each view's matte and the silhouette of the hull of all views.
+        area: (C,) share in [0, 1] of the image that each matte covers; 0 for an empty matte.
+    """
+
+    explained: NDArray[np.float64]
+    kept: NDArray[np.float64]
+    overlap: NDArray[np.float64]
+    area: NDArray[np.float64]
+
+
+def frame_coherence(
+    masks: Sequence[NDArray[np.uint8]],
+    cameras: Sequence[Camera],
+    *,
+    agreement: float = 0.95,
+    least_views: float = 1 / 2,
+) -> FrameCoherence:
+    """Compare the mattes of one frame with the silhouettes of their visual hulls.
+
+    The hulls consist of cells, about 100 or more along the object's longest side.
+
+    Args:
+        masks: mattes (H, W) uint8, one per camera and at least 2; 255 is the object.
+        cameras: undistorted pinhole cameras.
+        agreement: share in (0, 1] of the views that see a hull point and must contain it.
+        least_views: share in (0, 1] of all views that must see a hull point.
+    """
+    focus, reach = viewing_region(cameras)
+    views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
+    # A cell of a hull of all views but one is inside this one view or not.
+    count = len(views.views)
+    rejecting = int(views.tolerated_outliers(np.array(count))) + 1
+    cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)
+    while 0 < cells.shape[1] <= MAX_CELLS:
+        cells, size = refine(cells, size)
+    seen, outside = _votes(views, cells, size)
+    shares, area = np.full((3, len(masks)), np.nan), np.zeros(len(masks))
+    hull = _is_hull(views, seen.sum(axis=0), outside.sum(axis=0))
+    for index, mask in enumerate(masks):
+        matte = mask >= THRESHOLD
+        if not matte.any():
+            continue
+        area[index] = matte.mean()
+        others = _is_hull(views.without(index), seen.sum(axis=0) - seen[index], outside.sum(axis=0) - outside[index])
+        whole = _silhouette(cells[:, hull] + focus[:, None], size, cameras[index])
+        rest = _silhouette(cells[:, others] + focus[:, None], size, cameras[index])
+        pixels = np.count_nonzero(matte)
+        shares[:, index] = (
+            np.count_nonzero(matte & rest) / pixels,
+            np.count_nonzero(matte & whole) / pixels,
+            np.count_nonzero(matte & whole) / np.count_nonzero(matte | whole),
+        )
+    return FrameCoherence(*shares, area)
+
+
+def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:
+    """Two arrays (C, N): whether each view sees each cell's centre, and whether its silhouette excludes the cell."""
+    seen = np.zeros((len(views.views), cells.shape[1]), np.bool_)
+    outside = np.zeros_like(seen)
+    for index, view in enumerate(views.views):
+        if cells.shape[1] == 0:
+            break
+        distance, seen[index] = view_distance(view, cells)
+        outside[index] = seen[index] & (distance < 0)
+    return seen, outside
+
+
+def _is_hull(views: Silhouettes, seen: NDArray[np.int64], outside: NDArray[np.int64]) -> Flags:
+    return np.asarray((seen >= views.needed) & (outside <= views.tolerated_outliers(seen)), np.bool_)
+
+
+def _silhouette(xyz: NDArray[np.float64], size: float, camera: Camera) -> Flags:
+    """Silhouette (H, W) of cells with centres (3, N) and side ``size`` in one camera."""
+    picture = np.zeros((camera.height, camera.width), np.uint8)
+    if xyz.shape[1] == 0:
+        return picture > 0
+    position, depth = camera.project(xyz.T)
+    column, row = np.floor(position[:, 0]), np.floor(position[:, 1])
+    sees = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    if not sees.any():
+        return picture > 0
+    picture[row[sees].astype(np.intp), column[sees].astype(np.intp)] = 1
+    # Closing fills the gaps between the projections of neighbouring centres, whose hull the centres do not fill.
+    width = int(np.ceil(1.5 * camera.intrinsics[1, 1] * size / float(np.median(depth[sees])))) | 1
+    square = np.ones((width, width), np.uint8)
+    return np.asarray(cv2.morphologyEx(picture, cv2.MORPH_CLOSE, square) > 0)

@@ -1,0 +1,127 @@
+"""Where the mattes of a capture are poor: frames and views in which few other views confirm the matte."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.capture.layout import sample_indices
+from fourd.carving.coherence import frame_coherence
+from fourd.carving.mask_source import MaskSource, frame_masks
+from fourd.errors import UserError
+from fourd.files import write_text_atomically
+from fourd.progress import Track, untracked
+
+POOR = 0.7
+"""Share of a matte below which a view and frame are reported."""
+MIN_KEPT = 1 / 3
+"""Minimum share of the mattes that the hull must keep."""
+MAX_FRAMES = 48
+MAX_LINES = 8
+
+
+@dataclass(frozen=True, eq=False)
+class MatteQuality:
+    """Agreement of the mattes of a capture.
+
+    Attributes:
+        names: camera names.
+        frames: numbers of the F measured frames in the whole capture.
+        explained: (F, C) share in [0, 1] of each matte that the hull of the other views explains; NaN if it is empty.
+        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers; NaN if it is empty.
+        overlap: (F, C) intersection over union of each matte and the hull's silhouette; NaN if the matte is empty.
+        area: (F, C) share in [0, 1] of the image that each matte covers.
+    """
+
+    names: tuple[str, ...]
+    frames: tuple[int, ...]
+    explained: NDArray[np.float64]
+    kept: NDArray[np.float64]
+    overlap: NDArray[np.float64]
+    area: NDArray[np.float64]
+
+    @property
+    def kept_share(self) -> float:
+        """Share in [0, 1] of the mattes' area that the hull of all views covers, or 1 if all mattes are empty."""
+        total = float(self.area.sum())
+        return float(np.nansum(self.kept * self.area)) / total if total else 1.0
+
+    def warnings(self) -> list[str]:
+        """One line per view and run of frames in which the other views explain too little of the matte, worst first."""
+        found = sorted(self._poor_runs())
+        lines = [
+            f"{name}, {_frame_range(first, last)}: the other views explain {share:.0%} of this matte"
+            for share, name, first, last in found[:MAX_LINES]
+        ]
+        if len(found) > MAX_LINES:
+            lines.append(f"and {len(found) - MAX_LINES} more views and frames with poor mattes")
+        return lines
+
+    def _poor_runs(self) -> Iterator[tuple[float, str, int, int]]:
+        """Yield mean explained share, camera name, first and last frame of each run of poor mattes."""
+        for index, name in enumerate(self.names):
+            poor = self.explained[:, index] < POOR
+            starts = np.flatnonzero(poor & ~np.r_[False, poor[:-1]])
+            ends = np.flatnonzero(poor & ~np.r_[poor[1:], False])
+            for start, end in zip(starts, ends, strict=True):
+                share = float(np.mean(self.explained[start : end + 1, index]))
+                yield share, name, self.frames[start], self.frames[end]
+
+    def require_hull(self, path: Path) -> None:
+        """Raise UserError if the hull keeps less than a third of what the mattes show."""
+        if self.kept_share >= MIN_KEPT:
+            return
+        worst = next(iter(self.warnings()), "no view is much worse than the others")
+        raise UserError(
+            f"{path}: expected mattes of which carving keeps at least a third, got {self.kept_share:.0%} "
+            f"({worst}); fix the mattes (docs/matting.md), check the calibration with fourd check, or continue with "
+            "--accept-mattes"
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the shares to a JSON file, with null for empty mattes."""
+        tables = {
+            name: [[None if np.isnan(value) else round(float(value), 4) for value in row] for row in table]
+            for name, table in (("explained", self.explained), ("kept", self.kept), ("overlap", self.overlap))
+        }
+        text = json.dumps({"version": 1, "cameras": self.names, "frames": self.frames, **tables})
+        write_text_atomically(path, text + "\n")
+
+
+def measure_mattes(
+    capture: MaskSource,
+    *,
+    agreement: float = 0.95,
+    least_views: float = 1 / 2,
+    max_frames: int = MAX_FRAMES,
+    track: Track = untracked,
+) -> MatteQuality | None:
+    """Measure the agreement of the mattes in at most ``max_frames`` evenly spaced frames of a capture.
+
+    The result is None with fewer than three cameras, because two silhouettes nearly always have a common hull. Frames
+    are read one at a time.
+    """
+    if len(capture.cameras) < 3 or capture.frame_count == 0:
+        return None
+    frames = sample_indices(capture.frame_count, max_frames)
+    found = [
+        frame_coherence(frame_masks(capture, frame), capture.cameras, agreement=agreement, least_views=least_views)
+        for frame in track(frames, len(frames), "agreement")
+    ]
+    return MatteQuality(
+        tuple(capture.names),
+        tuple(capture.frame_numbers[frame] for frame in frames),
+        np.stack([each.explained for each in found]),
+        np.stack([each.kept for each in found]),
+        np.stack([each.overlap for each in found]),
+        np.stack([each.area for each in found]),
+    )
+
+
+def _frame_range(first: int, last: int) -> str:
+    return f"frame {first}" if first == last else f"frames {first} to {last}"

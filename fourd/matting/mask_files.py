@@ -1,0 +1,64 @@
+"""Masks of another program as mattes: FOLDER/CAM/FRAME.png, aligned with the recorded images."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.capture import Capture
+from fourd.capture.decoding import decode_matte
+from fourd.capture.layout import find_pictures
+from fourd.capture.reader import undistortion_maps
+from fourd.errors import UserError
+
+Picture = NDArray[np.uint8]
+
+
+def find_masks(folder: Path, capture: Capture, frames: list[int]) -> dict[tuple[int, int], Path]:
+    """Paths of the masks of all cameras in ``frames``, by camera and frame.
+
+    Raises:
+        UserError: if the folder or a mask is missing. The message names the first missing file.
+    """
+    if not folder.is_dir():
+        got = "a file" if folder.exists() else "no such folder"
+        raise UserError(f"--masks {folder}: expected a folder with CAM/FRAME.png, got {got}; check the path")
+    paths = {}
+    for camera, name in enumerate(capture.names):
+        found = find_pictures(folder / name)
+        missing = [frame for frame in frames if capture.frame_names[frame] not in found]
+        if missing:
+            more = f" ({len(missing) - 1} more masks of this camera are missing)" if len(missing) > 1 else ""
+            raise UserError(
+                f"{folder / name / capture.frame_names[missing[0]]}.png: expected a mask for each image of camera "
+                f"'{name}', got no such file{more}; add the masks, or select other frames with --frames"
+            )
+        paths |= {(camera, frame): folder / name / found[capture.frame_names[frame]] for frame in frames}
+    return paths
+
+
+def read_mask(path: Path, capture: Capture, camera: int) -> Picture:
+    """Read a mask and undistort it: (H, W) uint8 like the capture's undistorted images, 255 = subject.
+
+    Raises:
+        UserError: if the file is damaged or has another size than the camera's images.
+    """
+    mask = decode_matte(path)
+    stored = capture.distorted_cameras[camera]
+    require_size(mask, path, stored.width, stored.height, capture.names[camera])
+    if stored.distortion is not None:
+        maps = undistortion_maps(stored)
+        mask = np.asarray(cv2.remap(mask, maps[0], maps[1], cv2.INTER_LINEAR), np.uint8)
+    return mask
+
+
+def require_size(mask: Picture, path: Path, width: int, height: int, name: str) -> None:
+    """Raise UserError unless a mask (H, W[, C]) has the size of the images of camera ``name``."""
+    if mask.shape[:2] != (height, width):
+        raise UserError(
+            f"{path}: expected {width} x {height} pixels like camera '{name}', got {mask.shape[1]} x {mask.shape[0]}; "
+            "export the mask again at the expected size"
+        )

@@ -1,0 +1,85 @@
+"""Log-odds from local colours, at pixels whose background is unknown.
+
+The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image. A colour that occurs on the
+subject and on the floor is ambiguous there, but seldom next to the part of the subject that has this colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.matting.motion.background_model import BackgroundModel
+from fourd.matting.motion.colour_models import ColourHistogram
+from fourd.matting.motion.local_colours import LocalColours
+
+Floats = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+REACH_PX = 40.0
+BINS = 12
+MIN_CONFIDENCE = 0.9
+SUBJECT_LOG_ODDS = np.float32(2.0)
+"""Log-odds above which a pixel's colour counts as a colour of the subject."""
+GLOBAL_SHARE = 0.15
+"""Weight of the subject's colours in the whole recording, for parts whose colours no certain pixel nearby has."""
+MAX_LOG_ODDS = np.float32(8.0)
+WEIGHT = np.float32(0.6)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalEvidence:
+    """Local colours of one camera's background, around the subject.
+
+    Attributes:
+        window: rows and columns of the image that contain the subject in all frames.
+        background: colours of the known background.
+        weight: factor (h, w) in [0, WEIGHT] on the log-odds in the window. It is 0 where the background is known.
+    """
+
+    window: tuple[slice, slice]
+    background: LocalColours
+    weight: Floats
+
+    @staticmethod
+    def from_background(background: BackgroundModel, region: NDArray[np.bool_]) -> LocalEvidence:
+        """Collect the colours of the known background of one camera near the subject's ``region`` (h, w)."""
+        left, top, width, height = cv2.boundingRect(region.astype(np.uint8))
+        margin = round(REACH_PX / 2)
+        window = (
+            slice(max(0, top - margin), max(1, top + height + margin)),
+            slice(max(0, left - margin), max(1, left + width + margin)),
+        )
+        plate = np.clip(background.mean[window], 0, 255).astype(np.uint8)
+        confidence = background.confidence[window]
+        colours = LocalColours.from_picture(plate, confidence > MIN_CONFIDENCE, REACH_PX, BINS)
+        return LocalEvidence(window, colours, WEIGHT * (1 - confidence))
+
+    def add(self, own: Floats, combined: Floats, rgb: Picture, subject: ColourHistogram) -> Floats:
+        """Add local evidence to the log-odds ``own`` (h, w) of one frame's image (h, w, 3).
+
+        Pixels that have high log-odds both in ``own`` and in ``combined`` (h, w) supply the subject's local colours.
+        """
+        if not self.weight.any():
+            return own
+        part = np.ascontiguousarray(rgb[self.window])
+        certain = np.minimum(own[self.window], combined[self.window]) > SUBJECT_LOG_ODDS
+        local = LocalColours.from_picture(part, certain, REACH_PX, BINS).log_likelihood(part)
+        general = subject.log_likelihood(part)
+        front = np.logaddexp(local + np.log(1 - GLOBAL_SHARE), general + np.log(GLOBAL_SHARE))
+        odds = cv2.GaussianBlur((front - self.background.log_likelihood(part)).astype(np.float32), (5, 5), 1)
+        total = own.copy()
+        total[self.window] += self.weight * np.clip(odds, -MAX_LOG_ODDS, MAX_LOG_ODDS)
+        return np.clip(total, -MAX_LOG_ODDS, MAX_LOG_ODDS)
+
+
+def local_evidence(backgrounds: Sequence[BackgroundModel], regions: Sequence[NDArray[np.bool_]]) -> list[LocalEvidence]:
+    """The local evidence of each camera."""
+    return [
+        LocalEvidence.from_background(background, region)
+        for background, region in zip(backgrounds, regions, strict=True)
+    ]

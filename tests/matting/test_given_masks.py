@@ -1,0 +1,112 @@
+"""Masks of other programs and painted images."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from fourd.capture import open_capture
+from fourd.errors import UserError
+from fourd.matting.motion.mattes import matting_cameras
+from fourd.matting.motion.paint import PAINTED_LOG_ODDS, Paint, parse_paint, read_strokes, strokes_in_frame
+from fourd.matting.selection import Selection
+from fourd.matting.sequence import MATTES, MatteSettings, make_mattes
+from fourd.progress import untracked
+from tests.matting.captures import matte_iou, write_capture_without_masks
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A capture without masks, and its true masks in truth/ beside it. Tests must not change this capture."""
+    return write_capture_without_masks(tmp_path_factory.mktemp("given"), frames=5, size=64)
+
+
+def test_masks_of_another_program_become_mattes(capture: Path, tmp_path: Path) -> None:
+    """Catches masks of permuted cameras or frames, and a missing mask or a wrong size without its name."""
+    own, masks = tmp_path / "capture", tmp_path / "masks"
+    shutil.copytree(capture, own)
+    shutil.copytree(capture.parent / "truth" / "masks", masks)
+    settings = MatteSettings("masks", masks=masks)
+    assert make_mattes(Selection(own), settings, 1, untracked) == 5
+    for path in masks.glob("*/*.png"):
+        made = cv2.imread(str(own / MATTES / path.parent.name / path.name), cv2.IMREAD_GRAYSCALE)
+        assert np.array_equal(made, cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    assert cv2.imwrite(str(masks / "03" / "000002.png"), np.zeros((9, 7), np.uint8))
+    with pytest.raises(UserError, match=r"03/000002.png: expected 64 x 64 pixels like camera '03', got 7 x 9"):
+        make_mattes(Selection(own), settings, 1, untracked)
+    (masks / "03" / "000002.png").unlink()
+    with pytest.raises(UserError, match=r"03/000002.png: expected a mask for each image of camera '03', got no such"):
+        make_mattes(Selection(own), settings, 1, untracked)
+    with pytest.raises(UserError, match=r"none: expected a folder with CAM/FRAME.png, got no such folder"):
+        make_mattes(Selection(own), MatteSettings("masks", masks=tmp_path / "none"), 1, untracked)
+
+
+@pytest.mark.parametrize("text", ["cam02", "cam02=mask.png", "cam02:x=mask.png", ":4=mask.png", "cam02:4="])
+def test_paint_needs_camera_frame_and_file(text: str) -> None:
+    """Catches a painted image that is ignored because of a misspelt option."""
+    with pytest.raises(UserError, match=r"--paint: expected CAM:FRAME=FILE.png, such as cam02:40=mask.png"):
+        parse_paint(text)
+
+
+def test_wrong_painted_images_are_one_line(capture: Path, tmp_path: Path) -> None:
+    """Catches a traceback, or learning that starts before the painted images are checked."""
+    path = tmp_path / "mask.png"
+    assert cv2.imwrite(str(path), np.full((64, 64), 128, np.uint8))
+
+    def message(camera: str, frame: int) -> str:
+        with pytest.raises(UserError) as caught:
+            make_mattes(Selection(capture), MatteSettings(paint=(Paint(camera, frame, path),)), 1, untracked)
+        return str(caught.value)
+
+    assert "--paint: expected camera names among 00, 01" in message("cam9", 0)
+    assert "--paint 02:5: expected a frame from 0 to 4, got 5" in message("02", 5)
+    assert "mask.png: expected white or black strokes, got only grey" in message("02", 0)
+    assert cv2.imwrite(str(path), np.zeros((9, 7), np.uint8))
+    assert "mask.png: expected 64 x 64 pixels like camera '02', got 7 x 9" in message("02", 0)
+
+
+def test_strokes_are_carried_to_neighbouring_frames(capture: Path, tmp_path: Path) -> None:
+    """Catches strokes of the wrong sign, transparent pixels that count as black, strokes in other cameras, and strokes
+    that stay where they were painted although the subject moves."""
+    opened = open_capture(capture)
+    cameras = matting_cameras(opened)
+    picture = np.zeros((64, 64, 4), np.uint8)
+    true = cv2.imread(str(capture.parent / "truth" / "masks" / "02" / "000001.png"), cv2.IMREAD_GRAYSCALE) > 127
+    inner = cv2.erode(true.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    picture[inner] = 255
+    picture[:4] = (0, 0, 0, 255)
+    assert cv2.imwrite(str(tmp_path / "strokes.png"), picture)
+    strokes = read_strokes([Paint("02", 1, tmp_path / "strokes.png")], opened, cameras)
+    here = strokes_in_frame(strokes, opened, cameras, 1)
+    assert [index for index, odds in enumerate(here) if odds is not None] == [2]
+    odds = here[2]
+    assert odds is not None
+    assert (odds[inner] == PAINTED_LOG_ODDS).all()
+    assert (odds[:4] == -PAINTED_LOG_ODDS).all()
+    assert (odds[4:][~inner[4:]] == 0).all()
+    carried = strokes_in_frame(strokes, opened, cameras, 2)[2]
+    assert carried is not None
+    later = cv2.imread(str(capture.parent / "truth" / "masks" / "02" / "000002.png"), cv2.IMREAD_GRAYSCALE) > 127
+    assert 0 < carried.max() < PAINTED_LOG_ODDS
+    assert later[carried > 0].mean() > 0.97
+
+
+def test_a_painted_mask_changes_its_frame(capture: Path, tmp_path: Path) -> None:
+    """Catches strokes that the hull or the smoothing overrules, and models that are learned again for new strokes."""
+    own = tmp_path / "capture"
+    shutil.copytree(capture, own)
+    shutil.copytree(capture.parent / "truth", tmp_path / "truth")
+    make_mattes(Selection(own), MatteSettings(), 1, untracked)
+    model = (own / ".fourd" / "subject.npz").stat().st_mtime_ns
+    before = matte_iou(open_capture(own), tmp_path / "truth")
+    mask = tmp_path / "truth" / "masks" / "04" / "000003.png"
+    settings = MatteSettings(paint=(Paint("04", 3, mask),))
+    assert make_mattes(Selection(own), settings, 1, untracked) == 5
+    assert (own / ".fourd" / "subject.npz").stat().st_mtime_ns == model
+    after = matte_iou(open_capture(own), tmp_path / "truth")
+    assert after[4, 3] > max(0.95, before[4, 3])
+    assert after.mean() > before.mean() - 0.002
