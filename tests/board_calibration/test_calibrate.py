@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from fourd.board_calibration.detection import BoardDetector
+from fourd.board_calibration.diagnosis import suggest_fix
 from fourd.board_calibration.rig import Corners, Poses, RigState, project
 from fourd.boards import CalibrationBoard, draw_board, write_board
 from fourd.cameras import Camera
@@ -88,7 +89,17 @@ def test_the_calibration_is_replaced_as_a_whole(
 ) -> None:
     """Catches other files that are overwritten, and a failed calibration that leaves half of its results."""
     out = tmp_path / "calibration"
-    words = [videos, "--board", videos / "board.toml", "-o", out, "--intrinsics", videos / "truth"]
+    words = [
+        videos,
+        "--board",
+        videos / "board.toml",
+        "-o",
+        out,
+        "--intrinsics",
+        videos / "truth",
+        "--frames",
+        "0:24:3",
+    ]
     calibrate(capsys, *words)
     before = (out / "extri.yml").read_bytes()
     assert "--floor-frame: expected 0 to 23" in refused(capsys, *words, "--floor-frame", 24)
@@ -147,16 +158,26 @@ def test_a_chessboard_in_folders_of_images(tmp_path: Path, capsys: pytest.Captur
 
 
 @pytest.mark.parametrize(
+    ("changes", "fix"),
+    [
+        ({"columns": 5, "rows": 7}, "columns = 7, rows = 5"),
+        ({"inverted": True}, "inverted = false"),
+        ({"marker_m": None, "dictionary": None, "rows": 6}, 'pattern = "charuco", dictionary = "DICT_4X4_50"'),
+    ],
+)
+def test_the_board_in_the_images_is_recognised(changes: dict[str, object], fix: str) -> None:
+    """Catches a suggestion that does not describe the board that is seen."""
+    camera = rig_cameras(SETTINGS)[1]
+    renderer = BoardRenderer(BOARD, camera, SETTINGS.optics)
+    pictures = [renderer.render([board_pose(SETTINGS, 9.0)], np.random.default_rng(0))]
+    assert suggest_fix(replace(BOARD, **changes), pictures) == fix
+
+
+@pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"dictionary": "DICT_6X6_50"}, 'what is seen there fits dictionary = "DICT_4X4_50"; correct'),
-        ({"columns": 5, "rows": 7}, "fits columns = 7, rows = 5; correct"),
-        ({"inverted": True}, "fits inverted = false; correct"),
         ({"marker_m": 0.048}, "board.toml: marker_m: expected 0.7"),
-        (
-            {"marker_m": None, "dictionary": None, "rows": 6},
-            'fits pattern = "charuco", dictionary = "DICT_4X4_50"; cor',
-        ),
     ],
 )
 def test_a_board_that_does_not_fit_is_named(
@@ -264,11 +285,12 @@ def test_missing_arguments_are_named(videos: Path, tmp_path: Path, capsys: pytes
     assert "--offset: expected cameras among cam00, cam01, cam02, got 'cam7'" in refused(capsys, *words)
 
 
-def test_the_import_takes_the_calibration(videos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_import_takes_the_calibration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches cameras of an import that are not those of the given calibration, and a calibration that is ignored."""
-    renamed = tmp_path / "renamed"
+    videos, renamed = tmp_path / "videos", tmp_path / "renamed"
+    make_board_videos(videos, BoardSettings(frames=3, cameras=2, size=128), untracked)
     renamed.mkdir()
-    for number in range(3):
+    for number in range(2):
         shutil.copy(videos / "videos" / f"cam{number:02d}.mp4", renamed / f"view{number}.mp4")
     out = tmp_path / "capture"
     assert main(["import", str(renamed), str(out), "--calibration", str(videos / "truth")]) == 0
