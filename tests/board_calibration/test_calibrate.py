@@ -218,7 +218,7 @@ def test_boards_that_are_not_seen(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "short/b: expected at least 3 frames of a moving board, got 1" in refused(capsys, tmp_path / "short", *words)
     for name in ("a", "b"):
         write_numbered_video(tmp_path / "video" / f"{name}.mp4", range(1))
-    assert "a.mp4: expected at least 3 frames of a moving board, got 1" in refused(capsys, tmp_path / "video", *words)
+    assert "a.mp4: expected a video of at least 2 frames, got 1" in refused(capsys, tmp_path / "video", *words)
     write_images(tmp_path / "single", "a", drawn)
     assert "a: expected videos of at least two cameras, got one" in refused(capsys, tmp_path / "single", *words)
     assert "gone: expected a folder with videos of the board" in refused(capsys, tmp_path / "gone", *words)
