@@ -22,6 +22,7 @@ from fourd.errors import UserError
 from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.frame_geometry import CalibratedFrames
 from fourd.importing.importer import ImportOptions, import_source
+from fourd.importing.time_offsets import SoundPosition, SyncMethod
 from fourd.progress import Tracker
 
 WORDS_HELP = (
@@ -36,6 +37,10 @@ OFFSET_HELP = (
 SCALE_HELP = (
     "CAM,CAM=METRES: distance between the optical centres of two cameras. One world unit becomes one metre. "
     "FACTOR, such as 0.5: the frames of videos and their calibrations are reduced by this factor."
+)
+SOUND_HELP = (
+    "Position of the sound in metres, to correct offsets from sound by its travel time to the cameras. centre: the "
+    "point that the cameras face. none: no correction. auto: centre if the calibration is in metres, otherwise none."
 )
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
@@ -62,11 +67,19 @@ class Arguments:
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
     sync: bool = False
-    """Estimate the videos' time offsets from motion and print them, but do not apply them. Writes a plot to
-    OUT/.fourd/sync.png."""
+    """Estimate the videos' time offsets and print them, but do not apply them. An estimate from motion writes a plot
+    to OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate the videos' time offsets. Apply each offset of more than 3 frames that has a confidence of
-    at least 0.5."""
+    """Estimate the videos' time offsets. Apply each offset that has a confidence of at least 0.5. Of offsets from
+    motion, apply only those of more than 3 frames."""
+    sync_by: Annotated[
+        SyncMethod,
+        describe(
+            "Source of estimated time offsets: the soundtracks, or the motion in the images.",
+            "auto: sound if all videos have common sound, otherwise motion.",
+        ),
+    ] = "auto"
+    sound_at: Annotated[str, tyro.conf.arg(metavar="auto|none|centre|X,Y,Z", help=SOUND_HELP)] = "auto"
     fps: FramesPerSecond = None
     resize: Annotated[
         str,
@@ -129,6 +142,8 @@ def _options(arguments: Arguments) -> ImportOptions:
         offsets=_offsets(arguments.offset),
         sync=arguments.sync,
         apply_sync=arguments.apply_sync,
+        sync_by=arguments.sync_by,
+        sound_at=_sound_position(arguments.sound_at),
         fps=arguments.fps,
         resize=arguments.resize,
         centres=arguments.centres,
@@ -152,6 +167,21 @@ def _offsets(words: Sequence[str]) -> dict[str, float]:
             raise UserError(f"--offset: expected CAM=FRAMES, each camera once, got '{part}'; write it as cam02=7")
         found[name] = int(value) if value == int(value) else value
     return found
+
+
+def _sound_position(text: str) -> SoundPosition:
+    named: dict[str, SoundPosition] = {"auto": "auto", "none": "none", "centre": "centre"}
+    if text in named:
+        return named[text]
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        raise UserError(
+            f"--sound-at: expected auto, none, centre or X,Y,Z in metres, got '{text}'; write it as 0,0,1.2"
+        )
+    return x, y, z
 
 
 def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
