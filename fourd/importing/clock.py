@@ -15,6 +15,8 @@ LONG_KEYFRAME_INTERVAL = 250
 keyframe."""
 MIN_TOLD_SECONDS = 5e-4
 """Smallest error of the frame times that a note tells."""
+MIN_TOLD_FRAMES = 0.5
+"""Smallest offset that a note tells."""
 
 
 def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
@@ -63,7 +65,7 @@ def describe_clock(videos: Mapping[str, Video]) -> list[str]:
     for name, video in videos.items():
         if video.frames_left > count:
             notes.append(f"{name}: the last {video.frames_left - count} frames are not used: other videos end earlier")
-        if video.offset:
+        if video.offset >= MIN_TOLD_FRAMES:
             notes.append(f"{name}: its first {video.offset:g} frames are skipped because of the offsets")
         longest = int(np.diff((*video.index.keyframes, video.index.frames)).max(initial=0))
         if longest > LONG_KEYFRAME_INTERVAL:

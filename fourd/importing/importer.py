@@ -30,11 +30,22 @@ from fourd.importing.record import (
     write_record,
 )
 from fourd.importing.sample_frames import SynchronizedFrames
-from fourd.importing.time_offsets import PLOT, UNRELIABLE_FRAMES, confident_offsets, find_offsets
+from fourd.importing.time_offsets import (
+    Estimate,
+    SoundPosition,
+    SyncMethod,
+    applied_offsets,
+    correct_sound_travel,
+    describe_offsets,
+    estimate_offsets_of,
+)
 from fourd.importing.writer import ImportSettings, check_import, write_capture
 from fourd.progress import Log, Track
 
 Indices = Mapping[str, VideoIndex]
+
+METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "dna-rendering")
+"""Formats whose calibrations are in metres."""
 
 MAX_SAMPLE_FRAMES = 3
 """Number of frames whose images are matched to check a calibration, if there are at most FEW_CAMERAS cameras."""
@@ -54,6 +65,9 @@ class ImportOptions:
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
         fps: frame rate of images in 1/s, or None if it is not known.
+        sync_by: source of the estimate: sound, motion, or sound where all videos have common sound.
+        sound_at: position of the sound in the world, for the correction of its travel time; see
+            :func:`fourd.importing.time_offsets.correct_sound_travel`.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
         reduce: factor in (0, 1] by which the frames of videos are reduced.
@@ -69,6 +83,8 @@ class ImportOptions:
     offsets: dict[str, float] = field(default_factory=dict)
     sync: bool = False
     apply_sync: bool = False
+    sync_by: SyncMethod = "auto"
+    sound_at: SoundPosition = "auto"
     fps: float | None = None
     resize: str = "auto"
     centres: PrincipalPointMode = "auto"
@@ -123,13 +139,18 @@ def import_source(
     write_record(out, record)
     remove_unfinished(out, deep=True)
     indices = _read_indices(imported, out, options, track)
-    offsets = dict(options.offsets)
-    if options.sync or options.apply_sync:
-        offsets = _estimate_offsets(imported, indices, out, options, log, track)
-    check_unpacked(out, started, files, offsets, options.reduce)
+    estimate = _estimate(imported, indices, out, options, log, track)
+    offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
     imported = _match_calibrations(imported, indices, options, log)
     warnings: list[str] = []
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
+    if estimate is not None:
+        is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
+        estimate = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
+        offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
+        for line in describe_offsets(estimate, options.apply_sync) if estimate.method == "sound" else ():
+            log(line)
+    check_unpacked(out, started, files, offsets, options.reduce)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
     for line in _write(imported, indices, out, options, offsets, track, with_calibration=True):
@@ -147,6 +168,8 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
         raise UserError("--calibrate: expected no --calibration, got both options; choose one")
     if options.apply_sync and options.offsets:
         raise UserError("--apply-sync: expected no --offset, got both options; choose one")
+    if not (options.sync or options.apply_sync) and (options.sync_by, options.sound_at) != ("auto", "auto"):
+        raise UserError("--sync-by, --sound-at: expected --sync or --apply-sync, got none of them; add one of them")
     check_import(imported, ImportSettings(options.copy, options.unpack, options.offsets))
     for camera in imported.cameras if options.reduce != 1 else ():
         if not isinstance(camera.frames, VideoFile) or camera.masks is not None:
@@ -168,6 +191,19 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
         if name not in names:
             raise UserError(f"--scale: expected two cameras among {', '.join(names)}, got '{name}'; name one of them")
     return False
+
+
+def _estimate(
+    imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
+) -> Estimate | None:
+    """Estimate the offsets of the videos if an option asks for it."""
+    if not (options.sync or options.apply_sync):
+        return None
+    estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
+    # Offsets from sound are logged after the correction of its travel time, which needs calibrated cameras.
+    for line in describe_offsets(estimate, options.apply_sync) if estimate.method == "motion" else ():
+        log(line)
+    return estimate
 
 
 def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:
@@ -192,26 +228,6 @@ def _match_calibrations(imported: Imported, indices: Indices, options: ImportOpt
 
 def _has_calibration(out: Path) -> bool:
     return (out / INTRINSICS_NAME).is_file() and (out / EXTRINSICS_NAME).is_file()
-
-
-def _estimate_offsets(
-    imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
-) -> dict[str, float]:
-    """Estimate and log the offsets. Returns the offsets to apply."""
-    found = find_offsets(imported.cameras, indices, out, track)
-    names = [camera.name for camera in imported.cameras]
-    applied: dict[str, float] = dict(options.offsets)
-    if options.apply_sync:
-        applied = dict(confident_offsets(names, found))
-    for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True):
-        is_small = 0 < abs(frames) <= UNRELIABLE_FRAMES
-        hint = f"; offsets up to {UNRELIABLE_FRAMES} frames are within the error of the estimate" if is_small else ""
-        state = ""
-        if options.apply_sync:
-            state = ", applied" if name in applied else ", not applied" if frames else ""
-        log(f"{name}: {frames:+d} frames, confidence {confidence:.0%}{state}{hint}")
-    log(f"plot of the motion energies: {out / PLOT}")
-    return applied
 
 
 def _calibrate(

@@ -1,35 +1,144 @@
-"""Time offsets between a source's cameras, estimated from downscaled grey images of all frames."""
+"""Time offsets between a source's cameras, estimated from their soundtracks or from the motion in their images."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.capture.focus import find_focus
 from fourd.capture.layout import DERIVED
 from fourd.capture.video import VideoIndex
 from fourd.errors import UserError
-from fourd.importing.imported import ImportedCamera
+from fourd.importing.imported import ImportedCamera, video_files
 from fourd.importing.sample_frames import SynchronizedFrames
-from fourd.progress import Track
+from fourd.progress import Log, Track
 from fourd.sync.motion import MIN_OVERLAP, Offsets, estimate_offsets, motion_energy, plot_offsets
+from fourd.sync.sound import SPEED_OF_SOUND, Soundtrack, estimate_sound_offsets, read_soundtrack, travel_times
 
 WIDTH_PX = 200
 MAX_OFFSET_FRAMES = 300
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of an offset that --apply-sync applies."""
 UNRELIABLE_FRAMES = 3
-"""Error of the estimated offsets in frames. --apply-sync applies only offsets above this error."""
+"""Error in frames of offsets from motion. --apply-sync applies only offsets from motion above this error."""
+DECIMALS = 2
+"""Decimals of the applied offsets in frames."""
 PLOT = DERIVED / "sync.png"
+
+SyncMethod = Literal["auto", "sound", "motion"]
+SoundPosition = Literal["auto", "none", "centre"] | tuple[float, float, float]
+"""Position of the sound in world units: "centre" is the point that the cameras face. "auto" is the centre if the world
+is in metres, else "none"."""
+
+
+class NoCommonSoundError(UserError):
+    """The soundtracks do not give offsets of all cameras."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated delays of all videos relative to the first camera's video.
+
+    Attributes:
+        method: "sound" or "motion".
+        frames: delays in frames of the common clock, with fractions, by camera name.
+        confidence: confidence in [0, 1] of each delay.
+        rate: frame rate of the common clock in 1/s.
+    """
+
+    method: Literal["sound", "motion"]
+    frames: dict[str, float]
+    confidence: dict[str, float]
+    rate: float
+
+    def is_sure(self, name: str) -> bool:
+        """Whether --apply-sync applies the delay of a camera."""
+        is_large = self.method == "sound" or abs(round(self.frames[name])) > UNRELIABLE_FRAMES
+        return is_large and self.confidence[name] >= MIN_CONFIDENCE
+
+
+def estimate_offsets_of(
+    cameras: tuple[ImportedCamera, ...],
+    indices: Mapping[str, VideoIndex],
+    out: Path,
+    method: SyncMethod,
+    log: Log,
+    track: Track,
+) -> Estimate:
+    """Estimate the delays of the cameras from sound or motion.
+
+    With "auto", the delays are estimated from sound if all videos have soundtracks with common sound, and from motion
+    otherwise. The log states the choice and its reason.
+
+    Raises:
+        UserError: if there are too few frames, or a frame or soundtrack cannot be decoded. With "sound", also if a
+            soundtrack is missing or silent, or has nothing in common with the others.
+    """
+    rate = float(min((index.fps for index in indices.values()), default=Fraction(1)))
+    if method != "motion":
+        try:
+            return _from_sound(cameras, indices, rate, track)
+        except NoCommonSoundError as error:
+            if method == "sound":
+                raise
+            log(f"offsets are estimated from motion, because sound gives none: {error}")
+    found = find_offsets(cameras, indices, out, track)
+    log(f"plot of the motion energies: {out / PLOT}")
+    names = [camera.name for camera in cameras]
+    frames = dict(zip(names, found.subframes, strict=True))
+    return Estimate("motion", frames, dict(zip(names, found.confidence, strict=True)), rate)
+
+
+def _from_sound(
+    cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], rate: float, track: Track
+) -> Estimate:
+    """Estimate the delays from the soundtracks. Raises NoCommonSoundError if the delay of a camera is unsure."""
+    files = video_files(cameras)
+    if len(files) < len(cameras):
+        raise NoCommonSoundError("--sync-by sound: expected videos with sound, got images; use --sync-by motion")
+    soundtracks: dict[str, Soundtrack] = {}
+    silent = []
+    for name in track(list(files), len(files), "soundtracks"):
+        found = read_soundtrack(files[name], float(indices[name].start))
+        if found is None:
+            raise NoCommonSoundError(
+                f"{files[name]}: expected a video with a soundtrack, got no soundtrack; use --sync-by motion"
+            )
+        soundtracks[name] = found
+        if found.is_silent:
+            silent.append(name)
+    if silent:
+        raise NoCommonSoundError(
+            f"{files[silent[0]]}: expected a soundtrack with sound, got silence in {', '.join(silent)}; switch the "
+            "microphones on, or use --sync-by motion"
+        )
+    for _ in track(range(1), 1, "correlating sound"):
+        offsets = estimate_sound_offsets(list(soundtracks.values()))
+    confidence = dict(zip(files, offsets.confidence, strict=True))
+    unsure = [name for name in files if confidence[name] < MIN_CONFIDENCE]
+    if unsure:
+        worst = min(unsure, key=confidence.__getitem__)
+        height = dict(zip(files, offsets.sigmas, strict=True))[worst]
+        raise NoCommonSoundError(
+            f"{files[worst]}: expected sound that all cameras record, got nothing in common in {', '.join(unsure)} "
+            f"(best match {height:.1f} standard deviations, confidence {confidence[worst]:.0%}); use --sync-by motion"
+        )
+    frames = {name: seconds * rate for name, seconds in zip(files, offsets.seconds, strict=True)}
+    return Estimate("sound", frames, confidence, rate)
 
 
 def find_offsets(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
 ) -> Offsets:
-    """Estimate the delay of each camera relative to the first camera, and plot the delays to ``out``/.fourd/sync.png.
+    """Estimate the delay of each camera relative to the first camera from motion, and plot the delays to
+    ``out``/.fourd/sync.png.
 
     The maximum offset is a third of the number of frames that all cameras have, and at most 300 frames.
 
@@ -51,13 +160,69 @@ def find_offsets(
     return found
 
 
-def confident_offsets(names: Iterable[str], found: Offsets) -> dict[str, int]:
-    """Select the offsets of more than 3 frames that have a confidence of at least 0.5, by camera name."""
-    return {
-        name: frames
-        for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True)
-        if confidence >= MIN_CONFIDENCE and abs(frames) > UNRELIABLE_FRAMES
-    }
+def correct_sound_travel(
+    estimate: Estimate, cameras: Sequence[ImportedCamera], position: SoundPosition, is_metric: bool, log: Log
+) -> Estimate:
+    """Remove the time that sound travels to the cameras from an estimate, once the cameras are calibrated.
+
+    The lags of one source of sound are sums of offsets and travel times, which cannot be separated. The position of the
+    sound is therefore not estimated: it is given, or it is the point that the cameras face.
+
+    Args:
+        estimate: delays of the videos. Delays from motion are returned unchanged.
+        cameras: cameras with their calibrations.
+        position: position of the sound.
+        is_metric: whether one world unit is known to be one metre.
+        log: called with one line that states the correction, or why there is none.
+    """
+    if estimate.method == "motion" and position not in ("auto", "none"):
+        log("--sound-at is not used, because offsets from motion contain no travel time of sound")
+    if estimate.method != "sound" or position == "none":
+        return estimate
+    if position == "auto" and not is_metric:
+        log(
+            "the travel time of sound is not corrected, because the unit of the calibration may not be metres (10 m "
+            "are 29 ms); correct it with --sound-at centre"
+        )
+        return estimate
+    placed = {camera.name: camera.calibration for camera in cameras if camera.calibration is not None}
+    if isinstance(position, tuple):
+        source: NDArray[np.float64] | None = np.array(position, np.float64)
+    else:
+        source = find_focus(list(placed.values()))
+    if source is None:
+        log("the travel time of sound is not corrected, because the cameras face no common point; use --sound-at X,Y,Z")
+        return estimate
+    seconds = travel_times({name: camera.centre for name, camera in placed.items()}, source)
+    first = next(iter(estimate.frames))
+    late = {name: seconds[name] - seconds[first] for name in estimate.frames}
+    largest = max(late, key=lambda name: abs(late[name]))
+    place = ", ".join(f"{value:.2f}" for value in source)
+    log(
+        f"the travel time of sound from ({place}) is corrected at {SPEED_OF_SOUND:g} m/s, by up to "
+        f"{1e3 * abs(late[largest]):.1f} ms ({largest})"
+    )
+    return replace(estimate, frames={name: of - late[name] * estimate.rate for name, of in estimate.frames.items()})
+
+
+def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply: bool) -> dict[str, float]:
+    """The offsets in frames to apply: those of the user, or with ``apply`` the sure offsets of the estimate."""
+    if estimate is None or not apply:
+        return dict(given)
+    return {name: round(of, DECIMALS) for name, of in estimate.frames.items() if estimate.is_sure(name)}
+
+
+def describe_offsets(estimate: Estimate, apply: bool) -> Iterator[str]:
+    """Yield one line per camera with its offset and confidence, and with ``apply`` whether the offset is applied."""
+    for name, frames in estimate.frames.items():
+        state = ""
+        if apply:
+            state = ", applied" if estimate.is_sure(name) else ", not applied" if round(frames) else ""
+        hint = ""
+        if estimate.method == "motion" and 0 < abs(round(frames)) <= UNRELIABLE_FRAMES:
+            hint = f"; offsets up to {UNRELIABLE_FRAMES} frames are within the error of the estimate"
+        exact = f"{1e3 * frames / estimate.rate:+.1f} ms by sound" if estimate.method == "sound" else f"{frames:+.2f}"
+        yield f"{name}: {round(frames):+d} frames ({exact}), confidence {estimate.confidence[name]:.0%}{state}{hint}"
 
 
 def _reduced_frames(frames: SynchronizedFrames, index: int, numbers: Iterable[int]) -> Iterator[NDArray[np.uint8]]:

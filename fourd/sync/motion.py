@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from fourd.files import write_bytes_atomically
+from fourd.sync.pairs import camera_confidence, solve_offsets
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -33,6 +34,7 @@ Clipping limits the effect of cuts and flashes that occur in one camera only.
 PEAK_RADIUS_FRAMES = 3
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
+LAG_TOLERANCE_FRAMES = 0.2
 NOISE_CORRELATION = 4.0
 """Numerator of the noise level of a correlation. The denominator is the square root of the number of frames.
 
@@ -150,20 +152,13 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
     found = [_estimate_lag(signals[i], signals[j], max_offset) for i, j in pairs]
     lags = np.array([lag for lag, _ in found])
     weights = np.array([weight for _, weight in found])
-    solution = _solve(pairs, lags, weights, len(signals))
+    solution = solve_offsets(pairs, lags, weights, len(signals), LAG_TOLERANCE_FRAMES)
     agrees = np.array(
         [abs(solution[j] - solution[i] - lag) <= MAX_LAG_ERROR_FRAMES for (i, j), lag in zip(pairs, lags, strict=True)]
     )
     agreed = list(zip(weights * agrees, pairs, strict=True))
-    confidence = [_confidence([q for q, pair in agreed if camera in pair]) for camera in range(len(signals))]
+    confidence = [camera_confidence([q for q, pair in agreed if camera in pair]) for camera in range(len(signals))]
     return Offsets(tuple(round(float(o)) for o in solution), tuple(map(float, solution)), tuple(confidence))
-
-
-def _confidence(weights: Sequence[float]) -> float:
-    """Confidence of a camera: the mean of the larger half of the weights of its pairs, or 1 if there is only one
-    camera."""
-    better = sorted(weights, reverse=True)[: (len(weights) + 1) // 2]
-    return float(np.mean(better)) if better else 1.0
 
 
 def _bandpass(energy: Array) -> Array:
@@ -206,26 +201,6 @@ def _correlation(first: Array, second: Array, lag: int) -> float:
     x, y = x - x.mean(), y - y.mean()
     norm = float(np.sqrt((x @ x) * (y @ y)))
     return float(x @ y) / norm if norm > 1e-9 else 0.0
-
-
-def _solve(pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, count: int) -> Array:
-    """Fit one offset per camera, shape (count,), to the lags of the pairs. The first camera's offset is 0.
-
-    A camera whose pairs all have weight 0 gets offset 0.
-    """
-    if not pairs:
-        return np.zeros(count)
-    design = np.zeros((len(pairs), count))
-    for row, (i, j) in enumerate(pairs):
-        design[row, i], design[row, j] = -1, 1
-    design = design[:, 1:]
-    weights = pair_weights**2 + 1e-9
-    solution: Array = np.zeros(count - 1)
-    for _ in range(30):
-        root = np.sqrt(weights)
-        solution = np.asarray(np.linalg.lstsq(root[:, None] * design, root * lags, rcond=None)[0], np.float64)
-        weights = (pair_weights**2 + 1e-9) / np.maximum(np.abs(design @ solution - lags), 0.2)
-    return np.concatenate([[0.0], solution])
 
 
 def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Array], offsets: Offsets) -> None:

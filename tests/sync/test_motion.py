@@ -13,7 +13,17 @@ import pytest
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from fourd.sync.motion import LABEL, MARGIN, PANEL, Offsets, _solve, estimate_offsets, motion_energy, plot_offsets
+from fourd.sync.motion import (
+    LABEL,
+    LAG_TOLERANCE_FRAMES,
+    MARGIN,
+    PANEL,
+    Offsets,
+    estimate_offsets,
+    motion_energy,
+    plot_offsets,
+)
+from fourd.sync.pairs import solve_offsets
 
 CAPTURES = Path(__file__).parents[2].parent / "shared" / "captures"
 Array = NDArray[np.float64]
@@ -89,7 +99,7 @@ def test_outlier_pair_does_not_move_the_solution(rng: np.random.Generator) -> No
     lags[wrong] += rng.choice([-1, 1]) * rng.uniform(5, 25)
     weights = rng.uniform(0.6, 0.8, len(pairs))
     weights[wrong] = 0.8
-    np.testing.assert_allclose(_solve(pairs, lags, weights, 5), shifts, atol=0.8)
+    np.testing.assert_allclose(solve_offsets(pairs, lags, weights, 5, LAG_TOLERANCE_FRAMES), shifts, atol=0.8)
 
 
 def test_single_camera_has_no_offset() -> None:

@@ -22,6 +22,7 @@ from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.frame_geometry import CalibratedFrames
 from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
+from fourd.importing.time_offsets import SoundPosition, SyncMethod
 from fourd.progress import Tracker
 
 WORDS_HELP = (
@@ -40,6 +41,10 @@ SCALE_HELP = (
 CALIBRATION_HELP = (
     "Calibration of the videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes. SRC is then "
     "read as videos."
+)
+SOUND_HELP = (
+    "Position of the sound in metres, to correct offsets from sound by its travel time to the cameras. centre: the "
+    "point that the cameras face. none: no correction. auto: centre if the calibration is in metres, otherwise none."
 )
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
@@ -66,11 +71,19 @@ class Arguments:
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
     sync: bool = False
-    """Estimate the videos' time offsets from motion and print them, but do not apply them. Writes a plot to
-    OUT/.fourd/sync.png."""
+    """Estimate the videos' time offsets and print them, but do not apply them. An estimate from motion writes a plot
+    to OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate the videos' time offsets. Apply each offset of more than 3 frames that has a confidence of
-    at least 0.5."""
+    """Estimate the videos' time offsets. Apply each offset that has a confidence of at least 0.5. Of offsets from
+    motion, apply only those of more than 3 frames."""
+    sync_by: Annotated[
+        SyncMethod,
+        describe(
+            "Source of estimated time offsets: the soundtracks, or the motion in the images.",
+            "auto: sound if all videos have common sound, otherwise motion.",
+        ),
+    ] = "auto"
+    sound_at: Annotated[str, tyro.conf.arg(metavar="auto|none|centre|X,Y,Z", help=SOUND_HELP)] = "auto"
     fps: FramesPerSecond = None
     resize: Annotated[
         str,
@@ -135,6 +148,8 @@ def _options(arguments: Arguments) -> ImportOptions:
         offsets=parse_offsets(arguments.offset),
         sync=arguments.sync,
         apply_sync=arguments.apply_sync,
+        sync_by=arguments.sync_by,
+        sound_at=_sound_position(arguments.sound_at),
         fps=arguments.fps,
         resize=arguments.resize,
         centres=arguments.centres,
@@ -145,6 +160,21 @@ def _options(arguments: Arguments) -> ImportOptions:
         distance=distance,
         board=None if arguments.board is None else _board(arguments.board),
     )
+
+
+def _sound_position(text: str) -> SoundPosition:
+    named: dict[str, SoundPosition] = {"auto": "auto", "none": "none", "centre": "centre"}
+    if text in named:
+        return named[text]
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        raise UserError(
+            f"--sound-at: expected auto, none, centre or X,Y,Z in metres, got '{text}'; write it as 0,0,1.2"
+        )
+    return x, y, z
 
 
 def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:

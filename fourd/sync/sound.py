@@ -1,0 +1,211 @@
+"""Time offsets between cameras from their soundtracks, by GCC-PHAT.
+
+GCC-PHAT: C. Knapp and G. Carter, "The generalized correlation method for estimation of time delay", 1976. The phase of
+the cross-spectrum is correlated, so different levels and microphones have no effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from fourd.errors import UserError
+from fourd.sync.pairs import camera_confidence, solve_offsets
+
+Array = NDArray[np.float64]
+Samples = NDArray[np.float32]
+
+RATE = 8000
+"""Sampling rate in Hz to which soundtracks are converted."""
+MAX_SECONDS = 300.0
+"""Duration of the part of a soundtrack that is used. It limits the memory to 10 MB per camera."""
+LOW_HZ, HIGH_HZ = 200.0, 3000.0
+"""Pass band. Wind and handling noise are below, and much of the noise of phones is above."""
+MAX_LAG_SECONDS = 60.0
+MIN_OVERLAP_SECONDS = 0.25
+MAX_GAP_SECONDS = 0.005
+"""Deviation of the time of a block of sound from its expected time above which silence is inserted."""
+SILENCE_RMS = 1e-4
+"""Level of a soundtrack, relative to full scale, below which it counts as silent (-80 dB)."""
+ECHO_SECONDS = 0.06
+"""Distance from the peak within which other peaks count as echoes."""
+NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
+"""Height of the peak, in standard deviations of the correlation, at which the confidence is 0 and 1.
+
+Without common sound, the highest value of the correlation of short clips was below 11 standard deviations.
+"""
+MAX_LAG_ERROR_SECONDS = 0.003
+LAG_TOLERANCE_SECONDS = 2e-4
+MAX_ALL_PAIRS = 6
+"""Number of cameras up to which all pairs are correlated. With more cameras, each camera is correlated with the first
+camera and with its successor."""
+SPEED_OF_SOUND = 343.0
+"""Speed of sound in air at 20 degrees Celsius in m/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Soundtrack:
+    """The sound of a video.
+
+    Attributes:
+        samples: (N,) mono samples at 8 kHz, relative to full scale.
+        start: time in seconds of the first sample after the video's first frame; it can be negative.
+    """
+
+    samples: Samples
+    start: float
+
+    @property
+    def is_silent(self) -> bool:
+        return not len(self.samples) or float(np.sqrt(np.mean(np.square(self.samples)))) < SILENCE_RMS
+
+
+@dataclass(frozen=True)
+class SoundOffsets:
+    """Time offset of each camera's video relative to the first camera's video.
+
+    Attributes:
+        seconds: offsets. A sound at the time t of the first video is at the time t + offset of the camera's video.
+        confidence: confidence of each offset in [0, 1]. The confidence of a pair of cameras rises from 0 to 1 while the
+            peak of the correlation rises from 10 to 20 standard deviations of the correlation. It is lower if another
+            peak more than 60 ms away is more than 3/4 as high, and 0 if the pair's lag differs by more than 3 ms from
+            the offsets. A camera's confidence is the mean of the better half of its pairs.
+        sigmas: height of the highest peak of each camera's pairs, in standard deviations of the correlation.
+    """
+
+    seconds: tuple[float, ...]
+    confidence: tuple[float, ...]
+    sigmas: tuple[float, ...]
+
+
+def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
+    """Decode the first 5 minutes of a video's first soundtrack. Returns None if the video has no soundtrack.
+
+    Args:
+        path: the video file.
+        video_start: presentation time of the video's first frame in seconds.
+
+    Raises:
+        UserError: if the soundtrack is damaged.
+    """
+    blocks: list[Samples] = []
+    start, count = None, 0
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.audio:
+                return None
+            resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE)
+            for frame in container.decode(container.streams.audio[0]):
+                if frame.pts is not None and frame.time_base is not None:
+                    time = float(frame.pts * frame.time_base)
+                    start = time if start is None else start
+                    missing = round((time - start - count / RATE) * RATE)
+                    if missing > MAX_GAP_SECONDS * RATE:
+                        blocks.append(np.zeros(min(missing, round(MAX_SECONDS * RATE)), np.float32))
+                        count += len(blocks[-1])
+                frame.pts = None
+                for part in resampler.resample(frame):
+                    blocks.append(part.to_ndarray().reshape(-1).astype(np.float32))
+                    count += len(blocks[-1])
+                if count >= MAX_SECONDS * RATE:
+                    break
+    except (av.FFmpegError, OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise UserError(
+            f"{path}: expected a soundtrack that can be decoded, got '{reason}'; copy the file again, or use "
+            "--sync-by motion"
+        ) from error
+    samples = np.concatenate(blocks) if blocks else np.zeros(0, np.float32)
+    return Soundtrack(samples[: round(MAX_SECONDS * RATE)], (start or 0.0) - video_start)
+
+
+def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:
+    """Estimate each camera's time offset relative to the first camera from the sound that the cameras have in common.
+
+    The soundtracks are correlated by GCC-PHAT from 200 to 3000 Hz for pairs of cameras. A parabola through the peak
+    gives parts of a sample. The offsets are fitted to the lags of the pairs. They contain the time that sound travels
+    from its source to each camera, see :func:`travel_times`.
+
+    Args:
+        soundtracks: the soundtrack of each camera, at least one, none of them silent.
+
+    Raises:
+        ValueError: if a soundtrack is silent, or there is none.
+    """
+    if not soundtracks or any(track.is_silent for track in soundtracks):
+        raise ValueError("soundtracks: expected at least one soundtrack, none of them silent")
+    count = len(soundtracks)
+    pairs = list(combinations(range(count), 2))
+    if count > MAX_ALL_PAIRS:
+        pairs = [(i, j) for i, j in pairs if i == 0 or j == i + 1]
+    found = [_estimate_lag(soundtracks[i], soundtracks[j]) for i, j in pairs]
+    lags = np.array([lag for lag, _, _ in found])
+    weights = np.array([weight for _, weight, _ in found])
+    solution = solve_offsets(pairs, lags, weights, count, LAG_TOLERANCE_SECONDS)
+    agreed, sigmas = [], [0.0] * count
+    for (i, j), lag, weight, (_, _, peak) in zip(pairs, lags, weights, found, strict=True):
+        is_same = abs(solution[j] - solution[i] - lag) <= MAX_LAG_ERROR_SECONDS
+        agreed.append((float(weight) if is_same else 0.0, (i, j)))
+        sigmas[i], sigmas[j] = max(sigmas[i], peak), max(sigmas[j], peak)
+    confidence = [camera_confidence([weight for weight, pair in agreed if camera in pair]) for camera in range(count)]
+    return SoundOffsets(tuple(map(float, solution)), tuple(confidence), tuple(sigmas))
+
+
+def travel_times(centres: Mapping[str, Array], source: Array) -> dict[str, float]:
+    """Time in seconds that sound travels from ``source`` to each camera, 343 m/s.
+
+    Args:
+        centres: (3,) position of each camera in metres, by name.
+        source: (3,) position of the sound in metres.
+    """
+    return {name: float(np.linalg.norm(centre - source)) / SPEED_OF_SOUND for name, centre in centres.items()}
+
+
+def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, float]:
+    """Find the lag of the second soundtrack by GCC-PHAT.
+
+    Returns:
+        The lag in seconds on the clocks of the two videos, the weight of the pair in [0, 1], and the height of the peak
+        in standard deviations.
+    """
+    shortest = min(len(first.samples), len(second.samples))
+    reach = max(len(first.samples), len(second.samples)) - round(MIN_OVERLAP_SECONDS * RATE)
+    limit = max(1, min(round(MAX_LAG_SECONDS * RATE), reach))
+    if shortest < MIN_OVERLAP_SECONDS * RATE:
+        return 0.0, 0.0, 0.0
+    correlation = _phat(first.samples, second.samples, limit)
+    top = int(correlation.argmax())
+    peak = float(correlation[top])
+    deviation = 1.4826 * float(np.median(np.abs(correlation))) + 1e-12
+    echo = round(ECHO_SECONDS * RATE)
+    others = np.concatenate([correlation[: max(top - echo, 0)], correlation[top + echo + 1 :]])
+    lead = 4 * (1 - float(others.max(initial=0)) / max(peak, 1e-12))
+    sigmas = peak / deviation
+    weight = np.clip((sigmas - NOISE_SIGMAS) / (SURE_SIGMAS - NOISE_SIGMAS), 0, 1) * np.clip(lead, 0, 1)
+    fraction = 0.0
+    if 0 < top < len(correlation) - 1:
+        left, right = float(correlation[top - 1]), float(correlation[top + 1])
+        curvature = left - 2 * peak + right
+        fraction = 0.5 * (left - right) / curvature if curvature < -1e-12 else 0.0
+    return (top - limit + fraction) / RATE + second.start - first.start, float(weight), sigmas
+
+
+def _phat(first: Samples, second: Samples, limit: int) -> Array:
+    """Correlation (2 limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
+
+    The correlation is 1 at the lag of a delayed copy.
+    """
+    size = next_fast_len(max(len(first) + len(second), 2 * limit + 1), real=True)
+    cross = np.conj(rfft(first, size)) * rfft(second, size)
+    frequencies = rfftfreq(size, 1 / RATE)
+    band = np.clip((frequencies - LOW_HZ) / 100, 0, 1) * np.clip((HIGH_HZ - frequencies) / 200, 0, 1)
+    cross *= band / np.maximum(np.abs(cross), 1e-20)
+    correlation = irfft(cross, size) * size / (2 * band.sum())
+    return np.concatenate([correlation[-limit:], correlation[: limit + 1]]).astype(np.float64)
