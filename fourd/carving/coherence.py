@@ -23,7 +23,7 @@ from fourd.carving.silhouette import Floats
 Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
-"""Cells are subdivided while there are at most so many of them."""
+"""Maximum number of cells that are subdivided again."""
 THRESHOLD = 128
 
 
@@ -86,7 +86,7 @@ def frame_coherence(
             np.count_nonzero(matte & whole) / pixels,
             np.count_nonzero(matte & whole) / np.count_nonzero(matte | whole),
         )
-    return FrameCoherence(*shares, area)
+    return FrameCoherence(shares[0], shares[1], shares[2], area)
 
 
 def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:

@@ -128,10 +128,10 @@ def _local_colours(value: Floats, mask: Floats, deviation_px: float) -> tuple[Fl
         return np.asarray(cv2.GaussianBlur(plane, (0, 0), deviation_px), np.float32)
 
     near = blur(mask)
-    share = (1 / np.maximum(near, 1e-6))[..., None]
+    share = (1 / np.maximum(near, np.float32(1e-6)))[..., None]
     mean = blur(value * mask[..., None]) * share
     variance = np.maximum(blur(np.square(value) * mask[..., None]) * share - np.square(mean), 0)
-    return mean, variance, near
+    return np.asarray(mean, np.float32), np.asarray(variance, np.float32), near
 
 
 def _disc(radius: int) -> Picture:

@@ -26,7 +26,7 @@ def find_masks(folder: Path, capture: Capture, frames: list[int]) -> dict[tuple[
     if not folder.is_dir():
         got = "a file" if folder.exists() else "no such folder"
         raise UserError(f"--masks {folder}: expected a folder with CAM/FRAME.png, got {got}; check the path")
-    paths = {}
+    paths: dict[tuple[int, int], Path] = {}
     for camera, name in enumerate(capture.names):
         found = find_pictures(folder / name)
         missing = [frame for frame in frames if capture.frame_names[frame] not in found]

@@ -7,7 +7,7 @@ code.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -46,12 +46,10 @@ class OnnxNetwork:
         inputs = {each.name: each for each in session.get_inputs()}
         outputs = [each.name for each in session.get_outputs()]
         self.is_recurrent = set(inputs) == set(RVM_INPUTS) and set(RVM_OUTPUTS) <= set(outputs)
-        first = next(iter(inputs.values()), None)
-        is_image = first is not None and first.type == "tensor(float)" and len(first.shape) == 4
-        if not self.is_recurrent and (len(inputs) != 1 or not is_image or first.shape[1] not in (3, None)):
+        if not self.is_recurrent and not _is_image_network(list(inputs.values())):
             found = ", ".join(f"{each.name} {each.type} {each.shape}" for each in inputs.values()) or "no inputs"
             raise UserError(f"{path}: {EXPECTED}, got {found}; export the network with one of these interfaces")
-        self._image = "src" if self.is_recurrent else first.name
+        self._image = "src" if self.is_recurrent else next(iter(inputs))
         self._mask = "pha" if self.is_recurrent else outputs[0]
         sides = inputs[self._image].shape[2:]
         self._size = (sides[1], sides[0]) if all(isinstance(side, int) for side in sides) else None
@@ -102,6 +100,13 @@ class OnnxNetwork:
         if plane.shape != (size[1], size[0]):
             plane = np.asarray(cv2.resize(plane, size, interpolation=cv2.INTER_LINEAR), np.float32)
         return (np.clip(plane, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def _is_image_network(inputs: Sequence[Any]) -> bool:
+    """Whether a network's only input is an image (1, 3, H, W) of 32-bit floats."""
+    if len(inputs) != 1 or inputs[0].type != "tensor(float)" or len(inputs[0].shape) != 4:
+        return False
+    return inputs[0].shape[1] == 3 or not isinstance(inputs[0].shape[1], int)
 
 
 def load_onnx(path: Path | str) -> OnnxNetwork:

@@ -32,7 +32,13 @@ HULL_RANGE = np.float32(4.0)
 """Difference between HULL_THRESHOLD and the score at which the hull's evidence saturates."""
 CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
-"""Upper limit of :func:`_inside_hull_log_odds`."""
+"""Upper limit of the evidence of the hull."""
+SURE_SCORE = np.float32(4.0)
+"""Score above which even the least certain of the other views is sure of the subject."""
+SURE_RANGE = np.float32(2.0)
+MAX_SURE_LOG_ODDS = 6.0
+"""Upper limit of the evidence of voxels with scores above SURE_SCORE. It outweighs colours of the subject that its
+background has too."""
 SMOOTHING = 20.0
 COLOUR_EDGE = 8.0
 
@@ -159,30 +165,39 @@ def _add_hull(
     appearances: Sequence[Appearance], own: Sequence[Floats], pictures: Sequence[Picture], grid: VoxelGrid | None
 ) -> ViewEvidence:
     """Add the evidence of the other views' visual hull to the log-odds ``own`` (h, w) of each camera."""
-    scores = None if grid is None else grid.scores(own)
+    if grid is None:
+        priors = [np.full(odds.shape, NO_CELL_LOG_ODDS) for odds in own]
+    else:
+        scores = grid.scores(own)
+        priors = [scores.prior(index) for index in range(len(own))]
+    # All views together measure how reliable sure voxels are, because a part that one view misses would bias its ratio.
+    sure_own = [
+        odds[(prior > SURE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
+    ]
+    sure = _inside_hull_log_odds(np.concatenate(sure_own), MAX_SURE_LOG_ODDS)
     log_odds, off_hull = [], []
-    for index, (appearance, rgb) in enumerate(zip(appearances, pictures, strict=True)):
-        odds = own[index].copy()
-        prior = np.full(odds.shape, NO_CELL_LOG_ODDS) if scores is None else scores.prior(index)
+    for odds, prior, appearance, rgb in zip(own, priors, appearances, pictures, strict=True):
         on_hull = prior > HULL_THRESHOLD
-        if scores is not None:
+        combined = odds.copy()
+        if grid is not None:
             certainty = np.clip((prior - HULL_THRESHOLD) / HULL_RANGE, 0, 1)
-            inside = certainty * _inside_hull_log_odds(odds[on_hull & appearance.region])
-            odds = odds + np.where(on_hull, inside, OFF_HULL_LOG_ODDS)
-        odds[~appearance.region] = -MAX_LOG_ODDS
-        log_odds.append(smooth_log_odds(odds, rgb))
-        off_hull.append(~on_hull if scores is not None else np.zeros(odds.shape, bool))
+            inside = certainty * _inside_hull_log_odds(odds[on_hull & appearance.region], MAX_INSIDE_HULL_LOG_ODDS)
+            inside = np.maximum(inside, np.clip((prior - SURE_SCORE) / SURE_RANGE, 0, 1) * sure)
+            combined += np.where(on_hull, inside, OFF_HULL_LOG_ODDS)
+        combined[~appearance.region] = -MAX_LOG_ODDS
+        log_odds.append(smooth_log_odds(combined.astype(np.float32), rgb))
+        off_hull.append(~on_hull if grid is not None else np.zeros(odds.shape, bool))
     return ViewEvidence(tuple(log_odds), tuple(off_hull))
 
 
-def _inside_hull_log_odds(own: Floats) -> np.float32:
-    """Log-odds that a pixel inside the other views' visual hull shows the subject.
+def _inside_hull_log_odds(own: Floats, limit: float) -> np.float32:
+    """Log-odds, at most ``limit``, that a pixel inside the other views' visual hull shows the subject.
 
     The result is estimated from the camera's ``own`` log-odds (N,) inside the hull. The hull of many views is tight and
     gives strong evidence. The hull of a few views is wide and gives weak evidence.
     """
     subject, other = np.count_nonzero(own > CONFIDENT_LOG_ODDS), np.count_nonzero(own < -CONFIDENT_LOG_ODDS)
-    return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, MAX_INSIDE_HULL_LOG_ODDS))
+    return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, limit))
 
 
 def smooth_log_odds(odds: Floats, rgb: Picture) -> Floats:
