@@ -115,7 +115,10 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 
 
 def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
-    """Raise UserError if the hulls of a few frames keep less than a third of what the mattes show."""
+    """Raise UserError if the hulls of a few frames keep less than a third of what the mattes show.
+
+    An empty hull is left to carving, whose error names the views that disagree most.
+    """
     quality = measure_mattes(
         capture,
         agreement=settings.agreement,
@@ -123,7 +126,7 @@ def _require_hull(capture: Capture, settings: CarveStageSettings, context: Conte
         max_frames=MEASURED_FRAMES,
         track=context.track,
     )
-    if quality is not None:
+    if quality is not None and quality.kept_share > 0:
         quality.require_hull(capture.path)
 
 
