@@ -26,13 +26,14 @@ STANDARD_TOLERANCE = 2e-4
 """Relative deviation below which a rate is replaced by the standard rate. 29.97 and 30 differ by 1e-3."""
 
 
-def standard_rate(fps: float | Fraction) -> Fraction:
+def standard_rate(fps: float | Fraction, tolerance: float = STANDARD_TOLERANCE) -> Fraction:
     """Return the standard frame rate next to ``fps`` in 1/s, such as 30000/1001 for 29.97.
 
-    If no standard rate is within 0.02%, the result is ``fps`` as a fraction with a denominator of at most 1001.
+    If no standard rate is within the relative deviation ``tolerance``, the result is ``fps`` as a fraction with a
+    denominator of at most 1001.
     """
     nearest = min(STANDARD_RATES, key=lambda rate: abs(rate - Fraction(fps)))
-    if abs(float(fps) / float(nearest) - 1) < STANDARD_TOLERANCE:
+    if abs(float(fps) / float(nearest) - 1) < tolerance:
         return nearest
     return Fraction(fps).limit_denominator(1001)
 

@@ -13,7 +13,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.capture.frame_rate import standard_rate
+from fourd.capture.frame_rate import STANDARD_TOLERANCE, standard_rate
 from fourd.capture.matroska import missing_bytes
 from fourd.capture.video_picture import reduced_size, to_rgb, transfer_of, turn_of
 from fourd.errors import UserError
@@ -23,6 +23,8 @@ MAX_JITTER = 0.05
 
 If a frame deviates more, the index stores the time of every frame.
 """
+MAX_RATE_ERROR = 5e-3
+"""Largest relative deviation of the mean rate of uneven frames from the standard rate that it stands for."""
 GAP = 1.5
 """Factor on the median frame interval above which an interval contains dropped frames."""
 
@@ -277,7 +279,9 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
         return (1 / (step * base)).limit_denominator(1001), True
     usual = steps[steps <= GAP * np.median(steps)]
-    return standard_rate(1 / (Fraction(int(usual.sum()), len(usual)) * base)), False
+    # The jitter of the first and last frame makes the mean interval of a short video inexact.
+    tolerance = min(max(2 * float(usual.std()) / float(usual.sum()), STANDARD_TOLERANCE), MAX_RATE_ERROR)
+    return standard_rate(1 / (Fraction(int(usual.sum()), len(usual)) * base), tolerance), False
 
 
 def _no_times(path: Path, got: str) -> UserError:

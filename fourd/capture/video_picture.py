@@ -7,7 +7,7 @@ HDR signals (ITU-R BT.2100) are converted in these steps:
 2. Display light is divided by 203 cd/m2, the reference white of ITU-R BT.2408.
 3. The primaries are converted from BT.2020 to BT.709. Negative values are set to 0.
 4. Let m be the maximum of red, green and blue. The colour is scaled by f(m) / m. Up to the knee 0.85, f(m) = m, so
-   colours do not change. Above the knee, ``f(m) = 0.85 + 0.15 (1 - exp(-(m - 0.85) / 0.15))``.
+   colours do not change. Above the knee, ``f(m) = 0.85 + 0.15 t / (1 + t)`` with ``t = (m - 0.85) / 0.15``.
 5. The transfer function of sRGB (IEC 61966-2-1) is applied.
 """
 
@@ -117,8 +117,9 @@ def _tone_map(signal: Floats, transfer: str) -> Picture:
         linear = linear * hlg_gain[np.round(luminance * (LEVELS - 1)).astype(np.int32)][..., None]
     display = np.maximum(cv2.transform(linear, np.array(BT709_FROM_BT2020, np.float32)), 0)
     largest = np.maximum(display.max(axis=2, keepdims=True), 1e-6)
-    mapped = KNEE + (1 - KNEE) * (1 - np.exp(-(largest - KNEE) / (1 - KNEE)))
-    display = display * np.where(largest > KNEE, mapped / largest, 1)
+    above = np.maximum(largest - KNEE, 0) / (1 - KNEE)
+    mapped = np.minimum(largest, KNEE) + (1 - KNEE) * above / (1 + above)
+    display = display * (mapped / largest)
     return np.asarray(encoded[np.round(np.sqrt(display.clip(0, 1)) * (LEVELS - 1)).astype(np.int32)])
 
 

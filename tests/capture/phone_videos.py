@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -57,7 +58,7 @@ def write_phone_video(
             context.color_primaries = context.colorspace = 9
             context.color_range = 1
         for time in times:
-            frame = _frame(np.rot90(moving_picture(time, *size), clockwise // 90), transfer)
+            frame = make_frame(np.rot90(moving_picture(time, *size), clockwise // 90), transfer)
             frame.pts, frame.time_base = round(time * TICKS), Fraction(1, TICKS)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
@@ -75,7 +76,8 @@ def write_display_matrix(path: Path, matrix: Iterable[float]) -> Path:
     return path
 
 
-def _frame(picture: Picture, transfer: str) -> av.VideoFrame:
+def make_frame(picture: NDArray[Any], transfer: str) -> av.VideoFrame:
+    """A frame before encoding: RGB, or with a transfer YCbCr in 10 bits. Values above 255 are above white."""
     if not transfer:
         return av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
     signal = encode_hdr(picture, transfer)
@@ -89,7 +91,7 @@ def _frame(picture: Picture, transfer: str) -> av.VideoFrame:
     return av.VideoFrame.from_ndarray(values, format="yuv420p10le")
 
 
-def encode_hdr(picture: Picture, transfer: str) -> NDArray[np.float64]:
+def encode_hdr(picture: NDArray[Any], transfer: str) -> NDArray[np.float64]:
     """HDR signal (H, W, 3) in [0, 1] with BT.2020 primaries of an sRGB picture whose white has 203 cd/m2."""
     value = picture / 255
     linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
