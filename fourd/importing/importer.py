@@ -145,11 +145,8 @@ def import_source(
     warnings: list[str] = []
     imported = _calibrate(imported, indices, offsets, options, needs_calibration, log, warnings.append, track)
     if estimate is not None:
-        is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
-        estimate = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
+        estimate = _correct_estimate(estimate, imported, source_format, options, log)
         offsets = applied_offsets(estimate, options.offsets, options.apply_sync)
-        for line in describe_offsets(estimate, options.apply_sync) if estimate.method == "sound" else ():
-            log(line)
     check_unpacked(out, started, files, offsets, options.reduce)
     record = replace(record, files=files, offsets=offsets, unpacked=started.unpacked or options.unpack)
     write_record(out, record)
@@ -158,6 +155,17 @@ def import_source(
     for line in warnings:
         warn(line)
     write_record(out, replace(record, done=True, warnings=tuple(warnings)))
+
+
+def _correct_estimate(
+    estimate: Estimate, imported: Imported, source_format: Format, options: ImportOptions, log: Log
+) -> Estimate:
+    """Correct offsets from sound by the travel time of the sound to the calibrated cameras, and log them."""
+    is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
+    corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
+    for line in describe_offsets(corrected, options.apply_sync) if corrected.method == "sound" else ():
+        log(line)
+    return corrected
 
 
 def _check_options(imported: Imported, source: Path, options: ImportOptions) -> bool:

@@ -67,11 +67,7 @@ def make_scene(
         UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
             make``.
     """
-    work = out.with_suffix(".work")
-    if not (work / RECORD).exists() and not is_unused(work):
-        raise UserError(
-            f"{work}: expected a folder made by fourd make, got a folder with other files; move it or choose another -o"
-        )
+    work = _work_folder(out)
     options = imports or ImportOptions()
     to_capture = stages_to_capture(source, work / CAPTURE, options)
     work.mkdir(parents=True, exist_ok=True)
@@ -93,6 +89,16 @@ def make_scene(
         capture = work / STILL
     request = RunRequest(capture, work / RUN, train, points_from, lpips_weights, is_still, accept_mattes)
     runner.run(stages_to_scene(request, mattes, out))
+
+
+def _work_folder(out: Path) -> Path:
+    """The folder of the intermediate results of ``out``. Raises UserError if it contains other files."""
+    work = out.with_suffix(".work")
+    if not (work / RECORD).exists() and not is_unused(work):
+        raise UserError(
+            f"{work}: expected a folder made by fourd make, got a folder with other files; move it or choose another -o"
+        )
+    return work
 
 
 def create_run(
