@@ -13,6 +13,7 @@ import pytest
 from rich.console import Console
 
 from fourd.errors import UserError
+from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.make import create_run, make_scene
@@ -102,11 +103,11 @@ def test_other_folders_are_not_used_for_results(ball_capture: Path, tmp_path: Pa
 
 def test_a_calibration_is_for_videos(ball_capture: Path, tmp_path: Path) -> None:
     """Catches a given calibration that is silently ignored, and an import that is not repeated after its change."""
-    out = tmp_path / "scene.4dv"
+    out, options = tmp_path / "scene.4dv", ImportOptions(calibration=str(ball_capture))
     with pytest.raises(UserError, match=r"--calibration: expected videos without a calibration, got the capture"):
-        make_scene(ball_capture, out, SMALL, MatteSettings(), Context(), calibration=ball_capture)
+        make_scene(ball_capture, out, SMALL, MatteSettings(), Context(), imports=options)
     assert not (tmp_path / "scene.work").exists()
-    (stage,) = stages_to_capture(tmp_path / "videos", tmp_path / "capture", ball_capture)
+    (stage,) = stages_to_capture(tmp_path / "videos", tmp_path / "capture", options)
     assert ball_capture in [artefact.path for artefact in stage.inputs]
 
 
