@@ -29,13 +29,13 @@ from fourd.capture.video import VideoIndex, index_video
 from fourd.errors import UserError
 from fourd.files import atomic_folder
 from fourd.importing.folders import find_frames
+from fourd.importing.given_calibration import REPORT
 from fourd.importing.imported import ImportedCamera, PictureFiles, video_files
 from fourd.importing.sample_frames import SynchronizedFrames
 from fourd.progress import Log, Track
 
 Grey = NDArray[np.uint8]
 
-REPORT = "report.json"
 DRAWING = "rig.png"
 MAX_FRAMES = 400
 """Maximum number of frames that are searched if --frames is not given."""

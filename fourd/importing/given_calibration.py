@@ -12,6 +12,13 @@ from fourd.importing.imported import Imported
 
 VIDEOS_FORMAT = "videos"
 """Name of the only format whose sources take a calibration."""
+REPORT = "report.json"
+"""File that only ``fourd calibrate`` writes beside a calibration."""
+
+
+def is_metric_calibration(folder: Path) -> bool:
+    """Whether ``fourd calibrate`` wrote the calibration in ``folder``, which is then in metres."""
+    return (folder / REPORT).is_file()
 
 
 def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imported:

@@ -19,7 +19,7 @@ from fourd.errors import UserError
 from fourd.files import remove_unfinished
 from fourd.importing.detection import Format
 from fourd.importing.frame_geometry import CalibratedFrames, match_calibrations, reduced_indices
-from fourd.importing.given_calibration import apply_calibration
+from fourd.importing.given_calibration import apply_calibration, is_metric_calibration
 from fourd.importing.imported import Imported, VideoFile, video_files
 from fourd.importing.record import (
     ImportRecord,
@@ -162,6 +162,8 @@ def _correct_estimate(
 ) -> Estimate:
     """Correct offsets from sound by the travel time of the sound to the calibrated cameras, and log them."""
     is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
+    if options.calibration is not None:
+        is_metric |= is_metric_calibration(Path(options.calibration))
     corrected = correct_sound_travel(estimate, imported.cameras, options.sound_at, is_metric, log)
     for line in describe_offsets(corrected, options.apply_sync) if corrected.method == "sound" else ():
         log(line)
