@@ -1,7 +1,7 @@
 """Background points from clean plates by stereo.
 
 Sparse features initialise the plates' depth maps. Depths that disagree between plates are removed. Points are sampled
-on the surfaces that remain.
+on the surfaces of the remaining depths.
 """
 
 from __future__ import annotations

@@ -15,8 +15,8 @@ SEGMENT = b"\x18\x53\x80\x67"
 def missing_bytes(path: Path) -> int:
     """Number of bytes that are missing at the end of a Matroska file.
 
-    The result is 0 for complete files, for files in other formats, and for files whose header contains no length. The
-    header of a live recording contains no length if the recording was not finalised.
+    The result is 0 for complete files, for files in other formats, and for files whose header does not contain
+    the size of the file. The header of a live recording that was not finalised does not contain the size.
     """
     with path.open("rb") as stream:
         if stream.read(len(HEADER)) != HEADER:

@@ -1,6 +1,7 @@
 """Reading and writing of videos.json, which lists the videos of a capture with their indices and offsets in frames.
 
-The frames of a capture are at even times on a common clock. From each video, the frame nearest to each time is used.
+The frames of a capture are at even times on a common clock. For each of these times, the nearest frame of each video is
+used.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Agreement of mattes: how much of each matte the visual hull of the other views explains.
 
-The score needs no ground truth. It is a directed form of silhouette coherence (Hernandez et al. 2007), which compares
-silhouettes with the silhouettes of their visual hull. A matte that shows too much is not explained by the other views.
-If the matte of one view misses a part of the object, the hull misses this part too, and all other mattes get low
-scores.
+The score needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares silhouettes with the silhouettes
+of the visual hull of all views. Here, each matte is compared with the hull of the other views. A matte that shows too
+much is not explained by the other views. If the matte of one view misses a part of the object, the hull misses this
+part too, and all other mattes get low scores.
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ def find_layout(source: Path, formats: Sequence[CalibrationFormat]) -> Layout | 
 
 
 def calibration_outside(source: Path, formats: Sequence[CalibrationFormat]) -> Path | None:
-    """The calibration of ``source`` if it is not inside ``source``, or None."""
+    """Path of the calibration that :func:`find_layout` finds outside ``source``, or None."""
     try:
         found = find_layout(source, formats)
     except UserError:

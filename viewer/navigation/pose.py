@@ -103,7 +103,7 @@ class Pose:
 def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
     """The pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
-    The pivot is the point of the viewing axis nearest to ``focus``. If the point nearest to ``focus`` is not in front
+    The pivot is the point of the viewing axis nearest to ``focus``. If this point is not in front
     of the camera, the pivot is 1 world unit in front of the camera.
     """
     width, height = size

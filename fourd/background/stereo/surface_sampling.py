@@ -239,7 +239,7 @@ def _slopes(surface: Surface) -> Array:
 def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
     """Relative error (R, C) with which a cell's plane predicts the inverse depth of its neighbours along an axis.
 
-    The smaller of the errors at the two neighbours is returned.
+    Of the errors at the previous and the next cell, the smaller is returned.
     """
     smallest = np.full_like(inverse, np.inf)
     for step in (-1, 1):

@@ -68,7 +68,7 @@ def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stag
 
 
 def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Context) -> None:
-    """Make plates for the training views, unless the capture has a plate for each of them. Held-out views are not
+    """Make clean plates of all training views if the capture lacks the plate of one of them. Held-out views are not
     used."""
     folder = files.run / BACKGROUND
     folder.mkdir(parents=True, exist_ok=True)
