@@ -12,8 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from fourd.background.shell import viewing_centre
 from fourd.background.stereo.features import Features
@@ -25,6 +23,9 @@ from fourd.calibration.matching import Matches, undistort_points
 from fourd.calibration.principal_points import MAX_COMBINATIONS, choose_principal_points
 from fourd.calibration.residuals import Pair, compute_residuals
 from fourd.cameras import Camera
+
+Feature = tuple[int, int]
+"""Index of a camera, and number of a feature in it."""
 
 HELD_OUT = 3
 """Every third track is held out."""
@@ -116,22 +117,44 @@ def repair_cameras(cameras: Sequence[Camera], matches: Mapping[Pair, Matches]) -
 
 
 def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[Pair, Matches], dict[Pair, Matches]]:
-    """Split matches into those to fit and those that are held out. Matches of one track are never separated."""
-    frame, rows = _index_features(matches, cameras)
-    counts = [len(features.xy) for features in frame.features]
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
-    edges = np.concatenate([np.zeros((0, 2), np.intp), *(rows[i, j] + (offsets[i], offsets[j]) for i, j in rows)])
-    size = int(offsets[-1])
-    graph = coo_array((np.ones(len(edges), bool), (edges[:, 0], edges[:, 1])), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
+    """Split matches into those to fit and those that are held out.
+
+    No feature is in both parts. A match that connects a track to fit with a held-out track is in neither part.
+    """
+    _, rows = _index_features(matches, cameras)
+    tracks = _label_tracks(rows)
     # A random order, because tracks that were found one after the other are neighbours in the image.
-    order = np.random.default_rng(0).permutation(size)
+    order = np.random.default_rng(0).permutation(max(tracks.values(), default=0) + 1)
     fitted, held_out = {}, {}
     for (i, j), found in matches.items():
-        is_held = order[label[rows[i, j][:, 0] + offsets[i]]] % HELD_OUT == 0
-        fitted[i, j] = Matches(found.first_px[~is_held], found.second_px[~is_held])
+        ends = [(i, first) for first in rows[i, j][:, 0]], [(j, second) for second in rows[i, j][:, 1]]
+        first, second = (np.array([order[tracks[end]] for end in side], np.intp) % HELD_OUT == 0 for side in ends)
+        to_fit, is_held = ~first & ~second, first & second
+        fitted[i, j] = Matches(found.first_px[to_fit], found.second_px[to_fit])
         held_out[i, j] = Matches(found.first_px[is_held], found.second_px[is_held])
     return fitted, held_out
+
+
+def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
+    """Number of the track of each feature.
+
+    Matches join tracks only if no camera is in both, because a camera sees a point once. Otherwise, a few wrong matches
+    would join all tracks.
+    """
+    members: list[dict[int, Feature]] = []
+    track: dict[Feature, int] = {}
+    edges = [((i, int(a)), (j, int(b))) for (i, j), pairs in rows.items() for a, b in pairs]
+    for index in np.random.default_rng(1).permutation(len(edges)):
+        for end in edges[index]:
+            if end not in track:
+                track[end] = len(members)
+                members.append({end[0]: end})
+        kept, joined = (track[end] for end in edges[index])
+        if kept != joined and not members[kept].keys() & members[joined].keys():
+            members[kept].update(members[joined])
+            track.update(dict.fromkeys(members[joined].values(), kept))
+            members[joined] = {}
+    return track
 
 
 def _is_better(now: MatchScore, before: MatchScore) -> bool:

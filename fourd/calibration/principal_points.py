@@ -8,7 +8,7 @@ is twice its distance from the image centre along the mirrored axis, often 10 pi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -21,6 +21,9 @@ from fourd.cameras import Camera
 
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
+MAX_PAIR_PX = 30.0
+"""Largest residual of a camera pair that counts. With a larger residual, the matches of the pair are wrong, and the
+residual changes at random with the principal points."""
 MIN_GAIN = 2.0
 """Minimum decrease of the mean residual by mirrored principal points, as a multiple of the typical residual."""
 MIN_LEAD = 0.5
@@ -36,16 +39,17 @@ class MirrorChoice:
         cameras: the cameras with the chosen principal points.
         given: residuals of the given calibration.
         chosen: residuals of the chosen combination.
-        given_px: mean over the camera pairs of their median residuals with the given calibration, in pixels.
-        chosen_px: mean over the camera pairs of their median residuals with the chosen combination, in pixels.
-        next_px: mean over the camera pairs of their median residuals with the second best combination, in pixels.
+        given_px: mean over the camera pairs of their median residuals with the given calibration, in pixels. Each
+            median counts as at most MAX_PAIR_PX.
+        chosen_px: the same with the chosen combination.
+        next_px: the same with the second best combination.
         given_score: median residual and share of agreeing matches with the given calibration.
         chosen_score: the same with the chosen combination.
         is_clear: whether the evidence is clear. Let r be the median over the camera pairs of their median residuals
             with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds
             ``chosen_px`` by at least 0.5 r. If a principal point is mirrored, ``given_px`` must also exceed
-            ``chosen_px`` by at least 2 r. A pair of cameras whose matches are wrong increases all means by about the
-            same amount, so the differences are compared, not the ratios.
+            ``chosen_px`` by at least 2 r. A pair of cameras whose matches are wrong increases all means by the same
+            amount, so the differences are compared, not the ratios.
     """
 
     names: tuple[str, ...]
@@ -104,18 +108,22 @@ def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[C
         for second_name, second in options[pair[1]].items()
     }
     ranked = sorted(
-        (float(np.mean([medians[pair, names[pair[0]], names[pair[1]]] for pair in given.pairs])), names)
+        (_capped_mean([medians[pair, names[pair[0]], names[pair[1]]] for pair in given.pairs]), names)
         for names in product(*options)
     )
     best, names = ranked[0]
     chosen = tuple(option[name] for option, name in zip(options, names, strict=True))
-    given_px = float(np.mean(list(given.pairs.values())))
+    given_px = _capped_mean(given.pairs.values())
     after, next_px = compute_residuals(matches, chosen), ranked[1][0]
     typical = float(np.median(list(after.pairs.values())))
     gains = set(names) == {"as given"} or given_px - best >= MIN_GAIN * typical
     is_clear = next_px - best >= MIN_LEAD * typical and typical <= MAX_GOOD_PX and gains
     scores = score_matches(matches, cameras), score_matches(matches, chosen)
     return MirrorChoice(names, chosen, given, after, given_px, best, next_px, *scores, is_clear)
+
+
+def _capped_mean(medians: Iterable[float]) -> float:
+    return float(np.minimum(list(medians), MAX_PAIR_PX).mean())
 
 
 def _pair_median(
