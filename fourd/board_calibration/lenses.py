@@ -12,9 +12,9 @@ import numpy as np
 from fourd.cameras import Camera
 from fourd.capture.calibration import read_intrinsics
 from fourd.errors import UserError
-from fourd.importing.folders import make_camera, match_names, parse_numbers, read_file
+from fourd.importing.folders import match_names, read_file
+from fourd.importing.opencv_toml import camera_of_table
 
-MAX_PIXELS = 1 << 20
 MAX_ASPECT_DIFFERENCE = 0.01
 """Maximum relative difference between the aspect ratios of a lens's images and of a video."""
 
@@ -44,16 +44,8 @@ def read_lenses(path: Path) -> dict[str, Camera]:
         for needed in ("size", "matrix", "distortions"):
             if needed not in table:
                 raise UserError(f"{where}: expected size, matrix and distortions, got no {needed}; calibrate again")
-        if table.get("fisheye", False):
-            raise UserError(f"{where}: expected a lens without fisheye, got fisheye = true; undistort the videos first")
         name = str(table.get("name", key.rpartition(".")[2]))
-        width, height = (float(side) for side in parse_numbers(f"{where}: size", table["size"], (2,)))
-        if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
-            raise UserError(f"{where}: size: expected width and height in pixels, got {width:g} x {height:g}")
-        intrinsics = parse_numbers(f"{where}: matrix", table["matrix"], (3, 3))
-        intrinsics[:2, 2] += 0.5
-        distortion = parse_numbers(f"{where}: distortions", table["distortions"], (-1,))
-        lenses[name] = make_camera(where, intrinsics, np.eye(3), np.zeros(3), (width, height), distortion)
+        lenses[name] = camera_of_table(where, table, np.eye(3), np.zeros(3))
     if not lenses:
         raise UserError(f"{path}: expected a table with size, matrix and distortions for each camera, got none")
     return lenses

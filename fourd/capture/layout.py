@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -176,3 +176,14 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
     if not views:
         raise UserError(f"{option}: expected at least one camera name, got no names; give one of {', '.join(names)}")
     return [name for name in names if name in views]
+
+
+def link_entries(capture: Path, target: Path, *, left_out: Set[str]) -> None:
+    """Link all files and folders directly in ``capture``, except those with the names ``left_out``, into ``target``.
+
+    Existing links are kept.
+    """
+    for name in sorted(os.listdir(capture)):
+        link = target / name
+        if name not in left_out and not link.is_symlink():
+            link.symlink_to((capture / name).resolve())

@@ -19,15 +19,19 @@ from fourd.errors import UserError
 from fourd.importing.imported import ImportedCamera, video_files
 from fourd.importing.sample_frames import SynchronizedFrames
 from fourd.progress import Log, Track
-from fourd.sync.motion import MIN_OVERLAP, Offsets, estimate_offsets, motion_energy, plot_offsets
+from fourd.sync.motion import (
+    MIN_CONFIDENCE,
+    MIN_OVERLAP,
+    UNRELIABLE_FRAMES,
+    WIDTH_PX,
+    Offsets,
+    estimate_offsets,
+    motion_energy,
+    plot_offsets,
+)
 from fourd.sync.sound import SPEED_OF_SOUND, Soundtrack, estimate_sound_offsets, read_soundtrack, travel_times
 
-WIDTH_PX = 200
 MAX_OFFSET_FRAMES = 300
-MIN_CONFIDENCE = 0.5
-"""Minimum confidence of an offset that --apply-sync applies."""
-UNRELIABLE_FRAMES = 3
-"""Error in frames of offsets from motion. --apply-sync applies only offsets from motion above this error."""
 DECIMALS = 2
 """Decimals of the applied offsets in frames."""
 PLOT = DERIVED / "sync.png"

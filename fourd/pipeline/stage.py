@@ -22,6 +22,11 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 
 @dataclass(frozen=True)
+class NoSettings:
+    """Settings of a stage without settings."""
+
+
+@dataclass(frozen=True)
 class Context:
     """Runtime context of a stage: console and number of processes. The context does not affect the results of a stage.
 

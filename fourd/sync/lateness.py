@@ -9,16 +9,19 @@ import numpy as np
 
 from fourd.capture.reader import open_capture
 from fourd.progress import Track, untracked
-from fourd.sync.motion import MIN_OVERLAP, estimate_offsets, motion_energy
+from fourd.sync.motion import (
+    MIN_CONFIDENCE,
+    MIN_OVERLAP,
+    UNRELIABLE_FRAMES,
+    WIDTH_PX,
+    estimate_offsets,
+    motion_energy,
+)
 
-WIDTH_PX = 200
 MAX_FRAMES = 300
 """Number of frames whose motion is compared, from the middle of the capture."""
 MIN_FRAMES = 36
 """Minimum number of frames for the comparison."""
-MIN_CONFIDENCE = 0.5
-MAX_ERROR_FRAMES = 3
-"""Offsets of at most this many frames are within the error of the estimate."""
 
 
 def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
@@ -55,7 +58,7 @@ def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
     lines = []
     for name, frames, confidence in zip(capture.names, found.frames, found.confidence, strict=True):
         late = frames - usual
-        if abs(late) > MAX_ERROR_FRAMES and confidence >= MIN_CONFIDENCE:
+        if abs(late) > UNRELIABLE_FRAMES and confidence >= MIN_CONFIDENCE:
             lines.append(
                 f"{path}: camera '{name}' is {'late' if late > 0 else 'early'} by {abs(late)} frames compared with the "
                 f"motion in the other cameras (confidence {confidence:.0%}); import its video with "

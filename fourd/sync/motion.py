@@ -32,6 +32,12 @@ MAX_SIGNAL = 4.0
 Clipping limits the effect of cuts and flashes that occur in one camera only.
 """
 PEAK_RADIUS_FRAMES = 3
+WIDTH_PX = 200
+"""Width in pixels to which images are reduced before their motion energy is computed."""
+MIN_CONFIDENCE = 0.5
+"""Minimum confidence of an offset that is applied or reported."""
+UNRELIABLE_FRAMES = 3
+"""Error in frames of offsets from motion. Smaller offsets from motion are neither applied nor reported."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2

@@ -8,7 +8,6 @@ added to the principal points.
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 
 import cv2
@@ -16,16 +15,9 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.folders import (
-    find_frames,
-    join_calibrations,
-    list_entries,
-    make_camera,
-    parse_numbers,
-    read_file,
-    read_head,
-)
+from fourd.importing.folders import find_frames, join_calibrations, list_entries, parse_numbers, read_head
 from fourd.importing.imported import Imported
+from fourd.importing.opencv_toml import camera_of_table, read_toml
 
 KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
 HEAD_BYTES = 4096
@@ -34,7 +26,6 @@ METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
 """Largest plausible median distance between cameras in metres. If the median distance in the file is larger, the file's
 unit is assumed to be millimetres."""
-MAX_PIXELS = 1 << 20
 
 
 def looks_like(source: Path) -> bool:
@@ -70,10 +61,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
     """Read a calibration TOML. Returns cameras by name, and notes. Raises UserError as :func:`read` does."""
-    try:
-        data = tomllib.loads(read_file(path).decode())
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: expected TOML, got '{error}'; calibrate again") from error
+    data = read_toml(path)
     cameras: dict[str, Camera] = {}
     for key, table in data.items():
         if key == "metadata" or not isinstance(table, dict):
@@ -85,8 +73,6 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
         name = table["name"]
         if not isinstance(name, str) or not name or name in cameras:
             raise UserError(f"{where}: expected a unique camera name, got '{name}'; rename one camera")
-        if table.get("fisheye", False):
-            raise UserError(f"{where}: expected a lens without fisheye, got fisheye = true; undistort the videos first")
         cameras[name] = _make_camera(where, table)
     if not cameras:
         raise UserError(f"{path}: expected a table for each camera, got none; calibrate again")
@@ -103,16 +89,10 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
 
 
 def _make_camera(where: str, table: dict[str, object]) -> Camera:
-    width, height = (float(pixels) for pixels in parse_numbers(f"{where}: size", table["size"], (2,)))
-    if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
-        raise UserError(f"{where}: size: expected width and height in pixels, got {width:g} x {height:g}; correct it")
-    intrinsics = parse_numbers(f"{where}: matrix", table["matrix"], (3, 3))
-    intrinsics[:2, 2] += 0.5
     vector = parse_numbers(f"{where}: rotation", table["rotation"], (3,))
     rotation = np.asarray(cv2.Rodrigues(vector)[0], np.float64)
     translation = parse_numbers(f"{where}: translation", table["translation"], (3,))
-    distortion = parse_numbers(f"{where}: distortions", table["distortions"], (-1,))
-    return make_camera(where, intrinsics, rotation, translation, (width, height), distortion)
+    return camera_of_table(where, table, rotation, translation)
 
 
 def _guess_unit(cameras: list[Camera]) -> tuple[float, str]:

@@ -8,7 +8,6 @@ added to the principal points.
 from __future__ import annotations
 
 import re
-import tomllib
 from pathlib import Path
 
 import cv2
@@ -16,22 +15,14 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.folders import (
-    find_frames,
-    join_calibrations,
-    list_entries,
-    make_camera,
-    parse_numbers,
-    read_file,
-    read_head,
-)
+from fourd.importing.folders import find_frames, join_calibrations, list_entries, parse_numbers, read_head
 from fourd.importing.imported import Imported
+from fourd.importing.opencv_toml import camera_of_table, read_toml
 
 NAME = "camera_array.toml"
 HEAD_BYTES = 4096
 INTRINSIC_KEYS = ("size", "matrix", "distortions")
 POSE_KEYS = ("rotation", "translation")
-MAX_PIXELS = 1 << 20
 
 
 def looks_like(source: Path) -> bool:
@@ -67,10 +58,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
     """Read a camera_array.toml. Returns cameras by the names cam_N, and notes. Cameras that Caliscope ignores are left
     out. Raises UserError as :func:`read` does."""
-    try:
-        data = tomllib.loads(read_file(path).decode())
-    except (ValueError, RecursionError) as error:
-        raise UserError(f"{path}: expected TOML, got '{error}'; calibrate again") from error
+    data = read_toml(path)
     tables = data.get("cameras")
     cameras: dict[str, Camera] = {}
     ignored = []
@@ -101,21 +89,13 @@ def _make_camera(where: str, table: dict[str, object]) -> Camera:
     missing = [key for key in INTRINSIC_KEYS if table.get(key) is None]
     if missing:
         raise UserError(f"{where}: expected {', '.join(INTRINSIC_KEYS)}, got no {missing[0]}; calibrate again")
-    if table.get("fisheye", False):
-        raise UserError(f"{where}: expected a lens without fisheye, got fisheye = true; undistort the videos first")
-    width, height = (float(pixels) for pixels in parse_numbers(f"{where}: size", table["size"], (2,)))
-    if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
-        raise UserError(f"{where}: size: expected width and height in pixels, got {width:g} x {height:g}; correct it")
-    intrinsics = parse_numbers(f"{where}: matrix", table["matrix"], (3, 3))
-    intrinsics[:2, 2] += 0.5
     values = table["rotation"]
     if isinstance(values, list) and values and not isinstance(values[0], list):
         rotation = np.asarray(cv2.Rodrigues(parse_numbers(f"{where}: rotation", values, (3,)))[0], np.float64)
     else:
         rotation = parse_numbers(f"{where}: rotation", values, (3, 3))
     translation = parse_numbers(f"{where}: translation", table["translation"], (3,))
-    distortion = parse_numbers(f"{where}: distortions", table["distortions"], (-1,))
-    return make_camera(where, intrinsics, rotation, translation, (width, height), distortion)
+    return camera_of_table(where, table, rotation, translation)
 
 
 def _path(source: Path) -> Path:

@@ -8,7 +8,7 @@ from pathlib import Path
 from fourd.capture.check import check_capture
 from fourd.capture.video_index import index_capture
 from fourd.errors import UserError
-from fourd.pipeline.stage import Artefact, Context, Stage
+from fourd.pipeline.stage import Artefact, Context, NoSettings, Stage
 
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
 """Glob patterns that match the input files of a capture, but not the files that fourd derives from them."""
@@ -21,24 +21,19 @@ class CheckFiles:
     capture: Path
 
 
-@dataclass(frozen=True)
-class CheckSettings:
-    """Empty class, because the check stage has no settings."""
-
-
-def check_stage(capture: Path) -> Stage[CheckFiles, CheckSettings]:
+def check_stage(capture: Path) -> Stage[CheckFiles, NoSettings]:
     """Create the stage that checks ``capture``."""
     return Stage(
         "check",
         run_check,
         CheckFiles(capture),
-        CheckSettings(),
+        NoSettings(),
         inputs=(Artefact(capture, INPUT_PATTERNS),),
         outputs=(capture,),
     )
 
 
-def run_check(files: CheckFiles, settings: CheckSettings, context: Context) -> None:
+def run_check(files: CheckFiles, settings: NoSettings, context: Context) -> None:
     """Index the videos and check all files of the capture. Raises a UserError that describes the first problem."""
     track = context.track
     index_capture(files.capture, None, track)

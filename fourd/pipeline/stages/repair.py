@@ -7,18 +7,17 @@ corrected calibration files.
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.bundle_adjustment.repair import Repair, repair_cameras
 from fourd.calibration.checks.agreement import CaptureMatches, assess_agreement, is_disagreeing, match_capture
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
-from fourd.capture.layout import DERIVED, MATTES
+from fourd.capture.layout import DERIVED, MATTES, link_entries
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.matting.contours import find_foreign_mattes
-from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.sync.lateness import find_late_cameras
 
@@ -37,18 +36,13 @@ class RepairFiles:
     repaired: Path
 
 
-@dataclass(frozen=True)
-class RepairSettings:
-    """Empty class, because the repair stage has no settings."""
-
-
-def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, RepairSettings]:
+def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, NoSettings]:
     """Create the stage that corrects the calibration of ``capture`` in the new folder ``repaired``."""
     return Stage(
         "repair",
         run_repair,
         RepairFiles(capture, repaired),
-        RepairSettings(),
+        NoSettings(),
         inputs=(Artefact(capture, INPUT_PATTERNS),),
         outputs=(repaired / RESULT,),
         leftovers=(Leftovers(repaired),),
@@ -61,7 +55,7 @@ def repaired_capture(capture: Path, repaired: Path) -> Path:
     return repaired if is_changed else capture
 
 
-def run_repair(files: RepairFiles, settings: RepairSettings, context: Context) -> None:
+def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> None:
     """Match the images, and write a corrected capture if the calibration disagrees and a correction is confirmed.
 
     Warnings are logged for cameras that are late and for mattes that do not belong to the images.
@@ -108,8 +102,5 @@ def _write_repaired(files: RepairFiles, found: CaptureMatches, repair: Repair) -
     """Link the files of the capture, and write the corrected calibration."""
     files.repaired.mkdir(parents=True, exist_ok=True)
     own = {INTRINSICS_NAME, EXTRINSICS_NAME, DERIVED.name, RESULT}
-    for name in sorted(os.listdir(files.capture)):
-        target = files.repaired / name
-        if name not in own and not target.is_symlink():
-            target.symlink_to((files.capture / name).resolve())
+    link_entries(files.capture, files.repaired, left_out=own)
     write_calibration(files.repaired, list(found.names), list(repair.cameras))

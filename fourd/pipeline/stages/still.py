@@ -7,7 +7,6 @@ plate, and the run gets frames without foreground points.
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,11 +15,11 @@ import numpy as np
 
 from fourd.background.shell import viewing_centre
 from fourd.capture import open_capture
-from fourd.capture.layout import DERIVED
+from fourd.capture.layout import DERIVED, link_entries
 from fourd.carving import Bounds
 from fourd.carving.sequence import BOUNDS_NAME
 from fourd.files import atomic_path, write_text_atomically
-from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
+from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.ply import write_ply
 from fourd.training.cameras.selection import DataSelection, open_run_views
@@ -40,11 +39,6 @@ class StillFiles:
 
 
 @dataclass(frozen=True)
-class StillSettings:
-    """Empty class, because the stage has no settings."""
-
-
-@dataclass(frozen=True)
 class NoPointFiles:
     """The capture with empty mattes, and the run folder, to which ``hull/`` without points is written."""
 
@@ -52,26 +46,23 @@ class NoPointFiles:
     run: Path
 
 
-def still_stage(capture: Path, still: Path) -> Stage[StillFiles, StillSettings]:
+def still_stage(capture: Path, still: Path) -> Stage[StillFiles, NoSettings]:
     """Create the stage that gives ``capture`` empty mattes, in the new folder ``still``."""
     return Stage(
         "still",
         run_still,
         StillFiles(capture, still),
-        StillSettings(),
+        NoSettings(),
         inputs=(Artefact(capture, INPUT_PATTERNS),),
         outputs=(still / DONE,),
         leftovers=(Leftovers(still),),
     )
 
 
-def run_still(files: StillFiles, settings: StillSettings, context: Context) -> None:
+def run_still(files: StillFiles, settings: NoSettings, context: Context) -> None:
     """Link the files of the capture, and write an empty matte for each image."""
     files.still.mkdir(parents=True, exist_ok=True)
-    for name in sorted(os.listdir(files.capture)):
-        target = files.still / name
-        if name not in (DERIVED.name, "masks") and not target.is_symlink():
-            target.symlink_to((files.capture / name).resolve())
+    link_entries(files.capture, files.still, left_out={DERIVED.name, "masks"})
     capture = open_capture(files.capture, mattes=False)
     for name, lens in zip(capture.names, capture.distorted_cameras, strict=True):
         folder = files.still / "masks" / name
