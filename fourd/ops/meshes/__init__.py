@@ -1,0 +1,1 @@
+"""Ids, constants and argument checks that the operators for triangles share."""

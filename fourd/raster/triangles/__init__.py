@@ -1,0 +1,27 @@
+"""Differentiable rasterization of triangles: the public API.
+
+torch is loaded on the first use of one of the functions, not when this package is imported.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    pass
+
+_MODULES: dict[str, str] = {}
+"""Public names, and the modules of this package that define them."""
+
+__all__: list[str] = []
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
