@@ -11,6 +11,14 @@ fourd_kernel(hashgrid
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
 
+fourd_kernel(interpolate
+  CPU cpu/interpolate.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx512 EXACT
+  BINDING binding.cpp)
+
+fourd_kernel(meshes
+  CPU tile_slots.cpp)
+
 fourd_kernel(planes
   CPU cpu/sample.cpp
   DISPATCH cpu/loops.cpp WIDEST avx2 TOLERANT
@@ -30,6 +38,11 @@ fourd_kernel(points
   CUDA cuda/render.cu
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
+
+fourd_kernel(rasterize
+  CPU cpu/bins.cpp cpu/rasterize.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx512 EXACT
+  BINDING binding.cpp)
 
 fourd_kernel(shade
   CPU cpu/shade.cpp

@@ -9,12 +9,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    pass
+    from fourd.raster.triangles.clipping import clip_matrix
+    from fourd.raster.triangles.interpolation import interpolate
+    from fourd.raster.triangles.peeling import DepthPeeler
+    from fourd.raster.triangles.rasterization import rasterize
 
-_MODULES: dict[str, str] = {}
+_MODULES: dict[str, str] = {
+    "DepthPeeler": "peeling",
+    "clip_matrix": "clipping",
+    "interpolate": "interpolation",
+    "rasterize": "rasterization",
+}
 """Public names, and the modules of this package that define them."""
 
-__all__: list[str] = []
+__all__ = [
+    "DepthPeeler",
+    "clip_matrix",
+    "interpolate",
+    "rasterize",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -1,0 +1,30 @@
+// The inner loops over pixels, compiled once for each instruction set.
+#pragma once
+
+#include "common/dispatch.h"
+#include "interpolate/interpolate.h"
+
+namespace fourd::interpolate {
+
+constexpr int kTile = 32;  // Side of a tile in pixels.
+
+struct GradientTile {
+    const float* attr;            // (vertices, channels) of the image.
+    const std::int32_t* visible;  // Triangle of each slot.
+    const std::int16_t* slot_of;  // (kTile, kTile): slot of each pixel, or -1.
+    int column, row;              // The first pixel of the tile.
+    std::size_t first;            // Index of the image's first pixel.
+    float* sums;                  // (slots, 3, channels), initially 0; null without a gradient of attr.
+};
+
+struct Loops {
+    // Writes the pixels [begin, end) of an image, counted from the first pixel of the first image.
+    void (*forward)(const Query& query, const float* attr, std::size_t begin, std::size_t end, float* out,
+                    float* out_da);
+
+    void (*backward)(const Query& query, const GradientTile& tile, const Gradients& gradients);
+};
+
+FOURD_DISPATCH(Loops, Simd::avx512)
+
+}  // namespace fourd::interpolate

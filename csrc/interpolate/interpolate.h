@@ -1,0 +1,47 @@
+// Interpolates vertex attributes over rasterized triangles. Callers check shapes. Every pointer points to a dense
+// row-major array.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/simd.h"
+
+namespace fourd::interpolate {
+
+struct Query {
+    const float* attr;         // (images or 1, vertices, channels).
+    std::size_t vertices;
+    std::size_t channels;
+    std::size_t image_stride;  // Vertices between the attributes of two images; 0 if the images share them.
+    const std::int32_t* tri;   // (triangles, 3).
+    std::size_t triangles;
+    const float* rast;         // (images, height, width, 4): u, v, any number, and the id's value.
+    const float* rast_db;      // (images, height, width, 4); null if diff_count is 0.
+    int images, height, width;
+    const std::int32_t* diff;  // (diff_count,): channels whose derivatives are wanted, below `channels`.
+    std::size_t diff_count;
+    int threads;  // At least 1. The result is the same for any number of threads.
+    Simd simd;    // An instruction set that this machine supports.
+
+    std::size_t pixels() const { return static_cast<std::size_t>(height) * static_cast<std::size_t>(width); }
+    const float* attr_of(std::size_t image) const { return attr + image * image_stride * channels; }
+};
+
+// Writes the attributes to `out` (images, height, width, channels), and their derivatives along x and y to `out_da`
+// (images, height, width, 2 diff_count). Pixels of the background, and of triangles out of range, are 0.
+void interpolate(const Query& query, float* out, float* out_da);
+
+// The gradients of the outputs, and the arrays that receive the gradients of the inputs.
+struct Gradients {
+    const float* out;     // (images, height, width, channels).
+    const float* out_da;  // (images, height, width, 2 diff_count); null if diff_count is 0.
+    float* attr;          // Like Query::attr; may be null.
+    float* rast;          // (images, height, width, 4); may be null. The last two channels are set to 0.
+    float* rast_db;       // (images, height, width, 4); may be null.
+};
+
+// Overwrites the gradients of the inputs.
+void interpolate_backward(const Query& query, const Gradients& gradients);
+
+}  // namespace fourd::interpolate

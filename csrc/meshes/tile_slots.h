@@ -1,0 +1,66 @@
+// Numbers the triangles that are visible in a tile of an image, and sums per-triangle values over the tiles for each
+// vertex. The gradients of several operators use both. Sums have a fixed order: first pixels of a tile, then tiles. They
+// do not depend on the number of threads.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "common/buffer.h"
+#include "common/team.h"
+
+namespace fourd::meshes {
+
+constexpr int kTile = 32;  // Side of a tile in pixels.
+constexpr int kTilePixels = kTile * kTile;
+
+// An image of encoded ids (common/triangle_id.h), in the fourth of four channels.
+struct IdImage {
+    const float* rast;  // (height, width, 4).
+    int width, height;
+    std::size_t triangles;  // Ids of other triangles count as background.
+
+    int columns() const { return (width + kTile - 1) / kTile; }
+    int tiles() const { return columns() * ((height + kTile - 1) / kTile); }
+};
+
+// The visible triangles of one tile. A slot is the number of a triangle in the order of its first pixel.
+class TileSlots {
+  public:
+    void fill(const IdImage& image, int column, int row);
+
+    int count() const { return count_; }
+    const std::int32_t* triangles() const { return triangles_; }  // Indexed by slot.
+    const std::int16_t* slot_of() const { return slot_of_; }      // (kTile, kTile): -1 without a triangle.
+
+  private:
+    static constexpr int kBuckets = 2 * kTilePixels;
+
+    int find(std::int32_t triangle);
+
+    int count_ = 0;
+    std::int32_t triangles_[kTilePixels];
+    std::int16_t slot_of_[kTilePixels];
+    std::int16_t buckets_[kBuckets];
+};
+
+// The values of one tile for each of its slots.
+struct TileValues {
+    std::vector<std::int32_t> triangles;
+    Buffer<float> values;  // (slots, 3, channels): values of the three vertices.
+};
+
+struct VertexImage {
+    std::size_t vertices;
+    std::size_t channels;
+    int images;
+    bool is_shared;  // Whether all images add to the same vertices.
+};
+
+// Overwrites out (images or 1, vertices, channels) with the sums of the values over tiles. Tiles are numbered image by
+// image. tri (triangles, 3) has the vertices of the triangles. Vertices out of range are skipped.
+void sum_by_vertex(const std::vector<TileValues>& tiles, const std::int32_t* tri, const VertexImage& image, float* out,
+                   Team& team);
+
+}  // namespace fourd::meshes

@@ -1,0 +1,94 @@
+// Clips triangles against a frustum that is much wider than the image (Sutherland and Hodgman 1974). Clipping an edge
+// depends only on its two vertices, so both triangles of a shared edge get the same new vertices.
+#pragma once
+
+#include "rasterize/maths.h"
+
+namespace fourd::rasterize {
+
+constexpr int kClipPlanes = 4;
+constexpr int kMaxCorners = 3 + kClipPlanes;    // Every plane adds at most one corner to a convex polygon.
+constexpr int kMaxPieces = kMaxCorners - 2;
+
+struct Corner {
+    double x, y, w;
+};
+
+// Positive inside. The four planes together imply w >= 0.
+FOURD_HD static inline double clip_distance(const Screen& screen, int plane, const Corner& corner) {
+    const double guard = plane < 2 ? screen.guard_x : screen.guard_y;
+    const double coordinate = plane < 2 ? corner.x : corner.y;
+    return guard * corner.w + (plane % 2 == 0 ? coordinate : -coordinate);
+}
+
+// The point where the edge from a corner inside to a corner outside meets the plane.
+FOURD_HD static inline Corner intersection(const Corner& inside, double d_inside, const Corner& outside,
+                                           double d_outside) {
+    const double t = d_inside / (d_inside - d_outside);
+    return {inside.x + t * (outside.x - inside.x), inside.y + t * (outside.y - inside.y),
+            inside.w + t * (outside.w - inside.w)};
+}
+
+FOURD_HD static inline Snapped snap_corner(const Screen& screen, const Corner& corner) {
+    float x = static_cast<float>(corner.x), y = static_cast<float>(corner.y);
+    const float w = static_cast<float>(corner.w);
+    if (!(w > 0.0f)) return snap_inside(screen, 0.0f, 0.0f, 1.0f);
+    const float limit_x = screen.guard_x * w, limit_y = screen.guard_y * w;
+    x = x < -limit_x ? -limit_x : (x > limit_x ? limit_x : x);
+    y = y < -limit_y ? -limit_y : (y > limit_y ? limit_y : y);
+    return snap_inside(screen, x, y, w);
+}
+
+// Writes the corners of the clipped triangle to `out` (kMaxCorners,), and returns their number.
+FOURD_HD static inline int clip(const Screen& screen, const float* p0, const float* p1, const float* p2, Snapped* out) {
+    Corner from[kMaxCorners] = {{p0[0], p0[1], p0[3]}, {p1[0], p1[1], p1[3]}, {p2[0], p2[1], p2[3]}};
+    int count = 3;
+    for (int plane = 0; plane < kClipPlanes && count > 0; ++plane) {
+        Corner to[kMaxCorners + 1];
+        int kept = 0;
+        for (int i = 0; i < count; ++i) {
+            const Corner& here = from[i];
+            const Corner& next = from[i + 1 == count ? 0 : i + 1];
+            const double d = clip_distance(screen, plane, here), d_next = clip_distance(screen, plane, next);
+            if (d >= 0.0) to[kept++] = here;
+            if (d >= 0.0 && d_next < 0.0) to[kept++] = intersection(here, d, next, d_next);
+            if (d < 0.0 && d_next >= 0.0) to[kept++] = intersection(next, d_next, here, d);
+            if (kept >= kMaxCorners) break;
+        }
+        count = kept;
+        for (int i = 0; i < count; ++i) from[i] = to[i];
+    }
+    for (int i = 0; i < count; ++i) out[i] = snap_corner(screen, from[i]);
+    return count;
+}
+
+// Calls take(piece) for each piece of a triangle that may cover pixels. The arguments a, b and c are the snapped
+// vertices. Triangles with an invalid vertex have no pieces.
+template <typename Take>
+FOURD_HD static inline void for_pieces(const Screen& screen, const Snapped& a, const Snapped& b, const Snapped& c,
+                                       const float* p0, const float* p1, const float* p2, int triangle,
+                                       const Take& take) {
+    Piece piece;
+    if (a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside) {
+        if (!make_piece(a, b, c, triangle, &piece)) return;
+        const Bounds bounds = bounds_of(screen, piece);
+        if (bounds.is_empty()) return;
+        piece.reference_x = static_cast<std::uint16_t>(bounds.left);
+        piece.reference_y = static_cast<std::uint16_t>(bounds.top);
+        take(piece, bounds);
+        return;
+    }
+    if (a.state == VertexState::invalid || b.state == VertexState::invalid || c.state == VertexState::invalid) return;
+    Snapped corners[kMaxCorners];
+    const int count = clip(screen, p0, p1, p2, corners);
+    for (int i = 1; i + 1 < count; ++i) {
+        if (!make_piece(corners[0], corners[i], corners[i + 1], triangle, &piece)) continue;
+        const Bounds bounds = bounds_of(screen, piece);
+        if (bounds.is_empty()) continue;
+        piece.reference_x = static_cast<std::uint16_t>(screen.width / 2);
+        piece.reference_y = static_cast<std::uint16_t>(screen.height / 2);
+        take(piece, bounds);
+    }
+}
+
+}  // namespace fourd::rasterize

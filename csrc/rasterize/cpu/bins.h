@@ -1,0 +1,50 @@
+// Cuts the triangles of images into pieces, and bins the pieces into tiles.
+#pragma once
+
+#include <vector>
+
+#include "common/buffer.h"
+#include "common/team.h"
+#include "rasterize/cpu/loops.h"
+#include "rasterize/rasterize.h"
+
+namespace fourd::rasterize {
+
+// The pieces of a group of consecutive images, binned into tiles. Tiles are numbered image by image and row by row.
+class Bins {
+  public:
+    // The memory of a group is proportional to its number of triangles. A group has at least one image.
+    static int group_size(const Query& query);
+
+    // Bins the images [first, last) and replaces the previous contents.
+    void fill(const Query& query, int first, int last, Team& team);
+
+    int tiles() const { return tiles_per_image_ * images_; }
+    int tiles_per_image() const { return tiles_per_image_; }
+    int columns() const { return columns_; }
+
+    // The pieces of a tile, in ascending order of triangles.
+    const Piece* pieces(int tile) const { return pieces_.data() + begin_[tile]; }
+    std::size_t count(int tile) const { return begin_[tile + 1] - begin_[tile]; }
+
+  private:
+    struct Entry {
+        Piece piece;
+        Bounds bounds;
+        int image;
+    };
+
+    void snap_vertices(const Query& query, int first, Team& team);
+    void cut(const Query& query, int first, std::size_t begin, std::size_t end, int part);
+
+    int images_ = 0, columns_ = 0, tiles_per_image_ = 0;
+    std::size_t vertex_images_ = 0;                // 1 if the images share their positions.
+    Buffer<Snapped> vertices_;
+    std::vector<std::size_t> first_item_;          // First item of each image. An item is a triangle of an image.
+    std::vector<std::vector<Entry>> entries_;      // Of each part.
+    std::vector<std::vector<std::uint32_t>> counts_;  // Of each part: number of pieces in every tile.
+    Buffer<Piece> pieces_;
+    std::vector<std::size_t> begin_;               // First piece of each tile, followed by the number of pieces.
+};
+
+}  // namespace fourd::rasterize

@@ -1,0 +1,69 @@
+// The inner loops over single tiles, compiled once for each instruction set.
+#pragma once
+
+#include "common/dispatch.h"
+#include "rasterize/maths.h"
+#include "rasterize/rasterize.h"
+
+namespace fourd::rasterize {
+
+constexpr int kTile = 32;  // Side of a tile in pixels.
+constexpr int kTilePixels = kTile * kTile;
+
+// The planes of the triangles of a tile, as a structure of arrays. Each array has `capacity` elements.
+struct Records {
+    static constexpr int kFields = 3 * kPlanes + 3;
+    float* values;  // (kFields, capacity): c, x and y of the planes, the lowest and highest depth, and the id's value.
+    std::uint32_t* references;  // Reference pixels: x in the lower 16 bits, y in the upper 16.
+    std::size_t capacity;
+
+    float* c(int plane) const { return values + plane * capacity; }
+    float* x(int plane) const { return values + (kPlanes + plane) * capacity; }
+    float* y(int plane) const { return values + (2 * kPlanes + plane) * capacity; }
+    float* low() const { return values + 3 * kPlanes * capacity; }
+    float* high() const { return values + (3 * kPlanes + 1) * capacity; }
+    float* id() const { return values + (3 * kPlanes + 2) * capacity; }
+};
+
+struct Tile {
+    Screen screen;
+    const float* pos;         // (vertices, 4) of the image.
+    const std::int32_t* tri;  // (triangles, 3).
+    const Piece* pieces;      // In ascending order of triangles.
+    std::size_t count;        // Number of pieces.
+    int column, row;          // The first pixel of the tile.
+    Records records;          // Scratch memory for at least `count` records.
+    const float* previous;    // (height, width, 4): the layer before; may be null.
+    float* rast;              // (height, width, 4).
+    float* rast_db;           // (height, width, 4); may be null.
+};
+
+// The inputs of the gradient of a tile. A slot is a triangle that is visible in the tile.
+struct GradientTile {
+    Screen screen;
+    const float* pos;              // (vertices, 4) of the image.
+    const std::int32_t* tri;       // (triangles, 3).
+    const std::int32_t* visible;   // Triangle of each slot.
+    int slots;                     // At most kTilePixels.
+    const std::int16_t* slot_of;   // (kTile, kTile): slot of each pixel, or -1.
+    int column, row;               // The first pixel of the tile.
+    Records records;               // Scratch memory for at least `slots` records.
+    float* sums;                   // Scratch memory for at least (slots, kSums) floats.
+    const float* grad_rast;        // (height, width, 4).
+    const float* grad_db;          // (height, width, 4); may be null.
+    float* out;                    // (slots, 12): gradients of x, y, z and w of the three vertices.
+};
+
+constexpr int kSums = 16;
+
+struct Loops {
+    // Rasterizes the pieces of a tile and writes all its pixels.
+    void (*rasterize)(const Tile& tile);
+
+    // Computes the gradients of the vertices of all slots.
+    void (*backward)(const GradientTile& tile);
+};
+
+FOURD_DISPATCH(Loops, Simd::avx512)
+
+}  // namespace fourd::rasterize

@@ -1,0 +1,39 @@
+// Rasterizes triangles that are given in clip space. Callers check shapes. Every pointer points to a dense row-major
+// array.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/simd.h"
+
+namespace fourd::rasterize {
+
+constexpr int kLongestSide = 1 << 15;  // Largest image side in pixels.
+
+struct Query {
+    const float* pos;            // (vertices, 4) of every image: clip coordinates x, y, z, w.
+    std::size_t vertices;        // Number of vertices of an image.
+    std::size_t image_stride;    // Vertices between the positions of two images; 0 if the images share them.
+    const std::int32_t* tri;     // (triangles, 3): vertices of each triangle.
+    std::size_t triangles;       // At most kMaxTriangles (common/triangle_id.h).
+    const std::int32_t* ranges;  // (images, 2): first triangle and number of triangles; null for all triangles.
+    int images, height, width;   // Images have sides from 1 to kLongestSide.
+    int threads;                 // At least 1. The result is the same for any number of threads.
+    Simd simd;                   // An instruction set that this machine supports.
+
+    std::size_t pixels() const { return static_cast<std::size_t>(height) * static_cast<std::size_t>(width); }
+    const float* pos_of(std::size_t image) const { return pos + 4 * image * image_stride; }
+};
+
+// Writes u, v, z/w and the id's value of the nearest triangle to `rast` (images, height, width, 4). Writes du/dX,
+// du/dY, dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. If `previous` is not null, it is
+// the `rast` of a previous call, and each pixel takes the next triangle in the order of (z/w, id).
+void rasterize(const Query& query, const float* previous, float* rast, float* rast_db);
+
+// Overwrites grad_pos, the gradient with respect to pos. grad_rast and grad_db (images, height, width, 4) are the
+// gradients with respect to rast and rast_db. grad_db may be null. The gradient with respect to z/w is ignored.
+void rasterize_backward(const Query& query, const float* rast, const float* grad_rast, const float* grad_db,
+                        float* grad_pos);
+
+}  // namespace fourd::rasterize

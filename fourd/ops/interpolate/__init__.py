@@ -1,0 +1,1 @@
+"""Interpolation of vertex attributes over triangles (``csrc/interpolate``)."""

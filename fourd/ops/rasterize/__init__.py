@@ -1,0 +1,1 @@
+"""Rasterization of triangles (``csrc/rasterize``)."""

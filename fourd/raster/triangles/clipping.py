@@ -1,0 +1,43 @@
+"""Clip coordinates of fourd's cameras: :func:`clip_matrix`."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+
+
+def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
+    """Return the matrix that maps homogeneous world coordinates to clip coordinates, (4, 4) float32.
+
+    ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. The centre of the camera's pixel in row i and column j
+    is the centre of the pixel in row i and column j of :func:`fourd.raster.triangles.rasterize`, so that row 0 is the
+    top row. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
+
+    Args:
+        camera: pinhole camera without lens distortion.
+        near, far: camera depths, in world units, of the nearest and farthest visible surfaces; 0 < near < far.
+
+    Raises:
+        TypeError: if ``camera`` is not a camera.
+        ValueError: for a camera with lens distortion, or wrong depths.
+    """
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera: expected a fourd.cameras.Camera, got {type(camera).__name__}")
+    if camera.distortion is not None:
+        raise ValueError("camera: expected a pinhole camera without lens distortion; undistort the images first")
+    if not (0 < near < far and math.isfinite(far)):
+        raise ValueError(f"near, far: expected 0 < near < far, both finite, got {near} and {far}")
+    intrinsics = torch.tensor(camera.intrinsics)
+    to_device = torch.tensor([[2 / camera.width, 0, -1], [0, 2 / camera.height, -1], [0, 0, 1]], dtype=torch.float64)
+    projection = torch.zeros(4, 4, dtype=torch.float64)
+    projection[[0, 1, 3], :3] = to_device @ intrinsics
+    projection[2, 2] = (far + near) / (far - near)
+    projection[2, 3] = -2 * far * near / (far - near)
+    extrinsics = torch.eye(4, dtype=torch.float64)
+    extrinsics[:3, :3] = torch.tensor(camera.rotation)
+    extrinsics[:3, 3] = torch.tensor(camera.translation)
+    return (projection @ extrinsics).float()

@@ -1,0 +1,94 @@
+"""Interpolation of vertex attributes over rasterized triangles: :func:`interpolate`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from fourd.ops.interpolate.op import interpolate_attributes
+from fourd.ops.interpolate.reference import interpolate_attributes_reference
+from fourd.ops.meshes.backends import select_backend
+from fourd.ops.meshes.checks import check_tensor, check_triangles
+
+
+def interpolate(
+    attr: Tensor,
+    rast: Tensor,
+    tri: Tensor,
+    rast_db: Tensor | None = None,
+    diff_attrs: Literal["all"] | Sequence[int] | None = None,
+    *,
+    backend: str = "auto",
+    threads: int = 0,
+) -> tuple[Tensor, Tensor]:
+    """Interpolate vertex attributes at the pixels of :func:`fourd.raster.triangles.rasterize`.
+
+    A pixel gets ``u a_0 + v a_1 + (1 - u - v) a_2``, with the attributes a_k of the vertices of its triangle.
+
+    Args:
+        attr: (B, V, C) float32 attributes of each mesh, or (1, V, C) or (V, C) attributes that all images share.
+            C is at least 1.
+        rast: (B, H, W, 4) result of ``rasterize``.
+        tri: (T, 3) int32 vertices of the triangles.
+        rast_db: (B, H, W, 4) derivatives from ``rasterize``; needed with ``diff_attrs``.
+        diff_attrs: channels whose derivatives are wanted, as a list (negative indices count from the end), or "all".
+        backend, threads: see ``rasterize``.
+
+    Returns:
+        ``out`` (B, H, W, C) and ``out_da`` (B, H, W, 2 D) for D channels in ``diff_attrs``. ``out_da`` has the
+        derivatives per pixel along columns (X) and rows (Y), in the order d0/dX, d0/dY, d1/dX, d1/dY and so on. Pixels
+        without a triangle are 0, also where a triangle of ``rast`` does not exist in ``tri``.
+
+        ``out`` is differentiable once in ``attr`` and in u and v of ``rast``. ``out_da`` is differentiable in ``attr``
+        and in ``rast_db``. On the CPU, gradients are bit-identical for any number of threads.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        RuntimeError: if ``backend`` needs CUDA kernels that are not built.
+    """
+    attributes = _check_attributes(attr)
+    like = ("attr", attributes)
+    check_tensor("rast", rast, ("B", "H", "W", 4), like=like)
+    if attributes.shape[0] not in (1, rast.shape[0]):
+        raise ValueError(f"attr: expected 1 or {rast.shape[0]} meshes, as rast has images, got {attributes.shape[0]}")
+    tri = check_triangles(tri, attributes.shape[1], like, check_values=attributes.device.type == "cpu")
+    diff = _channels(diff_attrs, attributes.shape[2])
+    if rast_db is not None and (diff or rast_db.shape != (*rast.shape[:3], 0)):
+        check_tensor("rast_db", rast_db, tuple(rast.shape), like=like)
+    if diff and rast_db is None:
+        raise ValueError("rast_db: expected the derivatives from rasterize, because diff_attrs is not empty, got None")
+    chosen_db = rast_db if diff else None
+    if select_backend(backend, "attr", attributes) == "reference":
+        return interpolate_attributes_reference(attributes, rast, tri, chosen_db, diff)
+    return interpolate_attributes(attributes, rast, tri, chosen_db, diff, threads)
+
+
+def _check_attributes(attr: object) -> Tensor:
+    """Check the attributes and return them as (B or 1, V, C)."""
+    is_shared = isinstance(attr, Tensor) and attr.ndim == 2
+    shape = ("V", "C") if is_shared else ("B", "V", "C")
+    attributes = check_tensor("attr", attr, shape, dtypes=(torch.float32, torch.float64))
+    if attributes.shape[-1] == 0:
+        raise ValueError(f"attr: expected at least 1 channel, got shape {tuple(attributes.shape)}")
+    return attributes[None] if is_shared else attributes
+
+
+def _channels(diff_attrs: Literal["all"] | Sequence[int] | None, channels: int) -> list[int]:
+    """Return the channels whose derivatives are wanted, as indices from 0."""
+    if diff_attrs is None:
+        return []
+    if isinstance(diff_attrs, str):
+        if diff_attrs != "all":
+            raise ValueError(f"diff_attrs: expected a list of channels or 'all', got {diff_attrs!r}")
+        return list(range(channels))
+    chosen = []
+    for channel in diff_attrs:
+        if isinstance(channel, bool) or not isinstance(channel, int):
+            raise TypeError(f"diff_attrs: expected integers, got {channel!r}")
+        if not -channels <= channel < channels:
+            raise ValueError(f"diff_attrs: expected channels from {-channels} to {channels - 1}, got {channel}")
+        chosen.append(channel % channels)
+    return chosen

@@ -1,0 +1,77 @@
+"""Rasterization of the layers of triangles behind each other: :class:`DepthPeeler`."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from torch import Tensor
+
+from fourd.ops.meshes.backends import select_backend
+from fourd.ops.meshes.checks import check_resolution
+from fourd.ops.rasterize.op import rasterize_triangles
+from fourd.ops.rasterize.reference import rasterize_triangles_reference
+from fourd.raster.triangles.rasterization import check_mesh
+
+
+class DepthPeeler:
+    """Rasterizes a mesh layer by layer, from front to back.
+
+    Each layer shows, in every pixel, the triangle that follows the triangle of the layer before in the order of (z/w,
+    triangle index). Triangles of equal depth, such as two coincident triangles, are therefore never lost: they are in
+    consecutive layers. A pixel without a triangle has none in any later layer.
+
+    Usage::
+
+        with DepthPeeler(pos, tri, (height, width)) as peeler:
+            for _ in range(layers):
+                rast, rast_db = peeler.rasterize_next_layer()
+    """
+
+    def __init__(
+        self,
+        pos: Tensor,
+        tri: Tensor,
+        resolution: tuple[int, int],
+        *,
+        ranges: Tensor | None = None,
+        grad_db: bool = True,
+        output_db: bool = True,
+        backend: str = "auto",
+        threads: int = 0,
+    ) -> None:
+        """The arguments and errors are those of :func:`fourd.raster.triangles.rasterize`."""
+        self._pos, self._tri, self._ranges = check_mesh(pos, tri, ranges)
+        self._size = check_resolution(resolution)
+        self._outputs = (output_db, grad_db)
+        self._threads = threads
+        self._is_reference = select_backend(backend, "pos", pos) == "reference"
+        self._previous: Tensor | None = None
+        self._is_open = False
+
+    def __enter__(self) -> DepthPeeler:
+        self._previous = None
+        self._is_open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._previous = None
+        self._is_open = False
+
+    def rasterize_next_layer(self) -> tuple[Tensor, Tensor]:
+        """Return ``rast`` and ``rast_db`` of the next layer, as :func:`fourd.raster.triangles.rasterize` does. The
+        first call after entering the context returns the nearest layer.
+
+        Raises:
+            RuntimeError: outside a ``with`` block.
+        """
+        if not self._is_open:
+            raise RuntimeError("DepthPeeler: expected a call inside `with DepthPeeler(...) as peeler:`")
+        mesh = (self._pos, self._tri, self._ranges, self._previous, *self._size, *self._outputs)
+        if self._is_reference:
+            rast, rast_db = rasterize_triangles_reference(*mesh)
+        else:
+            rast, rast_db = rasterize_triangles(*mesh, self._threads)
+        self._previous = rast.detach()
+        return rast, rast_db

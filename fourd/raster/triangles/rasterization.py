@@ -1,0 +1,92 @@
+"""Rasterization of triangles: :func:`rasterize`."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from fourd.ops.meshes.backends import select_backend
+from fourd.ops.meshes.checks import check_resolution, check_tensor, check_triangles
+from fourd.ops.rasterize.op import rasterize_triangles
+from fourd.ops.rasterize.reference import rasterize_triangles_reference
+
+
+def rasterize(
+    pos: Tensor,
+    tri: Tensor,
+    resolution: tuple[int, int],
+    *,
+    ranges: Tensor | None = None,
+    grad_db: bool = True,
+    output_db: bool = True,
+    backend: str = "auto",
+    threads: int = 0,
+) -> tuple[Tensor, Tensor]:
+    """Find the nearest triangle of every pixel, and the barycentric weights of the pixel's centre.
+
+    The semantics are those of nvdiffrast's documentation (Laine et al. 2020, Modular Primitives for High-Performance
+    Differentiable Rendering). A vertex with clip coordinates (x, y, z, w) is at (x/w, y/w). The centre of the pixel in
+    row i and column j is at ((2 j + 1) / W - 1, (2 i + 1) / H - 1), so row 0 is at y = -1. A triangle is visible where
+    its z/w is in [-1, 1]. The smallest z/w wins, and of equal z/w the smallest triangle index. Back faces are visible.
+
+    Coverage is exact: vertices are rounded to 1/256 pixel, and each pixel centre on an edge between two triangles
+    belongs to exactly one of them. A triangle that reaches behind the camera (w <= 0) shows its visible part.
+    Triangles with a vertex that is not finite are culled.
+
+    Args:
+        pos: (B, V, 4) clip coordinates, float32; a mesh for each image. With ``ranges``: (V, 4).
+        tri: (T, 3) int32 vertices of the triangles, which all images share.
+        resolution: (H, W) in pixels, each from 1 to 32768.
+        ranges: (B, 2) int32 first triangle and number of triangles of each image; on any device.
+        grad_db: whether the gradient with respect to ``pos`` includes the gradient through ``rast_db``.
+        output_db: whether to compute ``rast_db``. Without it, ``rast_db`` has the shape (B, H, W, 0).
+        backend: "cpu" or "cuda" for the kernels, "reference" for plain torch (float32 or float64, slow), or "auto" for
+            the kernels of the tensors' device.
+        threads: number of threads on the CPU; 0 for FOURD_THREADS, else torch.get_num_threads(). Results are
+            bit-identical for any number of threads.
+
+    Returns:
+        ``rast`` (B, H, W, 4) and ``rast_db`` (B, H, W, 4). ``rast`` has u, v, z/w and an encoded triangle index. u, v
+        and 1 - u - v are the perspective-correct weights of the vertices 0, 1 and 2 of the triangle. u and v are
+        clamped to the triangle. The encoded index is 0 without a triangle, else the index + 1; above 2^24, see
+        :func:`fourd.ops.meshes.ids.decode_ids`. ``rast_db`` has du/dX, du/dY, dv/dX and dv/dY per pixel along columns
+        (X) and rows (Y). Pixels without a triangle are 0.
+
+        u, v and ``rast_db`` are differentiable once in ``pos``. z/w and the index have no gradient. Where the clamp
+        changes u or v, its gradient is 0. On a GPU, the gradient's last bits vary between calls.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        RuntimeError: if ``backend`` needs CUDA kernels that are not built.
+    """
+    positions, tri, ranges = check_mesh(pos, tri, ranges)
+    height, width = check_resolution(resolution)
+    if select_backend(backend, "pos", pos) == "reference":
+        return rasterize_triangles_reference(positions, tri, ranges, None, height, width, output_db, grad_db)
+    return rasterize_triangles(positions, tri, ranges, None, height, width, output_db, grad_db, threads)
+
+
+def check_mesh(pos: object, tri: object, ranges: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
+    """Check the mesh that a rasterizer draws.
+
+    Returns:
+        ``pos`` as (B, V, 4), or as (1, V, 4) if there are ranges; ``tri``; and ``ranges`` on the device of ``pos``.
+
+    Raises:
+        TypeError, ValueError: with a message that names the argument.
+    """
+    shape: tuple[int | str, ...] = ("V", 4) if ranges is not None else ("B", "V", 4)
+    positions = check_tensor("pos", pos, shape, dtypes=(torch.float32, torch.float64))
+    # On a GPU, the kernel skips triangles with a wrong index, because checking the indices would wait for the GPU.
+    on_cpu = positions.device.type == "cpu"
+    triangles = check_triangles(tri, positions.shape[-2], ("pos", positions), check_values=on_cpu)
+    if ranges is None:
+        return positions, triangles, None
+    check_tensor("ranges", ranges, ("B", 2), dtypes=(torch.int32,))
+    for first, count in ranges.tolist():
+        if first < 0 or count < 0 or first + count > triangles.shape[0]:
+            raise ValueError(
+                f"ranges: expected first triangles and counts within the {triangles.shape[0]} triangles of tri, "
+                f"got ({first}, {count})"
+            )
+    return positions[None], triangles, ranges.to(positions.device)

@@ -1,0 +1,201 @@
+"""Values and gradients of `rasterize`, compared with the reference and with finite differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from fourd.ops.loading import load_native
+from fourd.ops.rasterize.op import rasterize_triangles
+from fourd.raster.triangles import rasterize
+from tests.raster.triangles.scenes import soup
+
+SIZE = (45, 70)
+
+
+def values_and_gradient(
+    pos: Tensor, tri: Tensor, upstream: tuple[Tensor, Tensor], backend: str, **settings: object
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return rast, rast_db and the gradient with respect to pos. The reference computes the gradient in float64."""
+    leaf = pos.clone().requires_grad_()
+    rast, rast_db = rasterize(leaf, tri, SIZE, backend=backend, **settings)  # type: ignore[arg-type]
+    if backend == "reference":
+        leaf = pos.double().requires_grad_()
+        upstream = (upstream[0].double(), upstream[1].double())
+        outputs = rasterize(leaf, tri, SIZE, backend=backend, **settings)  # type: ignore[arg-type]
+    else:
+        outputs = rast, rast_db
+    (gradient,) = torch.autograd.grad(outputs, leaf, upstream, allow_unused=True)
+    return rast.detach(), rast_db.detach(), gradient.float()
+
+
+def random_upstream(rng: np.random.Generator, images: int) -> tuple[Tensor, Tensor]:
+    rast, rast_db = rng.standard_normal((2, images, *SIZE, 4)).astype(np.float32)
+    return torch.from_numpy(rast), torch.from_numpy(0.1 * rast_db)
+
+
+def assert_close(found: tuple[Tensor, ...], expected: tuple[Tensor, ...]) -> None:
+    rast, rast_db, gradient = found
+    assert torch.equal(rast[..., 2:], expected[0][..., 2:])
+    torch.testing.assert_close(rast, expected[0], rtol=0, atol=1e-5)
+    torch.testing.assert_close(rast_db, expected[1], rtol=1e-4, atol=1e-5 * float(expected[1].abs().max()))
+    torch.testing.assert_close(gradient, expected[2], rtol=1e-3, atol=1e-4 * float(expected[2].abs().max()))
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
+@pytest.mark.parametrize("behind", [False, True])
+def test_kernel_equals_the_reference(
+    simd: str, behind: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches wrong planes, wrong signs of gradients and pixels that are skipped at the borders of tiles. Depths and
+    ids have the reference's bits."""
+    if not load_native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    pos, tri = soup(rng, behind=behind)
+    upstream = random_upstream(rng, len(pos))
+    expected = values_and_gradient(pos, tri, upstream, "reference")
+    assert float((expected[0][..., 3] > 0).float().mean()) > 0.2
+    assert_close(values_and_gradient(pos, tri, upstream, "cpu"), expected)
+
+
+def test_range_mode_equals_the_reference(rng: np.random.Generator) -> None:
+    """Catches ids that count from the start of the range, and gradients that do not add up over images."""
+    pos, tri = soup(rng, images=1)
+    ranges = torch.tensor([[0, 20], [15, 45], [60, 0], [3, 1]], dtype=torch.int32)
+    upstream = random_upstream(rng, len(ranges))
+    expected = values_and_gradient(pos[0], tri, upstream, "reference", ranges=ranges)
+    assert_close(values_and_gradient(pos[0], tri, upstream, "cpu", ranges=ranges), expected)
+    assert not expected[0][2].any()
+
+
+@pytest.mark.parametrize("behind", [False, True])
+def test_gradient_equals_finite_differences(behind: bool, rng: np.random.Generator) -> None:
+    """Catches an error that kernel and reference have in common. Pixels whose triangle changes are excluded."""
+    pos, tri = soup(rng, images=1, vertices=8, triangles=6, behind=behind)
+    weights = [upstream.double() for upstream in random_upstream(rng, 1)]
+    step, size = 1e-5, (20, 24)
+    weights = [weight[:, : size[0], : size[1]] for weight in weights]
+
+    def outputs(at: Tensor) -> tuple[Tensor, Tensor]:
+        return rasterize(at, tri, size, backend="reference")
+
+    checked = 0
+    for index in np.ndindex(8, 4):
+        offset = torch.zeros(1, 8, 4, dtype=torch.float64)
+        offset[(0, *index)] = step
+        low, high = outputs(pos.double() - offset), outputs(pos.double() + offset)
+        leaf = pos.clone().requires_grad_()
+        middle = rasterize(leaf, tri, size)
+        steady = (low[0][..., 3] == high[0][..., 3]) & (low[0][..., 3] == middle[0][..., 3])
+        # Where u or v is clamped in one of the images, the slope is not defined.
+        inside = [(o[0][..., 0] > 0) & (o[0][..., 1] > 0) & (o[0][..., :2].sum(-1) < 1 - 1e-7) for o in (low, high)]
+        mask = (steady & inside[0] & inside[1])[..., None].double()
+        slope = sum(
+            float((mask * weight * (b - a))[..., :4][..., : 2 if k == 0 else 4].sum()) / (2 * step)
+            for k, (weight, a, b) in enumerate(zip(weights, low, high, strict=True))
+        )
+        upstream = [(mask * weight).float() for weight in weights]
+        gradient = torch.autograd.grad(middle, leaf, upstream)[0]
+        assert float(gradient[(0, *index)]) == pytest.approx(slope, rel=2e-3, abs=2e-3), index
+        checked += slope != 0
+    assert checked >= 6
+
+
+def test_depth_and_id_have_no_gradient(rng: np.random.Generator) -> None:
+    """Catches gradients through z/w, and a gradient of rast_db that grad_db=False does not switch off."""
+    pos, tri = soup(rng)
+    leaf = pos.clone().requires_grad_()
+    rast, rast_db = rasterize(leaf, tri, SIZE, grad_db=False)
+    assert not torch.autograd.grad(rast[..., 2:].sum(), leaf, retain_graph=True)[0].any()
+    (through_db,) = torch.autograd.grad(rast_db.sum(), leaf, retain_graph=True, allow_unused=True)
+    assert through_db is None
+    upstream = random_upstream(rng, len(pos))
+    both = torch.autograd.grad((rast, rast_db), leaf, upstream)[0]
+    alone = values_and_gradient(pos, tri, (upstream[0], torch.zeros_like(upstream[1])), "cpu")[2]
+    torch.testing.assert_close(both, alone, rtol=1e-4, atol=1e-4 * float(alone.abs().max()))
+
+
+def test_derivatives_can_be_left_out(rng: np.random.Generator) -> None:
+    """Catches rast that changes without rast_db, and a backward pass that reads a missing gradient."""
+    pos, tri = soup(rng)
+    leaf = pos.clone().requires_grad_()
+    rast, rast_db = rasterize(leaf, tri, SIZE, output_db=False)
+    assert rast_db.shape == (2, *SIZE, 0)
+    assert torch.equal(rast, rasterize(pos, tri, SIZE)[0])
+    assert torch.autograd.grad(rast[..., 0].sum(), leaf)[0].any()
+
+
+def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator) -> None:
+    """Catches sums whose order depends on the threads, and pieces that are merged in another order."""
+    pos, tri = soup(rng, images=3, vertices=200, triangles=3000)
+    results = []
+    for threads in (1, 2, 5):
+        leaf = pos.clone().requires_grad_()
+        rast, rast_db = rasterize(leaf, tri, SIZE, threads=threads)
+        gradient = torch.autograd.grad(rast[..., :2].sum() + (rast_db**2).sum(), leaf)[0]
+        results.append((rast, rast_db, gradient))
+    for other in results[1:]:
+        assert all(torch.equal(one, two) for one, two in zip(results[0], other, strict=True))
+
+
+def test_vertices_that_are_not_finite_are_culled(rng: np.random.Generator) -> None:
+    """Catches NaN in images, and in the gradients of other vertices."""
+    pos, tri = soup(rng, images=1)
+    good = pos.clone()
+    bad = torch.tensor([3, 7, 11, 20])
+    for vertex, value in zip(bad.tolist(), [torch.nan, torch.inf, -torch.inf, torch.nan], strict=True):
+        pos[0, vertex, vertex % 4] = value
+    touched = torch.isin(tri, bad.int()).any(1)
+    assert touched.any()
+    upstream = random_upstream(rng, 1)
+    found = values_and_gradient(pos, tri, upstream, "cpu")
+    hidden = tri.clone()
+    hidden[touched] = 0  # A degenerate triangle covers nothing.
+    expected = values_and_gradient(good, hidden, upstream, "cpu")
+    assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
+
+
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+@pytest.mark.parametrize("counts", [(0, 40, 60), (2, 0, 0), (2, 40, 0)])
+def test_empty_meshes_give_the_background(backend: str, counts: tuple[int, int, int]) -> None:
+    """Catches crashes without images, vertices or triangles."""
+    images, vertices, triangles = counts
+    pos = torch.ones(images, vertices, 4, requires_grad=True)
+    tri = torch.zeros(triangles, 3, dtype=torch.int32)
+    rast, rast_db = rasterize(pos, tri, SIZE, backend=backend)
+    assert rast.shape == rast_db.shape == (images, *SIZE, 4)
+    assert not rast.any()
+    if backend == "cpu":
+        assert torch.autograd.grad(rast.sum(), pos)[0].shape == pos.shape
+
+
+def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
+    """Catches a wrong fake implementation, and an operator that changes its inputs or returns one of them."""
+    pos, tri = soup(rng, images=1, triangles=10)
+    pos.requires_grad_()
+    previous = rasterize(pos, tri, SIZE)[0].detach()
+    ranges = torch.tensor([[2, 5]], dtype=torch.int32)
+    for optional in ((None, None, True), (ranges, previous, False)):
+        torch.library.opcheck(rasterize_triangles, (pos, tri, *optional[:2], *SIZE, optional[2], True, 0))
+
+
+def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
+    """Catches out-of-range reads and unclear errors."""
+    pos, tri = soup(rng)
+    with pytest.raises(ValueError, match=r"pos: expected shape \(B, V, 4\), got \(2, 40, 3\)"):
+        rasterize(pos[..., :3], tri, SIZE)
+    with pytest.raises(ValueError, match="tri: expected vertex indices from 0 to 39, got 40"):
+        rasterize(pos, torch.tensor([[0, 40, 1]], dtype=torch.int32), SIZE)
+    with pytest.raises(TypeError, match=r"tri: expected dtype int32, got int64; use tri\.int\(\)"):
+        rasterize(pos, tri.long(), SIZE)
+    with pytest.raises(TypeError, match="pos: expected dtype float32 for backend 'auto', got float64"):
+        rasterize(pos.double(), tri, SIZE)
+    with pytest.raises(ValueError, match="resolution: expected sides from 1 to 32768 pixels"):
+        rasterize(pos, tri, (10, 40000))
+    with pytest.raises(ValueError, match=r"ranges: expected .* within the 60 triangles of tri, got \(50, 11\)"):
+        rasterize(pos[0], tri, SIZE, ranges=torch.tensor([[50, 11]], dtype=torch.int32))
+    with pytest.raises(ValueError, match=r"pos: expected shape \(V, 4\), got \(2, 40, 4\)"):
+        rasterize(pos, tri, SIZE, ranges=torch.tensor([[0, 1]], dtype=torch.int32))
